@@ -103,7 +103,7 @@ MBSRUN = Package(
         "linearisation",
         "ocp.conditions ocp.quantities",
         "ocp.backends ocp.structure ocp.stages ocp.given",
-        "ocp.values",
+        "ocp.values ocp.contacts",
         "ocp.closing ocp.design",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",

@@ -18,6 +18,7 @@ from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
+from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
@@ -325,6 +326,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     yield from _find_wrong_additions(problem, manifest)
     yield from _find_wrong_wrenches(problem, manifest)
     yield from find_faults(problem, manifest)
+    yield from find_contact_faults(problem, manifest)
     yield from _find_wrong_expressions(problem, manifest)
 
 

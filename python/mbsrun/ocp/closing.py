@@ -57,7 +57,11 @@ def list_motions(shape: Structure, manifest: Manifest) -> Motions:
 
 def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
     """Return whether a problem reads the velocities of dependent coordinates, by bounds, targets or expressions."""
-    if shape.sensor_velocities or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}:
+    if (
+        shape.sensor_velocities
+        or shape.contacts
+        or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}
+    ):
         return True
     known = list_quantities(manifest, shape.added)
     read = [known[name] for text in shape.expressions for name in list_names(text, shape.functions) if name in known]

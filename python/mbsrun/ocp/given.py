@@ -29,7 +29,7 @@ class Given:
 def list_given(problem: Problem, manifest: Manifest) -> list[Given]:
     """List everything that expressions give."""
     found = [Given(f"forces[{i}]", "u", part.input, part.expression) for i, part in enumerate(problem.forces)]
-    for i, part in enumerate(problem.wrenches):
+    for i, part in enumerate(problem.every_component):
         index = find_component(manifest, part.wrench, part.component)
         if part.expression is not None and index is not None:
             found.append(Given(f"wrenches[{i}]", "w", index, part.expression))
@@ -63,7 +63,7 @@ def find_faults(problem: Problem, manifest: Manifest) -> Iterator[tuple[str, str
 
 def list_open_components(problem: Problem, manifest: Manifest) -> list[str]:
     """Name the components of open wrenches that have no value in a problem."""
-    known = {find_component(manifest, part.wrench, part.component) for part in problem.wrenches}
+    known = {find_component(manifest, part.wrench, part.component) for part in problem.every_component}
     names = [name for name, x in list_quantities(manifest, problem.added).items() if x.kind == "w"]
     return [name for i, name in enumerate(names) if i not in known]
 
@@ -81,7 +81,7 @@ def _read(part: Given, problem: Problem, manifest: Manifest) -> frozenset[tuple[
 def place_unknown(problem: Problem, manifest: Manifest) -> Mapping[int, float]:
     """Return the guess of each entry of w that is unknown."""
     found: dict[int, float] = {}
-    for part in problem.wrenches:
+    for part in problem.every_component:
         index = find_component(manifest, part.wrench, part.component)
         if part.expression is None and index is not None:
             found[index] = min(max(part.guess, part.bounds[0]), part.bounds[1])

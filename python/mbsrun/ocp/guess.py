@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from mbsrun.closure import Closure, find_closure, has_loops
+from mbsrun.ocp.contacts import list_held
 from mbsrun.ocp.given import place_unknown
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
@@ -252,14 +253,21 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
         w = np.zeros((N * d, len(name_components(plant.manifest))))
         for i, value in place_unknown(problem, plant.manifest).items():
             w[:, i] = value
-        u = np.nan_to_num(find_inputs(plant, q, qd, qdd, w).reshape(N, d, -1).mean(axis=1))
+        held = [i for i in list_held(problem.contacts, plant.manifest) if not w[:, i].any()]
+        forces = np.nan_to_num(find_inputs(plant, q, qd, qdd, w, held))
+        u = forces[:, : u.shape[1]].reshape(N, d, -1).mean(axis=1)
+        if held:
+            w[:, held] = forces[:, u.shape[1] :]
+            trajectory = replace(trajectory, point_w=w.reshape(N, d, -1))
     return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
 
 
-def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array, w: Array | None = None) -> Array:
+def find_inputs(
+    plant: Plant, q: Array, qd: Array, qdd: Array, w: Array | None = None, held: Sequence[int] = ()
+) -> Array:
     """Return the inputs (B, m) of least squares that leave the least of the equations of motion; 0 where B fails.
 
-    w (B, nw) are components of open wrenches, if there are any.
+    w (B, nw) are components of open wrenches, if there are any. The ones of `held` are found too, behind the inputs.
     """
     manifest = plant.manifest
     none = np.zeros((len(q), len(manifest.actuated)))
@@ -269,9 +277,12 @@ def find_inputs(plant: Plant, q: Array, qd: Array, qdd: Array, w: Array | None =
     if has_loops(manifest):
         state["lam"] = np.zeros((len(q), len(manifest.dependent)))
     Phi = plant("impl", **state)["Phi"]
-    B = -plant("jac_impl", **state)["jac_Phi_u"]
+    slopes = plant("jac_impl", **state)
+    B = -slopes["jac_Phi_u"]
+    if held:
+        B = np.concatenate((B, -slopes["jac_Phi_w"][:, :, list(held)]), axis=2)
     if not np.isfinite(B).all():
-        return none
+        return np.zeros((len(q), B.shape[2]))
     right = Phi[..., None]
     closure = find_closure(plant)
     if closure is not None:

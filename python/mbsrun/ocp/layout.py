@@ -142,6 +142,9 @@ class ExtraRows:
     start: Indices  # (ns,)
     rates: Indices  # (N, S, ns)
     given: Indices  # (N, S, ...): inputs, then components of wrenches, that expressions give
+    contacts: Indices  # (N, S, ...): velocities of contacts along the axes that are held, contact by contact
+    contacts_at_start: Indices  # the same where the start is free, or empty
+    friction: Indices  # (..., points)
     end: Indices  # (states with a condition there,)
 
 

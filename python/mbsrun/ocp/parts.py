@@ -6,18 +6,21 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mbsgen.documents import Document, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, is_free_name, names, parse
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
-from mbsrun.ocp.problem import Control, Force, Integral, Problem, Range, State, Unknown, WrenchComponent
+from mbsrun.ocp.problem import Contact, Control, Force, Integral, Problem, Range, State, Unknown, WrenchComponent
 from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.referring import Referring
 from mbsrun.ocp.sections import (
+    ContactSection,
     ControlSection,
     IntegralSection,
     Limits,
@@ -163,6 +166,20 @@ class PartReading(Reading):
         bounds = self.range((*place, "range"), section.range)
         return WrenchComponent(wrench, component, None, bounds, self.guessed((*place, "guess"), section.guess, bounds))
 
+    def contacts(self, given: Sequence[ContactSection]) -> tuple[Contact, ...]:
+        """Read the points that stand on the ground."""
+        found = []
+        for i, section in enumerate(given):
+            friction = None
+            if section.friction is not None:
+                friction = self.number(("contacts", i, "friction"), section.friction, least=0)
+            axes, normal = tuple("xyz".index(axis) for axis in section.axes), section.normal
+            wrench = section.wrench or section.sensor
+            found.append(
+                Contact(section.sensor, wrench, axes, None if normal is None else "xyz".index(normal), friction)
+            )
+        return tuple(found)
+
     def check_given(self, problem: Problem) -> None:
         """Check that all components of open wrenches have a value, and that expressions can be put in an order."""
         if left := list_open_components(problem, self.manifest):
@@ -170,6 +187,8 @@ class PartReading(Reading):
             self.fault(("wrenches",), f"the model leaves wrenches open, and {finding}", "give an expression or a range")
         for place, finding, remedy in find_faults(problem, self.manifest):
             self.fault((place.partition("[")[0],), finding, remedy)
+        for place, finding, remedy in find_contact_faults(problem, self.manifest):
+            self.fault(_split(place), finding, remedy)
 
     def unknowns(self, given: Mapping[str, UnknownSection]) -> tuple[Unknown, ...]:
         """Read the numbers that the solver chooses."""
@@ -195,3 +214,8 @@ class PartReading(Reading):
             self.check_formula(("integrals", i, "expression"), section.expression)
             found.append(Integral(section.expression, self.range(("integrals", i, "range"), section.range)))
         return tuple(found)
+
+
+def _split(place: str) -> Place:
+    """Return the place in a file of a part of a problem: "contacts[0].wrench" -> ("contacts", 0, "wrench")."""
+    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))

@@ -268,6 +268,7 @@ class Problem:
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read
     inputs: Course = "constant"  # over an interval; polynomial: of degree d - 1, by a value at each point
+    contacts_hold_at_start: bool = True  # where the start is free, and no link gives it: then by rows of their own
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     references: tuple[Reference, ...] = ()  # that expressions read
@@ -300,6 +301,24 @@ class Problem:
         integrals = zip(self.added.states[len(self.states) :], self.integrals, strict=True)
         own = (State(name, part.expression, start=(0.0, 0.0), end=part.range) for name, part in integrals)
         return (*self.states, *own)
+
+    @property
+    def every_component(self) -> tuple[WrenchComponent, ...]:
+        """Return the components of open wrenches; contacts add the ones of their forces that the problem leaves out."""
+        known = {(part.wrench, part.component) for part in self.wrenches}
+        normals = {(contact.wrench, contact.normal) for contact in self.contacts}
+        added = (
+            WrenchComponent(contact.wrench, axis, None if axis in contact.axes else "0")
+            for contact in self.contacts
+            for axis in range(3)
+            if (contact.wrench, axis) not in known
+        )
+        return tuple(
+            replace(part, bounds=(max(0.0, part.bounds[0]), part.bounds[1]))
+            if (part.wrench, part.component) in normals
+            else part
+            for part in (*self.wrenches, *added)
+        )
 
     @property
     def has_quaternions(self) -> bool:

@@ -29,6 +29,7 @@ from scipy.integrate import DOP853
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
+from mbsrun.ocp.contacts import measure_slip
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
@@ -51,11 +52,15 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
     course = Course(solution.problem, trajectory, plant)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
+    reached: Array | None = None
+    nq = trajectory.q.shape[1]
+    every = np.concatenate((trajectory.q, trajectory.point_q.reshape(-1, nq)))
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
         ends = integrate(plant, states[:-1], course.inputs(), steps, allowance)
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        last = _integrate_all(plant, states[:1], course, steps, allowance, gaps)
+        reached = _integrate_all(plant, states[:1], course, steps, allowance, gaps)
+        last = None if reached is None else reached[-1:]
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -71,6 +76,8 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
             unfinished=unfinished,
             defects=() if defects is None else tuple(defects.tolist()),
             closure=max(gaps) if gaps else None,
+            slip=measure_slip(solution.problem, plant, every),
+            slip_along=None if reached is None else measure_slip(solution.problem, plant, reached[:, :nq]),
         ),
     )
 
@@ -154,11 +161,14 @@ class Course:
 def _integrate_all(
     plant: Plant, state: Array, course: Course, steps: Array, allowance: Allowance, gaps: list[float] | None
 ) -> Array | None:
-    """Integrate one motion, (1, nq + n + ns), through all intervals."""
-    last: Array | None = state
+    """Integrate one motion, (1, nq + n + ns), through all intervals: its states at their ends, (N + 1, nq + n + ns)."""
+    reached = [state]
     for k, step in enumerate(steps):
-        last = None if last is None else integrate(plant, last, course.inputs(k), float(step), allowance, gaps)
-    return last
+        last = integrate(plant, reached[-1], course.inputs(k), float(step), allowance, gaps)
+        if last is None:
+            return None
+        reached.append(last)
+    return np.concatenate(reached)
 
 
 def integrate(

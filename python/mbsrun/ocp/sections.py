@@ -311,6 +311,22 @@ class WrenchSection(Section):
     moment: tuple[ComponentField, ComponentField, ComponentField] | None = Field(default=None, examples=[[0, 0, 1]])
 
 
+def _check_axes(axes: str) -> str:
+    if not axes or sorted(set(axes)) != sorted(axes) or set(axes) - set("xyz"):
+        raise WrongValueError(f"found {abbreviate(axes)}", "give some of x, y, z, such as xz")
+    return axes
+
+
+class ContactSection(Section):
+    """A point that stands on the ground."""
+
+    sensor: str = Field(examples=["foot"])
+    wrench: str | None = Field(default=None, examples=["foot"])  # by default of the sensor's name
+    axes: Annotated[str, AfterValidator(_check_axes)] = Field(default="xyz", examples=["xz"])
+    normal: Literal["x", "y", "z"] | None = Field(default="z", examples=["z"])
+    friction: NumberField | None = Field(default=None, examples=[0.8])
+
+
 class IntegralSection(Section):
     """An integral over the horizon that stays within a range."""
 
@@ -339,6 +355,7 @@ class ProblemSection(Section):
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     inputs: Literal["constant", "polynomial"] = Field(default=Problem.inputs, examples=["polynomial"])
     forces: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])

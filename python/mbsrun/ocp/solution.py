@@ -121,6 +121,8 @@ class Resimulation:
     open_loop_error: float | None  # the largest difference at the end of the horizon, integrated from its start
     is_accurate: bool  # whether the check finished, and the defect is within the accuracy that the problem asks for
     closure: float | None = None  # the largest gap of closed loops along the motion from its start [m, 1]
+    slip: float | None = None  # the farthest that a contact moves, at the points of the solution [m]
+    slip_along: float | None = None  # the same along the motion from its start, under the forces found
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
     defects: tuple[float, ...] = ()  # of all intervals; empty where the integrator gave up
 

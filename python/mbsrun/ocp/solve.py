@@ -21,6 +21,7 @@ from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import describe
 from mbsrun.ocp.conditions import find_open_states
+from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
@@ -254,6 +255,8 @@ def _complete_guess(guess: Trajectory, problem: Problem) -> Trajectory:
 
 def _check_states(problem: Problem, plant: Plant) -> None:
     """Raise ProblemError for a start or an end that closed loops contradict."""
+    if findings := list(find_stray_forces(problem, plant)):
+        raise ProblemError(problem.name, findings)
     closure = find_closure(plant)
     if closure is not None and (findings := list(find_open_states(problem, closure))):
         raise ProblemError(problem.name, findings)

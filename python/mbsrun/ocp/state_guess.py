@@ -38,10 +38,7 @@ def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
         motion = replace(motion, controls=np.tile(values, (len(motion.u), 1)))
     if motion.states.shape[1] != len(states):
         motion = _add_states(motion, problem, plant)
-    has_given = motion.point_u.size or not problem.forces
-    if has_given and motion.point_w.shape[2] == len(name_components(plant.manifest)):
-        return motion
-    return _add_given(motion, problem, plant)
+    return _add_given(motion, problem, plant) if problem.forces or plant.manifest.wrenches else motion
 
 
 def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
@@ -51,6 +48,8 @@ def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory
     whole = {"q": motion.point_q, "qd": motion.point_qd, "states": motion.point_states, "controls": controls, "u": u}
     parts = {kind: array.reshape(N * d, array.shape[2]) for kind, array in whole.items()}
     parts |= {"t": motion.point_t.reshape(-1, 1), "T": np.full((N * d, 1), motion.t[-1])}
+    if motion.point_w.shape[2] == len(name_components(plant.manifest)):
+        parts["w"] = motion.point_w.reshape(N * d, -1)
     parts["unknowns"] = np.tile(_list_unknowns(motion, problem), (N * d, 1))
     found = GivenValues(problem, plant)(parts)
     point_u, point_w = (np.nan_to_num(found[kind], posinf=0, neginf=0).reshape(N, d, -1) for kind in ("u", "w"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.problem import Course, Form, Loops, Problem, Representation, Symbolic
+from mbsrun.ocp.problem import Contact, Course, Form, Loops, Problem, Representation, Symbolic
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
@@ -49,6 +49,8 @@ class Structure:
     ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
     forces: tuple[tuple[int, str], ...] = ()  # inputs that expressions give, in order
     wrenches: tuple[tuple[str, int, str | None], ...] = ()  # components of open wrenches: name, number, expression
+    contacts: tuple[Contact, ...] = ()
+    contacts_hold_at_start: bool = True
     inputs: Course = "constant"
 
     @property
@@ -107,8 +109,10 @@ def structure(problem: Problem) -> Structure:
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
         rates=tuple(state.rate for state in problem.every_state),
+        contacts=problem.contacts,
+        contacts_hold_at_start=problem.contacts_hold_at_start,
         forces=tuple(sorted((force.input, force.expression) for force in problem.forces)),
-        wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.wrenches),
+        wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.every_component),
         ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
     )
 

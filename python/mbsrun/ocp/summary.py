@@ -40,6 +40,9 @@ def summarise(solution: Solution) -> dict[str, str]:
         **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution)},
         **{f"d cost / d {name} ": f"{value:.8g}" for name, value in solution.sensitivities},
     }
+    if check is not None and check.slip is not None:
+        along = _number(check.slip_along, check)
+        rows["slip"] = f"{check.slip:.1e} m of a contact at all points; {along} along the re-simulated motion"
     if check is not None:
         accuracy = solution.problem.asked_accuracy
         rows["defect"] = f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"

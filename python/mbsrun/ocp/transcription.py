@@ -88,7 +88,7 @@ class Transcription:
             *self._bound_inputs(problem),
             (
                 extras.wrenches[:, :, list(self.components)],
-                np.array([x.bounds for x in problem.wrenches]).reshape(-1, 2),
+                np.array([x.bounds for x in problem.every_component]).reshape(-1, 2),
             ),
         ):
             lower[index], upper[index] = bounds.T
@@ -139,6 +139,9 @@ class Transcription:
             upper[rows.lengths] = np.where(is_free, 1.0, np.inf)
         states = np.array(problem.bounds.q + problem.bounds.qd)[list(self.structure.bounded)].reshape(-1, 2)
         lower[rows.inner], upper[rows.inner] = states.T
+        upper[rows.extras.friction] = np.inf
+        if all(given[nq:]):  # the velocities hold the contacts, or not, and then no force could
+            lower[rows.extras.contacts_at_start], upper[rows.extras.contacts_at_start] = -np.inf, np.inf
         for i, state in enumerate(problem.every_state):
             lower[rows.extras.start[i]], upper[rows.extras.start[i]] = state.start
         for row, i in zip(rows.extras.end, self.structure.ending, strict=True):

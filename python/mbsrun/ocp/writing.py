@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp import closing, design, formulas
+from mbsrun.ocp import closing, contacts, design, formulas
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import SECOND_ORDER, Integrator
 from mbsrun.ocp.layout import (
@@ -54,6 +54,7 @@ class Writer:
         self.scheme, self.integrator, self.equations = scheme, integrator, shape.representation.equations
         self.motions = closing.list_motions(shape, plant.manifest)
         self.components = order_components(shape, plant.manifest)
+        self.held = contacts.list_held(shape.contacts, plant.manifest)
         self.kernel = _read_wrenches(self.equations.write(shape.loops), plant)
         has_slopes = shape.takes_slopes or (shape.form is not Form.STANDARD and bool(self.quaternions))
         is_ode = shape.form is Form.STANDARD or has_slopes  # accelerations follow from the state, and are no variables
@@ -100,7 +101,8 @@ class Writer:
         lengths = self.write_lengths()
         start_closure = self.write_start_closure()
         inner, equations, continuity = self.write_collocation()
-        states, dynamics, closure, rates, given = self.split_equations(equations)
+        states, dynamics, closure, rates, given, held = self.split_equations(equations)
+        extra_end = self.write_states(extras.states[N, list(shape.ending)], N)
         rows = Rows(
             start=start,
             lengths=lengths,
@@ -109,7 +111,9 @@ class Writer:
             closure=closure,
             start_closure=start_closure,
             continuity=continuity,
-            extras=ExtraRows(extra_start, rates, given, self.write_states(extras.states[N, list(shape.ending)], N)),
+            extras=ExtraRows(
+                extra_start, rates, given, held, self.write_contacts_at_start(), self.write_friction(), extra_end
+            ),
             inner=self.write_inner_bounds(),
             sensors=self.write_sensors([self.position(name) for name in shape.sensors]),
             coordinates=self.write_states(
@@ -147,7 +151,7 @@ class Writer:
 
     def list_inputs(self) -> Indices:
         """List the variables (N, ...) of each interval that no equation of the interval gives."""
-        free = [i for i, text in enumerate(self.components) if text is None]
+        free = [i for i, text in enumerate(self.components) if text is None and i not in self.held]
         wrenches = self.layout.extras.wrenches[:, :, free]
         N, S, size = wrenches.shape
         return np.concatenate((self.layout.every_input, wrenches.reshape(N, S * size)), axis=1)
@@ -180,8 +184,10 @@ class Writer:
         """Find entries of qd among the velocities that are variables."""
         return [self.motions.velocities.index(i) for i in which]
 
-    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices]:
-        """Split the equations of stages (N, S, ...): of states, of motion, of loops, of states added, of what is given.
+    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
+        """Split the equations of stages (N, S, ...) into groups.
+
+        They are of states, of motion, of loops, of states added, of what expressions give, and of contacts.
 
         For an ODE, the equations of motion are the last ones of states.
         """
@@ -190,12 +196,14 @@ class Writer:
         end = states + (n if self.layout.accelerations.size else 0)
         rates = end + self.loop_rows
         given = rates + len(self.shape.rates)
+        held = given + len(self.list_given())
         return (
             equations[:, :, :states],
             equations[:, :, end - n : end],
             equations[:, :, end:rates],
             equations[:, :, rates:given],
-            equations[:, :, given:],
+            equations[:, :, given:held],
+            equations[:, :, held:],
         )
 
     @property
@@ -215,11 +223,11 @@ class Writer:
         N, S, width = layout.points.shape
         at_stage = len(self.motions.carried) if width or layout.slopes.size else 0
         at_stage += n if layout.accelerations.size else 0
-        at_stage += self.loop_rows + len(self.shape.rates) + len(self.list_given())
+        at_stage += self.loop_rows + len(self.shape.rates) + len(self.list_given()) + len(self.held)
         carried = layout.mesh.shape[1]
         interval = self.take(np.arange(N), N, S * at_stage + carried + len(self.shape.rates))
         equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
-        states, dynamics, closure, rates, given = self.split_equations(equations)
+        states, dynamics, closure, rates, given, held = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity[:, :carried])
         elif layout.slopes.size:
@@ -228,6 +236,7 @@ class Writer:
             self.write_integrals(continuity[:, :carried])
         self.write_added_states(rates, continuity[:, carried:])
         self.write_given(given)
+        self.write_contacts(self.points, held.reshape(N * S, len(self.held)).T, self.points.interval)
         self.write_dynamics(dynamics.reshape(N * S, n).T)
         self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
         self.write_corrections(states)
@@ -239,6 +248,7 @@ class Writer:
             layout.multipliers,
             layout.corrections,
             self.place_given(),
+            layout.extras.wrenches[:, :, list(self.held)],
         )
         return np.concatenate(inner, axis=2), equations, continuity
 
@@ -356,6 +366,33 @@ class Writer:
         extras = self.layout.extras
         chosen = [i for i, text in enumerate(self.components) if text is not None]
         return np.concatenate((extras.forces, extras.wrenches[:, :, chosen]), axis=2)
+
+    def write_contacts(self, places: Places, rows: Indices, stages: Indices) -> None:
+        """Hold contacts at some places: rows are (held axes, places)."""
+        first = 0
+        for contact in self.shape.contacts:
+            entries = contacts.list_entries(contact, self.manifest)
+            function = KernelResult("motion", ("q", "qd"), "v", entries)
+            own = rows[first : first + len(entries)]
+            self.blocks.append(Block(function, (places.q, places.qd), own, stages))
+            first += len(entries)
+
+    def write_contacts_at_start(self) -> Indices:
+        """Hold contacts at a start that is free and that no link gives."""
+        shape = self.shape
+        rows = self.take(0, len(self.held) * (shape.start_is_free and shape.contacts_hold_at_start))
+        if rows.size:
+            self.write_contacts(self.first, rows[:, None], np.zeros(1, dtype=np.int64))
+        return rows
+
+    def write_friction(self) -> Indices:
+        """Keep the forces of contacts within friction at the points."""
+        every = (contacts.write_friction(contact, self.manifest) for contact in self.shape.contacts)
+        texts, places = [text for own in every for text in own], self.points
+        rows = self.take(np.tile(places.interval, (len(texts), 1)), len(texts), places.s.size)
+        if texts:
+            self.blocks.append(self.apply(texts, places, rows, places.interval))
+        return rows
 
     def write_given(self, rows: Indices) -> None:
         """Set inputs and components of wrenches to the values of their expressions at the points."""

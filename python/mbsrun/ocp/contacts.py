@@ -1,0 +1,150 @@
+"""Contacts: points of a mechanism that stand on the ground for the whole horizon, held by unknown forces.
+
+    v_i(q_kj, qd_kj) = 0        at every collocation point, along the axes that are held
+    f_n >= 0                    along the normal: the ground does not pull
+    mu f_n >= |f_t|             friction, one axis across: two rows
+    mu f_n + e - sqrt(f_x^2 + f_y^2 + e^2) >= 0        two axes across
+
+The forces are the multipliers of the first, of index 2, so the collocation is Radau's, which includes the mesh points
+(Hairer, Wanner, "Solving ordinary differential equations II", VII.4). The last row is the friction cone with its apex
+rounded. It is convex, and its gradient does not vanish where the force does, as the gradient of mu^2 f_n^2 - |f_t|^2
+would; the force across is at most e = 1 mN beyond the cone. A point stays where it is at the start, to the error of the
+collocation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Contact, Form, Problem
+from mbsrun.ocp.schemes import Family
+from mbsrun.quantities import find_component, name_components
+from mbsrun.quaternions import list_quaternions
+
+ROUNDED = 1e-3  # N: of the cone's apex
+SAME = 1e-9  # relative difference of a force's power, by two kernels
+AXES = "xyz"
+
+Finding = tuple[str, str, str]
+
+
+def list_held(contacts: Sequence[Contact], manifest: Manifest) -> tuple[int, ...]:
+    """Return the entries of w that contacts determine, contact by contact."""
+    found = (find_component(manifest, contact.wrench, axis) for contact in contacts for axis in contact.axes)
+    return tuple(i for i in found if i is not None)
+
+
+def list_entries(contact: Contact, manifest: Manifest) -> tuple[int, ...]:
+    """Return the entries of a contact's velocities among the velocities of all sensors."""
+    first = 3 * [frame.name for frame in manifest.frames if frame.sensor].index(contact.sensor)
+    return tuple(first + axis for axis in contact.axes)
+
+
+def write_friction(contact: Contact, manifest: Manifest) -> tuple[str, ...]:
+    """Return expressions that friction keeps from being negative."""
+    if contact.friction is None or contact.normal is None:
+        return ()
+    names = name_components(manifest)
+    forces = {}
+    for axis in contact.axes:
+        i = find_component(manifest, contact.wrench, axis)
+        assert i is not None, "components are checked before"
+        forces[axis] = names[i]
+    normal = forces.pop(contact.normal)
+    across = list(forces.values())
+    if len(across) == 1:
+        return tuple(f"{contact.friction!r}*{normal} {sign} {across[0]}" for sign in "-+")
+    if not across:
+        return ()
+    squares = " + ".join(f"{name}**2" for name in across)
+    return (f"{contact.friction!r}*{normal} + {ROUNDED!r} - sqrt({squares} + {ROUNDED**2!r})",)
+
+
+def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+    """Find contacts that the model or the rest of the problem does not go together with."""
+    sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    wrenches = {wrench.name: wrench for wrench in manifest.wrenches}
+    given = {(part.wrench, part.component) for part in problem.wrenches if part.expression is not None}
+    for k, contact in enumerate(problem.contacts):
+        place, wrench = f"contacts[{k}]", wrenches.get(contact.wrench)
+        if contact.sensor not in sensors:
+            yield (f"{place}.sensor", f"the model has no sensor {contact.sensor}", f"there are {_list(sensors)}")
+        if wrench is None or not wrench.force:
+            finding = f"the model has no open wrench {contact.wrench} with a force"
+            yield (f"{place}.wrench", finding, "give the model one at the sensor's point, with force: input")
+        elif not wrench.in_base:
+            finding = f"the force of {contact.wrench} is along axes of its body"
+            yield (f"{place}.wrench", finding, "let the model give it along axes of the base (frame: base)")
+        if not contact.axes or any(axis not in (0, 1, 2) for axis in contact.axes):
+            yield (f"{place}.axes", f"found {contact.axes}", "give some of the axes x, y, z")
+        elif len(set(contact.axes)) < len(contact.axes):
+            yield (f"{place}.axes", f"found {contact.axes}", "give each axis once")
+        if contact.normal is not None and contact.normal not in contact.axes:
+            yield (f"{place}.normal", "the point is not held along its normal", "hold it there, or give normal: null")
+        if contact.friction is not None and (contact.normal is None or not 0 <= contact.friction < np.inf):
+            yield (f"{place}.friction", f"found {contact.friction}", "give a positive number, and a normal")
+        for axis in contact.axes:
+            if (contact.wrench, axis) in given:
+                finding = f"the force along {AXES[axis]} is given by an expression, and holds the point"
+                yield (f"{place}.wrench", finding, "leave the expression out, or the axis")
+    if len({contact.wrench for contact in problem.contacts}) < len(problem.contacts):
+        yield ("contacts", "two contacts have the same wrench", "give each its own")
+    if problem.contacts and problem.family is not Family.RADAU:
+        finding = f"the points of {problem.family.value} are no mesh points, where a contact would slip"
+        yield ("contacts", finding, "take scheme: radau")
+    if problem.contacts and problem.form is not Form.STANDARD:
+        yield ("contacts", f"the {problem.form.value} form takes no contacts", "take form: standard")
+
+
+def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
+    """Find contacts whose force acts at another point than their sensor's, by its power; and starts that slip."""
+    manifest = plant.manifest
+    n = len(manifest.coordinates)
+    q = np.array(problem.start_q) + np.linspace(0.1, 0.7, len(problem.start_q))  # any pose
+    for quaternion in list_quaternions(manifest):
+        q[quaternion.entries] /= np.linalg.norm(q[quaternion.entries])
+    if not problem.contacts or not np.isfinite(q).all():
+        return
+    none = {"qd": np.zeros(n), "qdd": np.zeros(n), "u": np.zeros(len(manifest.actuated))}
+    state: dict[str, Any] = {"q": q, **none, "w": np.zeros(len(name_components(manifest)))}
+    if manifest.dependent:
+        state["lam"] = np.zeros(len(manifest.dependent))
+    by_force = -plant("jac_impl", **state)["jac_Phi_w"]
+    velocities = [_find_velocities(plant, q, qd) for qd in np.eye(n)]
+    start = _find_velocities(plant, np.array(problem.start_q), np.array(problem.start_qd))
+    free = set(problem.free_start)
+    for k, contact in enumerate(problem.contacts):
+        held, entries = list_held([contact], manifest), list_entries(contact, manifest)
+        moved = np.array([v[list(entries)] for v in velocities])  # (n, axes)
+        difference = np.abs(by_force[:, list(held)] - moved).max(initial=0.0)
+        if difference > SAME * max(1.0, float(np.abs(moved).max(initial=0.0))):
+            finding = f"the force of {contact.wrench} does not act at {contact.sensor}"
+            yield (f"contacts[{k}]", finding, "let the model place both at the same point of one body")
+        slip = np.abs(start[list(entries)]).max(initial=0.0)
+        if not free and slip > SAME:
+            finding = f"{contact.sensor} moves at the start, at {slip:.3g} m/s"
+            yield (f"contacts[{k}]", finding, "give a start at which it stands, or free velocities")
+
+
+def _find_velocities(plant: Plant, q: Array, qd: Array) -> Array:
+    """Return the velocities of all sensors, one after the other."""
+    return np.asarray(plant("motion", q=q, qd=qd)["v"].T.ravel())
+
+
+def measure_slip(problem: Problem, plant: Plant, q: Array) -> float | None:
+    """Return how far contacts move along the axes that are held, in states q (K, nq); None without contacts."""
+    if not problem.contacts:
+        return None
+    places = plant("sensors", q=q)["position"].swapaxes(1, 2).reshape(len(q), -1)
+    entries = [i for contact in problem.contacts for i in list_entries(contact, plant.manifest)]
+    return float(np.abs(places[:, entries] - places[0, entries]).max(initial=0.0))
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"

@@ -1,0 +1,164 @@
+"""Contacts: static forces, the friction that a motion needs, a program of CasADi's Opti, and faults."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mbsgen.errors import InputError
+from mbsrun import load
+from mbsrun.ocp import schemes
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import solve
+from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.summary import summarise
+
+# A foot of 1 kg that slides freely, and a trunk of 4 kg that two drives move along x and z on it.
+HOPPER = """
+name: hopper
+gravity: [0, 0, -10]
+bodies:
+  - {name: rail, joint: {name: foot_x, type: prismatic, axis: x, actuated: false}, mass: 0}
+  - {name: foot, parent: rail, joint: {name: foot_z, type: prismatic, axis: z, actuated: false}, mass: 1}
+  - {name: slide, parent: foot, joint: {name: dx, type: prismatic, axis: x}, mass: 0}
+  - {name: trunk, parent: slide, joint: {name: dz, type: prismatic, axis: z}, mass: 4}
+frames:
+  - {name: sole, body: foot}
+  - {name: head, body: trunk}
+wrenches:
+  - {name: sole, body: foot, force: input}
+"""
+PROBLEM = """
+model: hopper.yaml
+horizon: 0.5
+intervals: 10
+scheme: radau
+degree: 3
+start: {pose: {foot_x: 0.2, dz: 0.5}}
+"""
+STAND = "contacts: [{sensor: sole, axes: xz, friction: 0.5}]\ncost: {inputs: 1}\n"
+LEAN = STAND.replace("0.5", "0.3") + "end: {pose: {dx: %s}, velocity: zero}\n"
+
+
+def read(folder: Path, text: str, model: str = HOPPER) -> tuple[Problem, Plant]:
+    (folder / "hopper.yaml").write_text(model)
+    (folder / "hopper.ocp.yaml").write_text(PROBLEM + text)
+    return read_problem(folder / "hopper.ocp.yaml", load)
+
+
+def found(problem: Problem, plant: Plant) -> Solution:
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome
+    return resimulate(outcome, plant)
+
+
+def test_a_leg_that_stands_carries_its_weight(tmp_path: Path) -> None:
+    """It stays at rest with 50 N under the foot and 40 N in the drive, by any method; the foot does not move."""
+    problem, plant = read(tmp_path, STAND + "end: {pose: {dz: 0.5}, velocity: zero}\nguess: {motion: rest}\n")
+    for method in ("ipopt", "mbs"):
+        solution = found(problem.with_solver(method), plant)
+        motion = solution.trajectory
+        # the trunk may sink and rise again: less effort, but the mean of the forces over the time is the weight
+        weights = np.tile(schemes.build(problem.family, problem.degree).weights, 10) / 10
+        assert weights @ motion.point_w[..., 2].ravel() == pytest.approx(50.0, abs=1e-6)
+        assert np.abs(motion.point_w[..., :2]).max() < 1e-6
+        assert motion.q[:, :2] == pytest.approx(np.tile([0.2, 0.0], (11, 1)), abs=1e-12)
+        check = solution.resimulation
+        assert check is not None
+        assert check.is_accurate
+        assert check.slip is not None
+        assert check.slip < 1e-12
+        assert check.slip_along is not None
+        assert check.slip_along < 1e-9
+        assert "of a contact at all points" in summarise(solution)["slip"]
+
+
+@pytest.mark.parametrize("method", ["ipopt", "mbs"])
+def test_friction_limits_a_motion_as_in_another_program(tmp_path: Path, method: str) -> None:
+    """The trunk moves 0.2 m aside: 4 x'' and 4 (z'' + 10) are the drives' forces, and 4 |x''| <= 0.3 (4 z'' + 50)."""
+    problem, plant = read(tmp_path, LEAN % 0.2)
+    solution = found(problem.with_solver(method), plant)
+    scheme, h, N = schemes.build(problem.family, problem.degree), 0.05, 10
+    opti = ca.Opti()
+    x, own, u = opti.variable(4, N + 1), [opti.variable(4, 3) for _ in range(N)], opti.variable(2, N)
+    for k in range(N):
+        nodes = ca.horzcat(x[:, k], own[k])
+        rate = ca.vertcat(own[k][2:, :], ca.repmat(ca.vertcat(u[0, k] / 4, u[1, k] / 4 - 10), 1, 3))
+        for j in range(3):
+            opti.subject_to(nodes @ ca.DM(scheme.D[j]) == h * rate[:, j])
+        opti.subject_to(x[:, k + 1] == own[k][:, 2])
+        normal = u[1, k] + 10
+        opti.subject_to(normal >= 0)
+        opti.subject_to(opti.bounded(-0.3 * normal, u[0, k], 0.3 * normal))
+    opti.subject_to(x[:, 0] == ca.DM([0, 0.5, 0, 0]))
+    opti.subject_to(x[0, N] == 0.2)
+    opti.subject_to(x[2:, N] == 0)
+    opti.minimize(h * ca.sumsqr(u))
+    opti.solver("ipopt", {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10})
+    peer = opti.solve()
+    assert solution.cost.total == pytest.approx(float(peer.value(opti.f)), rel=1e-7)
+    across, up = solution.trajectory.point_w[..., 0], solution.trajectory.point_w[..., 2]
+    assert (np.abs(across) <= 0.3 * up + 1e-6).all()
+    assert (np.abs(across) >= 0.3 * up - 1e-4).any()  # it binds
+    assert across[:, 0] == pytest.approx(peer.value(u)[0], abs=1e-3)
+
+
+def test_a_cone_of_friction(tmp_path: Path) -> None:
+    """In space the force across stays within the cone, to 1 mN, and reaches it."""
+    model = HOPPER.replace("name: slide, parent: foot", "name: beam, parent: foot", 1)
+    model = model.replace(
+        "  - {name: trunk, parent: slide,",
+        "  - {name: slide, parent: beam, joint: {name: dy, type: prismatic, axis: y}, mass: 0}\n"
+        "  - {name: trunk, parent: slide,",
+    )
+    model = model.replace(
+        "  - {name: foot, parent: rail,",
+        "  - {name: bar, parent: rail, joint: {name: foot_y, type: prismatic, axis: y, actuated: false}, mass: 0}\n"
+        "  - {name: foot, parent: bar,",
+    )
+    text = "contacts: [{sensor: sole, friction: 0.5}]\ncost: {inputs: 1}\n"
+    text += "end: {pose: {dx: 0.3, dy: 0.1}, velocity: zero}\n"
+    problem, plant = read(tmp_path, text, model)
+    forces = found(problem, plant).trajectory.point_w
+    excess = np.hypot(forces[..., 0], forces[..., 1]) - 0.5 * forces[..., 2]
+    assert excess.max() < 1.1e-3
+    assert excess.max() > -1e-3
+
+
+BAD = """
+contacts:
+  - {sensor: shoe, wrench: sole, axes: xz}
+  - {sensor: sole, wrench: hand, axes: xy}
+  - {sensor: sole, axes: xz, friction: 0.5}
+wrenches: {sole: {force: [0, 0, 1]}}
+cost: {inputs: 1}
+"""
+
+
+def test_every_fault_of_contacts_is_reported(tmp_path: Path) -> None:
+    """Faults come with file, line, place and a remedy; Gauss points and a wrench elsewhere are refused."""
+    with pytest.raises(InputError) as error:
+        read(tmp_path, BAD)
+    faults = {(fault.path, fault.finding): fault.line for fault in error.value.faults}
+    assert faults["contacts[0].sensor", "the model has no sensor shoe"] == 10
+    assert faults["contacts[1].wrench", "the model has no open wrench hand with a force"] == 11
+    assert ("contacts[1].normal", "the point is not held along its normal") in faults
+    assert ("contacts[2].wrench", "the force along x is given by an expression, and holds the point") in faults
+    assert any(path == "contacts" and "two contacts" in finding for path, finding in faults)
+    (tmp_path / "hopper.ocp.yaml").write_text(PROBLEM.replace("radau", "legendre") + STAND)
+    with pytest.raises(InputError, match="contacts: the points of legendre are no mesh points"):
+        read_problem(tmp_path / "hopper.ocp.yaml", load)
+    problem, plant = read(tmp_path, STAND.replace("sensor: sole", "sensor: head, wrench: sole"))
+    with pytest.raises(ProblemError, match="the force of sole does not act at head"):
+        solve(problem, plant)
+    problem, plant = read(tmp_path, STAND)
+    with pytest.raises(ProblemError, match=r"sole moves at the start, at 0\.1 m/s"):
+        solve(replace(problem, start_qd=(0.1, 0.0, 0.0, 0.0)), plant)
