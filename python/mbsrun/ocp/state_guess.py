@@ -148,11 +148,11 @@ def _tabulate(motion: Trajectory, t: Array) -> dict[str, Array]:
     order = np.unique(nodes, return_index=True)[1]
 
     def join(mesh: Array, points: Array) -> Array:
-        return np.concatenate((mesh, points.reshape(-1, points.shape[2])))[order]
+        return np.concatenate((mesh, points.reshape(motion.point_t.size, points.shape[2])))[order]
 
-    flat = motion.point_qdd.reshape(-1, motion.point_qdd.shape[2])
+    flat = motion.point_qdd.reshape(motion.point_t.size, motion.point_qdd.shape[2])
     times, kept = np.unique(motion.point_t.ravel(), return_index=True)
-    qdd = np.stack([np.interp(t, times, column[kept]) for column in flat.T], axis=1) if flat.shape[1] else flat[:0]
+    qdd = np.stack([np.interp(t, times, column[kept]) for column in flat.T], axis=1) if flat.shape[1] else np.zeros((len(t), 0))
     return {"q": join(motion.q, motion.point_q), "qd": join(motion.qd, motion.point_qd), "qdd": qdd}
 
 
