@@ -19,7 +19,7 @@ from benchmarks.ocp.peer import Effort
 
 Array = NDArray[np.float64]
 
-COMMON: Mapping[str, Any] = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500}
+COMMON: Mapping[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": 500}
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "MUMPS": {"linear_solver": "mumps"},
     "MUMPS, adaptive": {"linear_solver": "mumps", "mu_strategy": "adaptive"},
@@ -30,8 +30,11 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 class Peer:
     """A problem in plain CasADi, transcribed once and solved in several settings."""
 
-    def __init__(self, problem: Problem, family: str, degree: int, intervals: int, *, is_constant: bool) -> None:
+    def __init__(
+        self, problem: Problem, family: str, degree: int, intervals: int, *, is_constant: bool, tolerance: float
+    ) -> None:
         """Transcribe it."""
+        self._tolerance = tolerance
         scheme = collocate(family, degree, is_constant=is_constant)
         self.program: Program = transcribe(problem, scheme, intervals)
         self._solvers: dict[str, ca.Function] = {}
@@ -45,7 +48,7 @@ class Peer:
         """Solve from a start, in one of SETTINGS."""
         solver = self._solvers.get(setting)
         if solver is None:
-            options = {**COMMON, **SETTINGS[setting]}
+            options = {**COMMON, "tol": self._tolerance, **SETTINGS[setting]}
             quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False, "calc_lam_p": False}
             solver = ca.nlpsol("peer", "ipopt", self.program.nlp, {"expand": True, **quiet, "ipopt": options})
             self._solvers[setting] = solver
