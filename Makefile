@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -54,6 +54,10 @@ bench-ocp: $(VENV)/installed
 # BENCH=--quick: three problems, half a minute.
 bench-kkt: $(VENV)/installed
 	$(BIN)/python -m benchmarks.kkt $(BENCH)
+
+# Published problems of optimal control, and the same in plain CasADi: five minutes. BENCH=--quick: four of them, seconds.
+bench-classics: $(VENV)/installed
+	$(BIN)/python -m benchmarks.classics $(BENCH)
 
 # Predictive control of a Panda by fatrop, acados and IPOPT: a minute. `python3 tests/acados.py build/acados` installs acados.
 bench-mpc: $(VENV)/installed

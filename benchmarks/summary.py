@@ -17,6 +17,7 @@ RESULTS = Path(__file__).parent / "results"
 FILES = ("benchmarks.json", "benchmarks.md", "benchmarks.png", "growth.json", "growth.md", "ocp.json", "ocp.md")
 LOOPS = ("loops.json", "loops.md")
 KKT = ("kkt.json", "kkt.md")
+CLASSICS = ("classics.json", "classics.md")
 COLUMNS = ("residual", "accelerations", "Jacobian of the residual", "Jacobian of the accelerations")
 MODELS = {"arm_pendulum": "the paper's arm, 6 joints", "ur5": "UR5, 6 joints", "panda": "Panda, 7 joints"}
 ROBOTS = {"anymal": "ANYmal, 18 joints"}
@@ -90,15 +91,17 @@ def _list_solves(ocp: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
 @click.option("--ocp", default=Path("build/bench-ocp"), type=click.Path(file_okay=False, path_type=Path))
 @click.option("--loops", default=Path("build/bench-loops"), type=click.Path(file_okay=False, path_type=Path))
 @click.option("--kkt", default=Path("build/bench-kkt"), type=click.Path(file_okay=False, path_type=Path))
+@click.option("--classics", default=Path("build/bench-classics"), type=click.Path(file_okay=False, path_type=Path))
 @click.option("-o", "--out", default=RESULTS, type=click.Path(file_okay=False, path_type=Path))
-def main(kernels: Path, ocp: Path, loops: Path, kkt: Path, out: Path) -> None:
+def main(kernels: Path, ocp: Path, loops: Path, kkt: Path, classics: Path, out: Path) -> None:
     """Copy the results of the benchmarks from their folders, and write their summary."""
     places = {file: (ocp if file.startswith("ocp") else kernels) / file for file in FILES}
     missing = [str(path) for path in places.values() if not path.exists()]
     if missing:
         raise click.ClickException(f"{', '.join(missing)}: not there; measure first: make bench bench-growth bench-ocp")
     out.mkdir(parents=True, exist_ok=True)
-    separate = [*(loops / file for file in LOOPS), *(kkt / file for file in KKT)]
+    groups = ((loops, LOOPS), (kkt, KKT), (classics, CLASSICS))
+    separate = [folder / file for folder, files in groups for file in files]
     places |= {path.name: path for path in separate if path.exists()}
     for file, path in places.items():
         shutil.copyfile(path, out / file)

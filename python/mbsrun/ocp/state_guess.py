@@ -152,7 +152,8 @@ def _tabulate(motion: Trajectory, t: Array) -> dict[str, Array]:
 
     flat = motion.point_qdd.reshape(motion.point_t.size, motion.point_qdd.shape[2])
     times, kept = np.unique(motion.point_t.ravel(), return_index=True)
-    qdd = np.stack([np.interp(t, times, column[kept]) for column in flat.T], axis=1) if flat.shape[1] else np.zeros((len(t), 0))
+    columns = [np.interp(t, times, column[kept]) for column in flat.T]
+    qdd = np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
     return {"q": join(motion.q, motion.point_q), "qd": join(motion.qd, motion.point_qd), "qdd": qdd}
 
 
