@@ -1,6 +1,8 @@
 """The time derivative of an expression by the chain rule: names that change with time have rates.
 
-d/dt f(x) = sum over x of df/dx xd
+    d/dt f(x) = sum over x of df/dx xd
+
+Functions with a kink (abs, max, min) have none.
 """
 
 from __future__ import annotations
@@ -97,6 +99,19 @@ def _turn(y: Expression, x: Expression) -> tuple[Expression, ...]:
     return (_over(x, square), Negation(_over(y, square)))
 
 
+def _step(x: Expression, w: Expression) -> tuple[Expression, ...]:
+    """Differentiate 1/(1 + exp(-x/w)) by x and w: s (1 - s) (1/w, -x/w^2)."""
+    own = Call("step", (x, w))
+    slope = _over(_times(own, Operation("-", _ONE, own)), w)
+    return (slope, Negation(_times(slope, _over(x, w))))
+
+
+def _softplus(x: Expression, w: Expression) -> tuple[Expression, ...]:
+    """Differentiate w log(1 + exp(x/w)) by x and w."""
+    step, own = Call("step", (x, w)), Call("softplus", (x, w))
+    return (step, _over(Operation("-", own, _times(x, step)), w))
+
+
 def _across(x: Expression) -> Expression:
     """Return sqrt(1 - x^2)."""
     return _call("sqrt", Operation("-", _ONE, _times(x, x)))
@@ -115,6 +130,7 @@ _SLOPES: Mapping[str, Callable[..., tuple[Expression, ...]]] = MappingProxyType(
         "exp": lambda x: (_call("exp", x),),
         "log": lambda x: (_over(_ONE, x),),
         "tanh": lambda x: (Operation("-", _ONE, _times(_call("tanh", x), _call("tanh", x))),),
-        "abs": lambda x: (_over(x, _call("abs", x)),),
+        "step": _step,
+        "softplus": _softplus,
     }
 )

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem, Term
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.trajectory import Trajectory
 from tests.mbsrun.ocp.plants import FREE_RANGE
@@ -23,7 +23,8 @@ def swing_up() -> Problem:
         intervals=20,
         family=Family.RADAU,
         degree=3,
-        cost=Cost(1.0, 0.0),
+        cost=Cost(1.0, 0.0, (Term("a*qd_cart**2", 0.5),)),
+        constants=(("a", 0.4),),
         start_q=(0.0, 0.0),
         start_qd=(0.0, 0.0),
         bounds=Bounds(((-2.0, 2.0), FREE_RANGE), (FREE_RANGE, FREE_RANGE), (FREE_RANGE,)),

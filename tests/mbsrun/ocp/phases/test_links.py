@@ -44,6 +44,8 @@ def optimum(problem: PhasedProblem, *plants: Peer, guess: Guess | None = None) -
 def test_two_halves_of_a_motion_cost_what_the_whole_does(cart: Peer, whole: Solution) -> None:
     found = optimum(split(swing_up()), cart, cart, guess=Guess(cut(whole.trajectory)))
     assert found.cost == pytest.approx(whole.cost.total, rel=1e-8)
+    terms = np.sum([[value for _, value in phase.cost.terms] for phase in found.phases], axis=0)
+    assert terms == pytest.approx([value for _, value in whole.cost.terms], rel=1e-6)
     assert found.phases[1].trajectory.q[0] == pytest.approx(found.phases[0].trajectory.q[-1], abs=1e-9)
     assert found.starts == (0.0, 1.0)
 
