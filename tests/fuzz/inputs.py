@@ -36,6 +36,7 @@ from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.recordings import Treatment, fit, read_column, read_recording
 from mbsrun.simulation.statement import read_statement
 from tests.shipped import CLOSED
 
@@ -537,7 +538,23 @@ def _texts(name: str, texts: Sequence[str]) -> tuple[tuple[str, bytes], ...]:
     return tuple((name, text.encode()) for text in texts)
 
 
+RECORDINGS: Sources = (
+    ("a.csv", b"t,q[knee] [deg],x[toe] [mm]\n0,1,2\n0.1,,3\n0.2,3e-1,nan\n0.3,2,1\n0.4,3,2\n0.5,1,1\n"),
+    ("a.trc", b"PathFileType\t4\t(X/Y/Z)\ta.trc\nNumFrames\tNumMarkers\tUnits\n2\t1\tmm\nFrame#\tTime\thip\n"
+     b"\t\tX1\tY1\tZ1\n\n1\t0\t1\t2\t3\n2\t0.01\t\t\t\n"),
+    ("a.sto", b"walk\nversion=1\nnRows=2\nnColumns=2\ninDegrees=yes\nendheader\ntime\tknee\n0\t180\n0.5\tnan\n"),
+)  # fmt: skip
+
+
+def _use_recording(file: Path) -> None:
+    """Read a recording, and fit splines to its columns."""
+    recording = read_recording(file)
+    for name, column in zip(recording.names, recording.columns, strict=True):
+        fit(recording.times, read_column(recording, name, column.unit), Treatment())
+
+
 KINDS: Mapping[str, Kind] = {
+    "recordings": Kind(lambda: RECORDINGS, _use_recording),
     "models": Kind(_list_models, _use_model),
     "linkages": Kind(lambda: _texts("linkage.yaml", LINKAGES), _use_model),
     "scenes": Kind(lambda: _texts("scene.yaml", SCENES), _use_scene, {"model.yaml": MODEL.encode()}),

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
 from mbsrun.ocp import schemes
+from mbsrun.ocp.phases.solution import PhasedSolution
+from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Solution, read_solution, write_solution
@@ -149,6 +152,24 @@ def test_markers_are_tracked(tmp_path: Path) -> None:
     found = solve(read(tmp_path, MASS.replace("coordinates: [x]", "markers: {place: place}")), mass())
     assert isinstance(found, Solution)
     assert found.cost.terms[-1][1] == pytest.approx(0.14 * 0.8, abs=0.01)
+
+
+def test_phases_follow_parts_of_a_recording(tmp_path: Path) -> None:
+    """Two phases that follow the two halves of a recording are one phase that follows all of it."""
+    record(tmp_path)
+    whole = solve(read(tmp_path), mass())
+    assert isinstance(whole, Solution)
+    given = "[{{name: {}, horizon: 0.5, intervals: 5, references: {{walk: {{file: walk.csv, start: {}}}}}{}}}]"
+    first = given.format("first", 0, ", start: {pose: {x: 0}, velocity: {x: 0}}")
+    second = given.format("second", 0.5, ", start: {pose: {x: null}, velocity: {x: null}}")
+    kept = [line for line in MASS.splitlines() if not line.startswith(("horizon", "intervals", "references", "start"))]
+    phases = f"phases: {first[:-1]}, {second[1:]}"
+    text = "\n".join([*kept, phases, "links: [{from: first, to: second}]"])
+    (tmp_path / "task.ocp.yaml").write_text(text, "utf-8")
+    found = solve_phases(*read_phased_problem(tmp_path / "task.ocp.yaml", lambda _: mass()))
+    assert isinstance(found, PhasedSolution)
+    inputs = np.concatenate([part.trajectory.u for part in found.phases])
+    np.testing.assert_allclose(inputs, whole.trajectory.u, rtol=1e-6, atol=1e-6)
 
 
 WALK = "references: {walk: {file: walk.csv}}"

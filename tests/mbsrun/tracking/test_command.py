@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from mbsgen.errors import InputError
 from mbsrun import Mechanism, cli
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.statement import read_problem
+from mbsrun.recordings.references import Reference
 from mbsrun.tracking import record
 from mbsrun.tracking.record import FILES
 from mbsrun.tracking.statement import TrialStatement
@@ -139,6 +141,15 @@ def test_all_faults_of_a_trial_are_reported_with_their_places(folder: Path, push
             (13, "references.q_y"),
         ]
     )
+
+
+def test_a_recording_does_not_move_with_the_plans(folder: Path, pushed: Mechanism) -> None:
+    """A plan would follow the start of the recording, whenever it begins."""
+    (folder / "task.ocp.yaml").write_text(FOLLOW, encoding="utf-8")
+    problem, _ = read_problem(folder / "task.ocp.yaml", load_on_demand)
+    problem = replace(problem, references=(Reference("walk", (), 0.0, 1.0),))
+    with pytest.raises(InputError, match="reads the recording walk, each plan from its start; follow an expression"):
+        TrialStatement(None, {"duration": "1", "rate": "20"}).trial(problem, pushed.manifest, {"m": 2.0})
 
 
 def test_a_missing_rate_of_the_command_line_is_named() -> None:

@@ -152,6 +152,9 @@ def read_phased_solution(path: Path) -> PhasedSolution:
 
 def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manifest, ...]) -> Guess:
     """Read the motions of a solution, to start from. Raises InputError for other phases or mechanisms."""
+    if path.suffix.lower() != ".json":
+        remedy = "give the solution.json of a problem with these phases"
+        raise InputError([Fault(str(path), 0, "", "a recorded motion is no guess for several phases", remedy)])
     solution, faults, found = read_phased_solution(path), [], []
     for name, manifest in zip(names, manifests, strict=True):
         inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)
