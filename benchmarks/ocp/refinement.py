@@ -40,7 +40,7 @@ PROBLEMS = (
     "arm_reach",
 )
 COARSE, DEGREE = 10, 3  # intervals, degree
-FACTOR, MOST = 1.3, 1000  # of equal intervals
+FACTOR, MOST = 1.3, 300  # of equal intervals
 
 
 @dataclass(frozen=True)

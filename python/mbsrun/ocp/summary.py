@@ -68,7 +68,7 @@ def list_shortcomings(solution: Solution) -> list[str]:
     elif check is not None and not check.is_accurate:
         found.append(
             f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
-            f"{solution.problem.asked_accuracy:.1e}; take more intervals or a higher degree"
+            f"{solution.problem.asked_accuracy:.1e}; take more intervals or a higher degree, or let refine choose them"
         )
     return found
 

@@ -12,6 +12,13 @@ for a residual; where the equations of motion are explicit, the third is z_kj - 
 takes the place of z_kj in the second, and of z(T): see `representations`. (Docquier, Bruls, Fisette, eqs. 5, 15,
 22-27.) In the integral form the second is solved, and states at the points are bounded by separate rows where they
 have bounds. Shooting is the integral form of any Runge-Kutta method, with its third solved as well: see `condensation`.
+Intervals may have lengths h_k of their own: see `grid`. Where the horizon T is free, h is T times a number.
+
+Second-order collocation replaces the first part of the second line by an integral of the velocities' polynomial,
+
+    q_kj - q_k - h sum_r B_jr qd_kr = 0,    B_jr = integral from 0 to c_j of the basis polynomial of node r
+
+and q_(k+1) likewise (Moreno-Martin, Ros, Celaya, arXiv 2302.09056): see `integrators`.
 
 Where a model has quaternions, its kernel `rates` takes the place of qd_kj, and nq exceeds n. Collocation at Legendre
 points keeps their lengths; Radau points nearly do. A length is set at the start alone, where that is free. Three

@@ -32,6 +32,7 @@ from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.models import Extent
 from mbsrun.ocp import schemes
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.problem import Bounds, Problem
 from mbsrun.ocp.solution import Solution
@@ -348,6 +349,13 @@ def test_a_folder_without_a_controller_is_told(tmp_path: Path, case: Case) -> No
     (tmp_path / "manifest.json").write_text(text.replace('"intervals": 8', '"intervals": 0'), encoding="utf-8")
     with pytest.raises(InputError, match="intervals: Input should be greater than or equal to 1"):
         mbsrun.controller(tmp_path)
+
+
+def test_intervals_of_unequal_length_give_no_controller(case: Case) -> None:
+    """Its plan would not move ahead by whole intervals."""
+    problem = replace(case.problem, intervals=2, mesh=(0.25, 0.75))
+    with pytest.raises(ProblemError, match="intervals: a controller moves its plan ahead by equal intervals"):
+        make(problem, case.plant, case.model)
 
 
 def test_a_problem_that_is_not_solved_gives_no_controller(case: Case) -> None:

@@ -21,6 +21,7 @@ from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
 from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
 from mbsrun.ocp.guess import make_guess
+from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
@@ -344,6 +345,10 @@ CONFLICTS: dict[str, tuple[Callable[[], Problem], str]] = {
     "legendre": (lambda: replace(reach(Loops.MULTIPLIERS), family=Family.LEGENDRE), "no mesh points"),
     "shooting": (lambda: replace(reach(), form=Form.SHOOTING), "takes no closed loops"),
     "integral": (lambda: replace(reach(), form=Form.INTEGRAL), "takes no closed loops"),
+    "second order": (
+        lambda: replace(reach(Loops.MULTIPLIERS), integrator=SECOND_ORDER),
+        "corrections of the rates of coordinates, which second-order collocation does not have",
+    ),
     "no reduced form": (lambda: reach(Loops.REDUCED, Representation.EXP2_O), "has no reduced form"),
     "acceleration": (
         lambda: replace(reach(Loops.REDUCED), end=End(accelerations=((1, 0.0),))),
@@ -357,6 +362,25 @@ CONFLICTS: dict[str, tuple[Callable[[], Problem], str]] = {
     ),
     "free start": (lambda: replace(reach(), free_start=(0,)), "right_elbow follows from the others"),
 }
+
+
+def test_second_order_integrates_independent_velocities() -> None:
+    """On unequal intervals, at Legendre points, whose ends are no points; the optimum is the first order's."""
+    mesh = (0.1, 0.15, 0.25, 0.2, 0.3)
+    first = replace(reach(Loops.REDUCED, N=5), family=Family.LEGENDRE, degree=5, mesh=mesh)
+    second = replace(first, integrator=SECOND_ORDER)
+    costs = []
+    for problem in (first, second):
+        found = solve(problem, arms())
+        assert isinstance(found, Solution)
+        costs.append(found.cost.total)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-6)
+    t, motion, independent = found.trajectory.t, found.trajectory, list(Closure(arms()).independent)
+    qd = np.concatenate((motion.qd[:-1, None], motion.point_qd), axis=1)[:, :, independent]
+    scheme = schemes.build(Family.LEGENDRE, 5)
+    moved = np.diff(t)[:, None, None] * (scheme.integrate(np.append(scheme.points, 1.0)) @ qd)
+    reached = np.concatenate((motion.point_q, motion.q[1:, None]), axis=1)[:, :, independent]
+    assert reached == pytest.approx(motion.q[:-1, None, independent] + moved, abs=1e-8)
 
 
 @pytest.mark.parametrize("name", CONFLICTS)

@@ -230,7 +230,7 @@ class _Function(ca.Callback):
 
 
 def condense(program: Program, plant: Plant) -> Condensed:
-    """Solve the inner equations of a program; they read no parameters, and all intervals are alike."""
+    """Solve the inner equations of a program; they read no parameters, and intervals differ in scales alone."""
     return Condensed(
         program=program,
         rest=CasadiProgram(program.restrict(program.kept_rows, with_cost=True), plant),
