@@ -282,8 +282,12 @@ class OptimalControl:
     # --- display ---
 
     def describe(self) -> dict[str, str]:
-        """Return the parts of the problem by their names."""
-        return describe_problem(self.value, self.plant.manifest)
+        """Return the parts of the problem by their names; the size of the program, too, once it is built."""
+        rows, solver = describe_problem(self.value, self.plant.manifest), self.programs.look(self.value)
+        if solver is not None:
+            program = solver.transcription.program
+            rows["program"] = f"{program.kept.size} variables, {program.kept_rows.size} constraints"
+        return rows
 
     def __repr__(self) -> str:
         return display.write_text(f"problem {self.name}", self.describe())

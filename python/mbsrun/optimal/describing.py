@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Form, Problem, Range
+from mbsrun.ocp.problem import Form, Problem, Range, WrenchComponent
 
 LONGEST = 12  # parts of one line; more are counted
 
@@ -44,6 +44,7 @@ def _describe_additions(problem: Problem, manifest: Manifest) -> dict[str, str]:
         "states": _list(f"{x.name}' = {_name(x.rate, problem)}" for x in problem.states),
         "controls": _list(_write_range(x.name, x.bounds) for x in problem.controls),
         "forces": _list(f"{inputs[x.input]} = {x.expression}" for x in problem.forces),
+        "wrenches": _list(map(_describe_component, problem.wrenches)),
         "contacts": _list(x.sensor for x in problem.contacts),
         "unknowns": _list(_write_range(x.name, x.bounds) for x in problem.unknowns),
         "integrals": _list(_write_range(_name(x.expression, problem), x.range) for x in problem.integrals),
@@ -72,6 +73,11 @@ def _describe_grid(problem: Problem) -> str:
         f"{problem.intervals} intervals, {problem.family.value} points of degree {problem.degree}, "
         f"form {problem.form.value}{way}, {problem.representation.value}"
     )
+
+
+def _describe_component(component: WrenchComponent) -> str:
+    name = f"{'fm'[component.component // 3]}{'xyz'[component.component % 3]}_{component.wrench}"
+    return _write_range(name, component.bounds) if component.expression is None else f"{name} = {component.expression}"
 
 
 def _name(expression: str, problem: Problem) -> str:

@@ -18,6 +18,10 @@ class Programs:
     def __init__(self) -> None:
         self._solvers: OrderedDict[Structure, Solver] = OrderedDict()
 
+    def look(self, problem: Problem) -> Solver | None:
+        """Return the solver of a structure, if it was made."""
+        return self._solvers.get(structure(problem))
+
     def find(self, problem: Problem, plant: Plant) -> Solver:
         """Return the solver of a structure, and make it where there is none. Raises ProblemError as `Solver` does."""
         key = structure(problem)

@@ -181,6 +181,9 @@ def test_problems_and_solutions_show_themselves(swing: OptimalControl, solved: S
         for part in ("20 intervals", "q_pole = 3.14159", "velocity 0", "1 * inputs", "coordinates cart, pole"):
             assert part in text
     assert "-20 <= u_cart" in repr(swing)
+    size = solved.solution.size
+    assert f"{size.variables} variables, {size.constraints} constraints" in repr(swing)
+    assert " variables" not in repr(marked)
     for text in (repr(solved), solved._repr_html_()):
         for part in ("Solve_Succeeded", f"{solved.cost:.10g}", "of constraints", "in an interval, at most"):
             assert part in text
