@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
-from benchmarks.legged import carrier, walker
+from benchmarks.legged import biped, carrier, quadruped, walker
 from benchmarks.legged.chains import Mechanism
 from benchmarks.legged.collocation import Graph
 
@@ -28,5 +28,7 @@ CASES: Mapping[str, Case] = MappingProxyType(
     {
         "walker": Case(FOLDER / "walker.ocp.yaml", partial(walker.write, walker.Step(), 25, 3), walker.describe_free),
         "pick and place": Case(FOLDER / "pick_and_place.ocp.yaml", partial(carrier.write, 20, 3)),
+        "jump": Case(FOLDER / "jump.ocp.yaml", partial(biped.write, 20, 3), biped.describe_biped),
+        "bound": Case(FOLDER / "bound.ocp.yaml", partial(quadruped.write, 5, 3), quadruped.describe_quadruped),
     }
 )

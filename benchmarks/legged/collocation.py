@@ -22,6 +22,7 @@ from benchmarks.legged.chains import Mechanism
 
 Array = NDArray[np.float64]
 INFINITE = float("inf")
+ROUNDED = 1e-3  # N: the apex of the friction cone
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ class Graph:
             self.require(row, lower, upper)
 
     def _rub(self, phase: Phase, force: ca.MX) -> None:
-        """Limit the force across to the friction: a cone, in the plane two straight lines."""
+        """Limit the force across to the friction: a cone with a rounded apex, in the plane two straight lines."""
         count = len(phase.axes)
         for k in range(len(phase.feet)):
             *across, normal = ca.vertsplit(force[k * count : (k + 1) * count])
@@ -168,7 +169,8 @@ class Graph:
                     ca.vertcat(phase.friction * normal - across[0], phase.friction * normal + across[0]), 0, INFINITE
                 )
             else:
-                self.require((phase.friction * normal) ** 2 - ca.sumsqr(ca.vertcat(*across)), 0, INFINITE)
+                rounded = ca.sqrt(ca.sumsqr(ca.vertcat(*across)) + ROUNDED**2)
+                self.require(phase.friction * normal + ROUNDED - rounded, 0, INFINITE)
 
 
 @dataclass(frozen=True)
