@@ -14,6 +14,7 @@
 #define SETTLED 1e-15 /* a change below this, absolute or relative, ends an iteration, */
 #define NOISE 1e-11   /* and one below this where changes shrink no more: rounding over a small pivot */
 #define JUMP 0.1      /* of the speeds: closing a loop may not change them by more in a step */
+#define STILL 1e-10 /* m/s, rad/s: slower velocities are rounding of rest, and may change by any part of themselves */
 #define CONTRADICTION 1e-6 /* of the equations: those left out at a singular pose must hold to this part */
 #define SHORTEST 1e-14     /* of the time */
 
@@ -549,7 +550,7 @@ static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
         speed = gain > speed ? gain : speed;
         jump = change > jump ? change : jump;
     }
-    if (p->e && r->how->keeping != MBS_BAUMGARTE && jump > JUMP * speed && speed > 0) {
+    if (p->e && r->how->keeping != MBS_BAUMGARTE && jump > JUMP * speed && jump > STILL) {
         lay(r, y);
         if ((status = guide(r, t, r->how->stages)) != 0 || (status = call(p->rates)) != 0)
             return status;

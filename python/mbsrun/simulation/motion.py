@@ -110,8 +110,8 @@ class Energy:
 
     @property
     def tolerated(self) -> float:
-        """Return the largest drift without a warning: relative to the energy exchanged, or to the kinetic energy."""
-        return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max()))
+        """Return the largest drift without a warning: a part of the energy exchanged, or of kinetic energy, or rounding."""
+        return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max(), self.rounding))
 
     @property
     def rounding(self) -> float:
