@@ -110,7 +110,7 @@ class Energy:
 
     @property
     def tolerated(self) -> float:
-        """Return the largest drift without a warning: a part of the energy exchanged, or of kinetic energy, or rounding."""
+        """Return the largest drift without a warning: a part of the energy exchanged or kinetic, or rounding."""
         return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max(), self.rounding))
 
     @property
