@@ -58,6 +58,13 @@ def test_peer_solves_the_same_program(name: str, way: str) -> None:
     assert found.found == pytest.approx(peer.found, rel=1e-7)
 
 
+def test_values_on_bounds_do_not_stop_the_method_by_stages() -> None:
+    """The crane begins and ends with states that are given, and at bounds: these leave no interior."""
+    row = Ours(BY_NAME["container_crane"]).solve("mbs")
+    assert row.is_solved
+    assert row.iterations < 50
+
+
 def test_every_problem_has_a_file() -> None:
     assert {f"{name}.ocp.yaml" for name in BY_NAME} == {path.name for path in FILES.glob("*.ocp.yaml")}
     for classic in CLASSICS:

@@ -99,12 +99,32 @@ class Transcription:
             ),
         ):
             lower[index], upper[index] = bounds.T
+        given = self._list_given_states(problem)
+        lower[given], upper[given] = -np.inf, np.inf
         if problem.horizon_range is not None:
             lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
         lower[self._fixed] = upper[self._fixed] = self.fixed
         bounds = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2)
         lower[self.layout.unknowns], upper[self.layout.unknowns] = bounds.T
         return lower[self.program.kept], upper[self.program.kept]
+
+    def _list_given_states(self, problem: Problem) -> Indices:
+        """List the states that the problem adds where it gives their values, at the start and at the end.
+
+        They need no bounds. A value on a bound would leave no interior to methods of interior points.
+        """
+        extras = self.layout.extras
+        starts, ends = [extras.states[0]], [extras.states[-1]]
+        if self.scheme.ends_interval and extras.point_states.size:
+            ends.append(extras.point_states[-1, -1])  # the same state again
+        found = [
+            index[i]
+            for i, state in enumerate(problem.every_state)
+            for indices, (least, most) in ((starts, state.start), (ends, state.end))
+            for index in indices
+            if least == most
+        ]
+        return np.array(found, dtype=np.int64)
 
     def _bound_inputs(self, problem: Problem) -> list[tuple[Indices, Array]]:
         """List the inputs and controls with their bounds."""
