@@ -81,6 +81,9 @@ def make(
     if problem.inputs != "constant":
         finding = "a controller holds its inputs from sample to sample, and these change within an interval"
         raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
+    if problem.every_component or problem.forces:
+        finding = "a controller chooses the inputs u, and the problem gives forces by expressions or contacts"
+        raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
     if problem.every_state or problem.controls:
         finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
         raise ProblemError(problem.name, [("states", finding, "leave them out")])

@@ -63,6 +63,15 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
     yield rows.acceleration, "end: no acceleration"
     yield from _name(rows.velocities, (f"end: the velocity of {names[i]}" for i in shape.velocities))
     yield from _name(rows.accelerations, (f"end: the acceleration of {names[i]}" for i in shape.accelerations))
+    added = shape.added.states
+    yield from _name(rows.extras.start, (f"start: {name}" for name in added))
+    yield from _name(rows.extras.end, (f"end: {added[i]}" for i in shape.ending))
+    for k in range(shape.intervals):
+        yield rows.extras.rates[k], f"the states that the problem adds in interval {k + 1}"
+        yield rows.extras.given[k], f"the forces by expressions in interval {k + 1}"
+        yield rows.extras.contacts[k], f"the contacts in interval {k + 1}"
+    yield rows.extras.contacts_at_start, "start: the contacts"
+    yield rows.extras.friction, "friction"
     yield from _name(rows.constraints, (f"constraint {text}" for text, _ in shape.constraints))
 
 

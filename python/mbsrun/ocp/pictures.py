@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,6 +22,7 @@ from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Rounds, Solution, Starts
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.quantities import name_components
 from mbsrun.quaternions import find_rates
 from mbsrun.skeleton import Skeleton, place
 
@@ -41,11 +43,12 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
 def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     """Plot coordinates, velocities and inputs over time."""
     t = read_times(solution.trajectory)
-    added = bool(solution.problem.every_state or solution.problem.controls)
+    added = bool(solution.problem.every_state or solution.problem.controls or solution.trajectory.point_w.any())
     if not manifest.coordinates:
         figure = Figure(figsize=(8, 5), layout="constrained")
         axes = figure.subplots()
         plot_additions(axes, solution, t)
+        _plot_wrenches(axes, solution, manifest)
         axes.set_xlabel("time [s]")
         axes.legend(frameon=False)
         figure.suptitle(write_title(solution))
@@ -54,6 +57,7 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     coordinates, velocities, inputs, *others = figure.subplots(3 + added, 1, sharex=True)
     for axes in others:
         plot_additions(axes, solution, t)
+        _plot_wrenches(axes, solution, manifest)
     draw_motion((coordinates, velocities, inputs), solution, manifest, choose_colors([manifest]))
     (others or [inputs])[-1].set_xlabel("time [s]")
     inputs.set_xlim(0, solution.trajectory.t[-1])
@@ -123,11 +127,20 @@ def plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
     for k, control in enumerate(problem.controls):
         points = trajectory.point_controls[:, :, k : k + 1]
         _plot_input(axes, trajectory, trajectory.controls[:, k], points, linestyle="--", label=plain(control.name))
-    axes.set_title("Further states; controls dashed", loc="left", fontsize="medium")
+    axes.set_title("Further states, open wrenches dotted, controls dashed", loc="left", fontsize="medium")
     axes.grid(alpha=0.3)
 
 
-def _plot_input(axes: Axes, trajectory: Trajectory, values: Array, points: Array, **style: str) -> None:
+def _plot_wrenches(axes: Axes, solution: Solution, manifest: Manifest) -> None:
+    """Plot the components of open wrenches that are not 0."""
+    trajectory = solution.trajectory
+    forces = trajectory.point_w.reshape(trajectory.point_t.size, trajectory.point_w.shape[2])
+    for component, values in zip(name_components(manifest), forces.T, strict=True):
+        if values.any():
+            axes.plot(trajectory.point_t.ravel(), values, linestyle=":", label=plain(component or "wrench"))
+
+
+def _plot_input(axes: Axes, trajectory: Trajectory, values: Array, points: Array, **style: Any) -> None:
     """Plot an input: constant values (N,) of the intervals, or values (N, d, 1) at the points of polynomials."""
     if points.size:
         axes.plot(trajectory.point_t.ravel(), points.ravel(), linewidth=1.5, **style)

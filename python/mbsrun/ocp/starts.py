@@ -123,7 +123,9 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
         lower, upper = np.where(np.isfinite(ends), ends, [-largest, largest])
         return _clip(rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), u.shape), bounds)
 
-    moved = replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=draw(motion.u, problem.bounds.u))
+    u = draw(motion.u, problem.bounds.u)
+    none = {"point_u": NONE, "point_controls": NONE}  # which follow from the others
+    moved = replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u, **none)
     if not (problem.every_state or problem.controls):
         return moved
     limits = [state.bounds for state in problem.every_state]
@@ -133,8 +135,7 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
         _clip(x + width * sizes * rng.normal(size=x.shape), limits) for x in (motion.states, motion.point_states)
     )
     controls = draw(motion.controls, [control.bounds for control in problem.controls])
-    none = {"point_u": NONE, "point_controls": NONE}  # which follow from the others
-    return replace(moved, states=states, point_states=point_states, controls=controls, **none)
+    return replace(moved, states=states, point_states=point_states, controls=controls)
 
 
 def hop(motion: Trajectory, problem: Problem, plant: Plant, seed: tuple[int, ...]) -> Trajectory:

@@ -13,6 +13,7 @@ from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.clashes import name_rows
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.resimulation import resimulate
@@ -20,6 +21,7 @@ from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.summary import summarise
+from mbsrun.ocp.transcription import transcribe
 
 # A foot of 1 kg that slides freely, and a trunk of 4 kg that two drives move along x and z on it.
 HOPPER = """
@@ -42,15 +44,15 @@ horizon: 0.5
 intervals: 10
 scheme: radau
 degree: 3
-start: {pose: {foot_x: 0.2, dz: 0.5}}
 """
+START = "start: {pose: {foot_x: 0.2, dz: 0.5}}\n"
 STAND = "contacts: [{sensor: sole, axes: xz, friction: 0.5}]\ncost: {inputs: 1}\n"
 LEAN = STAND.replace("0.5", "0.3") + "end: {pose: {dx: %s}, velocity: zero}\n"
 
 
 def read(folder: Path, text: str, model: str = HOPPER) -> tuple[Problem, Plant]:
     (folder / "hopper.yaml").write_text(model)
-    (folder / "hopper.ocp.yaml").write_text(PROBLEM + text)
+    (folder / "hopper.ocp.yaml").write_text(PROBLEM + ("" if "start:" in text else START) + text)
     return read_problem(folder / "hopper.ocp.yaml", load)
 
 
@@ -153,7 +155,7 @@ def test_every_fault_of_contacts_is_reported(tmp_path: Path) -> None:
     assert ("contacts[1].normal", "the point is not held along its normal") in faults
     assert ("contacts[2].wrench", "the force along x is given by an expression, and holds the point") in faults
     assert any(path == "contacts" and "two contacts" in finding for path, finding in faults)
-    (tmp_path / "hopper.ocp.yaml").write_text(PROBLEM.replace("radau", "legendre") + STAND)
+    (tmp_path / "hopper.ocp.yaml").write_text(PROBLEM.replace("radau", "legendre") + START + STAND)
     with pytest.raises(InputError, match="contacts: the points of legendre are no mesh points"):
         read_problem(tmp_path / "hopper.ocp.yaml", load)
     problem, plant = read(tmp_path, STAND.replace("sensor: sole", "sensor: head, wrench: sole"))
@@ -162,3 +164,22 @@ def test_every_fault_of_contacts_is_reported(tmp_path: Path) -> None:
     problem, plant = read(tmp_path, STAND)
     with pytest.raises(ProblemError, match=r"sole moves at the start, at 0\.1 m/s"):
         solve(replace(problem, start_qd=(0.1, 0.0, 0.0, 0.0)), plant)
+
+
+def test_every_row_has_a_name(tmp_path: Path) -> None:
+    """A clash is told by the names of rows: with states, forces by expressions, contacts and friction too."""
+    text = STAND + "forces: {dx: -e}\nstates: {e: {rate: u_dz, start: 0, end: 1}}\n"
+    problem, plant = read(tmp_path, text.replace("cost", "start: {pose: {foot_x: null, dz: 0.5}}\ncost", 1))
+    transcription = transcribe(problem, plant)
+    known = name_rows(transcription, plant.manifest)
+    assert sorted(known) == list(range(transcription.program.constraints))
+    words = " ".join(known.values())
+    for name in (
+        "start: e",
+        "end: e",
+        "forces by expressions",
+        "contacts in interval 3",
+        "start: the contacts",
+        "friction",
+    ):
+        assert name in words
