@@ -311,7 +311,8 @@ class WrenchSection(Section):
     moment: tuple[ComponentField, ComponentField, ComponentField] | None = Field(default=None, examples=[[0, 0, 1]])
 
 
-def _check_axes(axes: str) -> str:
+def check_axes(axes: str) -> str:
+    """Admit some of the axes x, y, z."""
     if not axes or sorted(set(axes)) != sorted(axes) or set(axes) - set("xyz"):
         raise WrongValueError(f"found {abbreviate(axes)}", "give some of x, y, z, such as xz")
     return axes
@@ -322,7 +323,7 @@ class ContactSection(Section):
 
     sensor: str = Field(examples=["foot"])
     wrench: str | None = Field(default=None, examples=["foot"])  # by default of the sensor's name
-    axes: Annotated[str, AfterValidator(_check_axes)] = Field(default="xyz", examples=["xz"])
+    axes: Annotated[str, AfterValidator(check_axes)] = Field(default="xyz", examples=["xz"])
     normal: Literal["x", "y", "z"] | None = Field(default="z", examples=["z"])
     friction: NumberField | None = Field(default=None, examples=[0.8])
 

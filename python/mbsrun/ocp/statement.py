@@ -267,7 +267,6 @@ class _Reading(PartReading):
             forces=self.given_forces(section.forces, self.inputs.known),
             wrenches=self.wrenches(section.wrenches),
             contacts=self.contacts(section.contacts),
-            contacts_hold_at_start=not self.is_linked,
             integrals=self.integrals(section.integrals),
         )
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import Number
-from mbsrun.ocp.sections import FormulaField, NumberField, ProblemSection, RangeField
+from mbsrun.ocp.sections import FormulaField, NumberField, ProblemSection, RangeField, check_axes
 
 MAX_PHASES = 100
 
@@ -17,12 +17,6 @@ def _check_count(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(values) > MAX_PHASES:
         raise WrongValueError(f"found {len(values)}", f"give at most {MAX_PHASES}")
     return values
-
-
-def _check_axes(axes: str) -> str:
-    if not axes or sorted(set(axes)) != sorted(axes) or set(axes) - set("xyz"):
-        raise WrongValueError(f"found {abbreviate(axes)}", "give some of x, y, z, such as xz")
-    return axes
 
 
 def _check_path(path: str) -> str:
@@ -44,7 +38,7 @@ class ContactSection(Section):
 
     sensor: str = Field(examples=["foot"])
     wrench: str | None = Field(default=None, examples=["foot"])  # by default of the sensor's name
-    axes: Annotated[str, AfterValidator(_check_axes)] | None = Field(default=None, examples=["xz"])
+    axes: Annotated[str, AfterValidator(check_axes)] | None = Field(default=None, examples=["xz"])
     normal: Literal["x", "y", "z"] | None = Field(default="z", examples=["z"])
     friction: NumberField | None = Field(default=None, examples=[0.8])
 

@@ -35,7 +35,7 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     return rows
 
 
-KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "defect", "open loop")
+KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip", "defect", "open loop")
 
 
 def _is_kept(key: str) -> bool:
