@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbsgen.errors import Fault, InputError
-from mbsrun.commands.console import Report, open_console, show_progress
+from mbsrun.commands.console import Report, keep_grid, open_console, show_progress
 from mbsrun.external import load
 from mbsrun.measuring import kernels, motions, solves
 from mbsrun.measuring.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
@@ -98,7 +98,7 @@ def _measure_optimisation(
         if plant.manifest.model_hash != mechanism.manifest.model_hash:
             fault = f"its model is {plant.manifest.model}, which is not {model}"
             raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
-        case, told = solves.Case(found, mechanism), str(problem)
+        case, told = solves.Case(keep_grid(found), mechanism), str(problem)
     scope = solves.QUICK if quick else solves.SolveScope()
     store = Store(out / "problem.jsonl", SolvePoint)
     points = solves.measure_solves(case, accuracy, scope, store, report)

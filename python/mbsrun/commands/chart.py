@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import show_progress
+from mbsrun.commands.console import keep_grid, show_progress
 from mbsrun.external import load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves
 from mbsrun.measuring.captions import write_captions
@@ -147,6 +147,7 @@ def chart_optimisation_command(
 ) -> None:
     """Measure, write, draw."""
     stated, plant = read_problem(problem, load)
+    stated = keep_grid(stated)
     usual = optima.QUICK if quick else optima.OptimumScope()
     scope = replace(
         usual,

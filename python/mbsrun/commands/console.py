@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -80,6 +81,13 @@ def check_conflicts(problem: Problem) -> None:
     """Refuse what does not go together."""
     if conflicts := find_conflicts(problem):
         raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
+
+
+def keep_grid(problem: Problem) -> Problem:
+    """Return a problem without its refinement, and say so if it asks for one."""
+    if problem.refine is not None:
+        say("note: `mbsrun solve` alone refines grids; here the grid stays as the file gives it")
+    return replace(problem, refine=None)
 
 
 def say(message: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, output_folder, say
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, keep_grid, output_folder, say
 from mbsrun.controllers.making import Made, UnsolvedError, make
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.recorded import find_guess
@@ -69,6 +69,7 @@ def controller_command(
         return load_on_demand(model)
 
     problem, plant = read_problem(file, load_model)
+    problem = keep_grid(problem)
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
     guess = None if other is None else find_guess(other, problem, plant)

@@ -20,6 +20,7 @@ from mbsrun.commands.console import (
     NumberType,
     check_conflicts,
     find_sensor,
+    keep_grid,
     print_table,
     say,
 )
@@ -141,6 +142,7 @@ def sweep_command(
 ) -> None:
     """Read, search, sum up."""
     problem, plant = read_problem(file, load_on_demand)
+    problem = keep_grid(problem)
     sensor = find_sensor(problem, "PROBLEM")
     representations = tuple(Representation(name) for name in names) or tuple(Representation)
     for representation in representations:

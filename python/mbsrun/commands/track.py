@@ -10,7 +10,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
 from mbsgen.documents import Data
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, output_folder, say
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, keep_grid, output_folder, say
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
@@ -126,6 +126,7 @@ def track_command(
         return load_on_demand(model)
 
     problem, model = read_problem(file, load_model)
+    problem = keep_grid(problem)
     if solver is not None:
         problem = problem.with_solver(solver)
     with MESSAGES.status("generating and compiling"):

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.patches import Rectangle
 from scipy.integrate import solve_ivp
 
+from mbsrun.commands.console import keep_grid
 from mbsrun.ocp.pictures import make_mesh
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Refinement, Representation
 from mbsrun.ocp.refinement import choose_grid, refine
@@ -169,6 +170,14 @@ def test_a_refined_optimum_costs_no_more_than_the_coarse_one(tmp_path: Path) -> 
     lines = summarise(fine)
     assert lines["refinement"].startswith(f"{len(fine.refinement.rounds) - 1} round")
     assert lines["intervals"].startswith(f"{fine.problem.intervals}, from ")
+
+
+def test_commands_that_keep_their_grid_say_so(capsys: pytest.CaptureFixture[str]) -> None:
+    problem = keep_grid(swing())
+    assert problem == replace(swing(), refine=None)
+    assert "`mbsrun solve` alone refines grids" in capsys.readouterr().err
+    assert keep_grid(problem) == problem
+    assert capsys.readouterr().err == ""
 
 
 def test_the_picture_shows_every_round() -> None:
