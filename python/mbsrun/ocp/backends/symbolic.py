@@ -6,13 +6,15 @@ With k scalar arguments, f has the gradient f' (k,) and the Hessian f'' (k, k), 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.ocp.functions import Array
+
+KEPT = 256  # functions that stay loaded
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,13 @@ class Differentiated:
         return f[0], g.T, H.T.reshape(-1, self.size, self.size)
 
 
-@cache
+@lru_cache(KEPT)
 def load(code: str) -> ca.Function:
     """Make a function from its serialisation, which must be the project's own: files hold none."""
     return ca.Function.deserialize(code)
 
 
-@cache
+@lru_cache(KEPT)
 def differentiate(code: str) -> Differentiated:
     """Differentiate a function."""
     function = load(code)
