@@ -53,8 +53,8 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     course = Course(solution.problem, trajectory, plant)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
     reached: Array | None = None
-    nq = trajectory.q.shape[1]
-    every = np.concatenate((trajectory.q, trajectory.point_q.reshape(-1, nq)))
+    (N, d), nq = trajectory.point_t.shape, trajectory.q.shape[1]
+    every = np.concatenate((trajectory.q, trajectory.point_q.reshape(N * d, nq)))
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
         ends = integrate(plant, states[:-1], course.inputs(), steps, allowance)
