@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 
 from pydantic import TypeAdapter, ValidationError
@@ -194,10 +194,13 @@ def _adapter() -> TypeAdapter[Problem]:
 
 def _find_wrong_types(problem: Problem) -> Iterator[Finding]:
     try:
-        plain = asdict(problem)
+        plain = asdict(replace(problem, references=()))  # which may hold many thousand numbers
     except TypeError:
         yield ("problem", f"found {abbreviate(type(problem).__name__)}", "give a Problem")
         return
+    for i, reference in enumerate(problem.references):
+        if not isinstance(reference, references.Reference):
+            yield (f"references[{i}]", f"found {abbreviate(type(reference).__name__)}", "give a Reference")
     try:
         _adapter().validate_python(plain)
     except ValidationError as error:
