@@ -111,7 +111,7 @@ def fit_motion_command(
         recording, manifest, pairs, numbers, read_numbers("coordinate", coordinates, manifest.positions)
     )
     with show_progress() as report:
-        fit = Fitter(mechanism, targets).fit(smooth, lambda done, total: report("fitting frames", done, total))
+        fit = Fitter(mechanism, targets).fit(smooth, report)
     shown = _blank(fit, smooth, gap)
     out = out or Path(f"{file.stem}.fit")
     out.mkdir(parents=True, exist_ok=True)

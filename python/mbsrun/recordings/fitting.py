@@ -31,10 +31,11 @@ from mbsrun.quaternions import list_quaternions, neutral, normalise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Report = Callable[[int, int], None]  # takes the number of finished frames, and of all
+Report = Callable[[str, int, int], None]  # takes the current step, the number of finished ones, and of all
 
 FITTED = Extent(("sensors", "frames"), 1, optional=("loops", "loop_rates", "loop_jacobian", "rates"))  # of a model
-ITERATIONS = 200
+ITERATIONS = 200  # of a frame
+ROUNDS_OF_ALL = 60  # of all frames together
 SETTLED = 1e-10  # a step below which an iteration ends, relative to 1 + |q|
 ROUNDED = 1e-12  # of a sum: a difference within which it has not grown
 STARTS = 30  # poses from which the first frame is fitted
@@ -119,9 +120,9 @@ class Fitter:
         for done, (k, before) in enumerate(order, 2):
             q[k], converged[k] = self.solve(k, q[before])
             if report is not None:
-                report(done, K)
+                report("fitting frames", done, K)
         if smooth > 0 and K > 2:
-            q, is_done = self.solve_all(q, smooth)
+            q, is_done = self.solve_all(q, smooth, report)
             converged[:] = is_done
         q = self.settle_signs(normalise(q, self.manifest))
         return self.judge(q, converged)
@@ -208,7 +209,7 @@ class Fitter:
 
     # --- all frames ---
 
-    def solve_all(self, q: Array, smooth: float) -> tuple[Array, bool]:
+    def solve_all(self, q: Array, smooth: float, report: Report | None = None) -> tuple[Array, bool]:
         """Fit all frames together, from poses (K, nq); return whether that converged."""
         K, n = q.shape
         D = np.sqrt(smooth) * sparse.kron(second_differences(self.targets.times), sparse.eye_array(n))
@@ -217,8 +218,10 @@ class Fitter:
         x, mu = np.clip(q.ravel(), lower, upper), DAMPING
         here = self.evaluate_all(x.reshape(K, n))
         cost = sum(part.cost for part in here) + 0.5 * float(x @ (rough @ x))
-        for _ in range(ITERATIONS):
+        for k in range(ROUNDS_OF_ALL):
             self.iterations += K
+            if report is not None:
+                report("fitting all frames", k, ROUNDS_OF_ALL)
             A = sparse.csc_array(sparse.block_diag([part.J.T @ part.J for part in here])) + rough
             g = np.concatenate([part.J.T @ part.r for part in here]) + rough @ x
             H = sparse.csc_array(sparse.block_diag([part.H for part in here]))
