@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from mbsgen.manifest import Coordinate, Frame, Wrench
 from mbsgen.pipeline import read_tree
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.backends.numpy import NumpyProgram
@@ -19,10 +22,11 @@ from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Bounds, Contact, Cost, End, Loops, Problem
+from mbsrun.ocp.problem import Bounds, Contact, Cost, End, GuessOptions, Loops, Problem, Term
 from mbsrun.ocp.schemes import Family
 from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE
+from tests.mbsrun.peer import FREE, Peer, pose_functions
 from tests.random_trees import Pinocchio
 
 G = 9.81
@@ -109,50 +113,57 @@ def test_parameters_and_unknowns_reach_the_model_of_an_impact(drop: Callable[...
     assert found.phases[1].trajectory.unknowns == pytest.approx(found.phases[0].trajectory.unknowns, abs=1e-12)
 
 
-PENDULUM = """
-name: rod
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: rod, joint: {name: angle, type: revolute, axis: y, actuated: false}, mass: 0.7, com: [0, 0, -0.3],
-     inertia: [0.02, 0.02, 0.001]}
-frames:
-  - {name: tip, body: rod, position: [0, 0, -0.6]}
-"""
-WALL = "wrenches:\n  - {name: tip, body: rod, position: [0, 0, -0.6], force: input}\n"
-SWING = """
-model: rod.yaml
-scheme: radau
-degree: 5
-intervals: 12
-horizon: {guess: 0.4, range: [0.1, 2]}
-cost: {terminal: [{expression: T}]}
-phases:
-  - name: down
-    start: {pose: {angle: -1}}
-    end: {pose: {angle: 0}}
-  - name: back
-    guess: {motion: rest}
-    end: {velocity: zero}
-links:
-  - from: down
-    to: back
-    impact: {model: rod_at_wall.yaml, restitution: 0.5, contacts: [{sensor: tip, axes: x, normal: x}]}
-"""
+def rod(*, is_held: bool) -> Peer:
+    """A rod of 0.7 kg that swings about y, its centre of mass 0.3 m below; its tip, 0.6 m below, may be held."""
+    q, qd, qdd, u, w = (ca.SX.sym(name, size) for name, size in (("q", 1), ("qd", 1), ("qdd", 1), ("u", 0), ("w", 3)))
+    tip = ca.vertcat(-0.6 * ca.sin(q), 0, -0.6 * ca.cos(q))
+    Phi = ROD * qdd + 0.7 * G * 0.3 * ca.sin(q) + 0 * qd
+    given = {"q": q, "qd": qd, "qdd": qdd, "u": u} | ({"w": w} if is_held else {})
+    if is_held:
+        Phi -= ca.jacobian(tip, q).T @ w
+    impl = ca.Function("peer_impl", [*given.values()], [Phi], [*given], ["Phi"])
+    R = ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))
+    wrench = Wrench(name="tip", frame=0, in_base=True, force=True, moment=False)
+    return Peer(
+        "rod",
+        {"impl": impl, **pose_functions(q, tip, ca.horzcat(ca.SX.zeros(3), tip), R)},
+        [Coordinate(name="angle", motion="revolute", actuated=False, **FREE)],
+        [Frame(name="rod", parent=-1, sensor=False), Frame(name="tip", parent=0, sensor=True)],
+        wrenches=(wrench,) if is_held else (),
+    )
 
 
-def test_a_pendulum_hits_a_wall(requires: Callable[[str], str], tmp_path: Path) -> None:
+ROD = 0.02 + 0.7 * 0.09  # its moment of inertia about the hinge
+
+
+def test_a_pendulum_hits_a_wall() -> None:
     """By energy: 1 - cos of the angle that it swings back to is e^2 times 1 - cos of the one that it comes from."""
-    requires("cc")
-    (tmp_path / "rod.yaml").write_text(PENDULUM)
-    (tmp_path / "rod_at_wall.yaml").write_text(PENDULUM + WALL)
-    (tmp_path / "swing.ocp.yaml").write_text(SWING)
-    found = solve_phases(*read_phased_problem(tmp_path / "swing.ocp.yaml", load_on_demand))
+    down = Problem(
+        name="down",
+        horizon=0.4,
+        horizon_range=(0.1, 2.0),
+        intervals=12,
+        family=Family.RADAU,
+        degree=5,
+        cost=Cost(terminal=(Term("T", 1.0),)),
+        start_q=(-1.0,),
+        start_qd=(0.0,),
+        bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ()),
+        end=End(coordinates=((0, 0.0),)),
+        guess=GuessOptions(inputs="zero"),
+    )
+    rest = GuessOptions(motion="rest", inputs="zero")
+    back = replace(down, free_start=(0, 1), end=End(velocity_zero=True), guess=rest)
+    wall = Impact((Contact("tip", "tip", (0,), 0),), 0.5)
+    problem = PhasedProblem("swing", (Phase("down", down), Phase("back", back)), (Link("down", "back", impact=wall),))
+    free = rod(is_held=False)
+    found = solve_phases(problem, Plants((free, free), (rod(is_held=True),)))
     assert isinstance(found, PhasedSolution), found.finding
-    back = found.phases[1].trajectory.q[-1, 0]
-    assert abs(back) == pytest.approx(np.arccos(1 - 0.25 * (1 - np.cos(1.0))), rel=1e-9)
+    angle = found.phases[1].trajectory.q[-1, 0]
+    assert abs(angle) == pytest.approx(np.arccos(1 - 0.25 * (1 - np.cos(1.0))), rel=1e-9)
     (impulse,) = found.values[0].impulses
-    speed = np.sqrt(2 * 0.7 * G * 0.3 * (1 - np.cos(1.0)) / (0.02 + 0.7 * 0.09))
-    assert impulse.components[0] == pytest.approx(1.5 * speed * (0.02 + 0.7 * 0.09) / 0.6, rel=1e-8)
+    speed = np.sqrt(2 * 0.7 * G * 0.3 * (1 - np.cos(1.0)) / ROD)
+    assert impulse.components[0] == pytest.approx(1.5 * speed * ROD / 0.6, rel=1e-8)
 
 
 BIPED = """
