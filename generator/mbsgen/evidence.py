@@ -202,11 +202,15 @@ class _Comparison:
     def _left(self) -> Mapping[Axis, tuple[list[int], int]]:
         """The joints, coordinates, sensors and frames that are left, and their number in the whole model."""
         kept, names = {s.name for s in self.reduced.sensors}, [x.name for x in self.whole.sensors]
-        frames = _frames(self.whole)
+        frames, touching = _frames(self.whole), {x.name for x in self.reduced.distances}
         return {
             Axis.VELOCITIES: (self.moving, len(self.whole.joints)),
             Axis.COORDINATES: (self.free, len(self.at)),
             Axis.SENSORS: ([k for k, name in enumerate(names) if name in kept], len(names)),
+            Axis.CONTACTS: (
+                [k for k, x in enumerate(self.whole.distances) if x.name in touching],
+                len(self.whole.distances),
+            ),
             Axis.FRAMES: ([frames.index(frame) for frame in _frames(self.reduced)], len(frames)),
         }
 

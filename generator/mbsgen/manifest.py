@@ -174,6 +174,7 @@ class Manifest(_Entry):
     design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
+    contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
     loops: tuple[Loop, ...] = ()
     independent: tuple[int, ...] = ()  # entries of qd that determine all others; empty without loops
     dependent: tuple[int, ...] = ()  # the other ones, as many as entries of h
@@ -231,7 +232,9 @@ def write(manifest: Manifest) -> str:
     if manifest.tolerance is None:
         unsaid["tolerance"] = True
     unsaid |= {
-        name: True for name in ("loops", "independent", "dependent", "pose", "driven") if not getattr(manifest, name)
+        name: True
+        for name in ("contacts", "loops", "independent", "dependent", "pose", "driven")
+        if not getattr(manifest, name)
     }
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"
 

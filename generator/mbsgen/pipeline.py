@@ -296,6 +296,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
             for x in tree.wrenches
             if x.force is None or x.moment is None
         ),
+        contacts=tuple(x.name for x in tree.distances),
         loops=_describe_loops(tree),
         independent=tree.closure.independent if tree.closure else (),
         dependent=tree.closure.dependent if tree.closure else (),

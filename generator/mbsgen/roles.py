@@ -61,6 +61,7 @@ class Axis(Enum):
     PARAMETERS = "parameters"  # run-time parameters
     DESIGN = "design"  # differentiated parameters
     SENSORS = "sensors"  # one entry or more for each sensor
+    CONTACTS = "contacts"  # the points of contact
     CONSTRAINTS = "constraints"  # the equations of loops and constraints, independent ones
     INDEPENDENT = "independent"  # the velocities that determine all others
     DRIVEN = "driven"  # the joints whose accelerations are given

@@ -54,6 +54,9 @@ class Need:
 
 
 SENSORS = Need(lambda tree: bool(tree.sensors), "{name} is of sensors, and {tree} has none; name some under `frames:`")
+CONTACTS = Need(
+    lambda tree: bool(tree.distances), "{name} is of contacts, and {tree} has none; name some under `contacts:`"
+)
 QUATERNIONS = Need(
     lambda tree: bool(tree.quaternions),
     "{name} is of quaternions, and {tree} has none; the rates of its coordinates are qd",
@@ -170,6 +173,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         "Jacobians of the sensors",
         results=(ports.SENSOR_JACOBIAN,),
         needs=(SENSORS,),
+    ),
+    "distances": Entry(
+        _plainly(poses.build_distances),
+        "distances of points of contact",
+        results=(ports.DISTANCE,),
+        order=2,
+        needs=(CONTACTS,),
     ),
     "condition": Entry(
         project(condition.build, coupling.write_condition),

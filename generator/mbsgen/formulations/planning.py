@@ -184,7 +184,7 @@ def dynamics_alone(tree: Tree, *, driven: bool) -> Tree:
         replace(b.joint, actuated=driven and i not in followers, law=NO_FORCE) for i, b in enumerate(tree.bodies, 1)
     )
     bodies = tuple(replace(b, joint=joint) for b, joint in zip(tree.bodies, joints, strict=True))
-    return replace(tree, bodies=bodies, wrenches=(), probes=(), definitions=(), sensors=())
+    return replace(tree, bodies=bodies, wrenches=(), probes=(), definitions=(), distances=(), sensors=())
 
 
 class PlanTrials:

@@ -98,6 +98,13 @@ POSITION = Port(
     unit="m",
     meaning="places of the sensors in the base frame, a column each",
 )
+DISTANCE = Port(
+    "distance",
+    Role.RESULT,
+    Axis.CONTACTS,
+    unit="m",
+    meaning="distances of the points of contact from their planes; below 0 inside",
+)
 VELOCITY = Port(
     "v",
     Role.RESULT,

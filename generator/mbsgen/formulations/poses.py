@@ -6,7 +6,7 @@ in the model file, whichever frame the recursions use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations import ports
@@ -42,6 +42,16 @@ def _position(chain: Chain, sensor: Sensor) -> Vector[Scalar]:
         link = chain.links[number - 1]
         point, number = link.dpt + link.R.apply(point), link.parent
     return point
+
+
+def build_distances(tree: Tree) -> Tape:
+    """Write `distances`: inputs q [, p]; output distance, shape (number of points of contact,) [m]."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    still = replace(state, qd=[builder.zero] * len(tree.bodies))
+    chain = write_chain(tree, builder, still)
+    builder.output_dense(ports.DISTANCE, [[chain.force(distance.symbol)] for distance in tree.distances])
+    return builder.build("distances")
 
 
 def build_frames(tree: Tree) -> Tape:

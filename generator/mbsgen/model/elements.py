@@ -35,7 +35,7 @@ from sympy import Expr, Symbol, sqrt
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement
-from mbsgen.model.tree import ZERO, Definition, Probe, Reading, Vector, Wrench
+from mbsgen.model.tree import ZERO, Definition, Distance, Probe, Reading, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -67,6 +67,7 @@ class Loads:
         self.probes: list[Probe] = []
         self.definitions: list[Definition] = []
         self.wrenches: list[Wrench] = []
+        self.distances: list[Distance] = []
 
     def add_element(self, element: ForceElement, first: Anchor, second: Anchor) -> None:
         """Add the wrenches of a force element, at its ends that can move."""
@@ -116,6 +117,7 @@ class Loads:
         relative = _subtract(_add(vc, _cross(wc, arm)), _add(vP, _cross(wP, reach)))
         v = self._define_vector(name, "v", relative)
         gap, rate = self._define(name, "gap", _dot(n, reach)), self._define(name, "rate", _dot(n, v))
+        self.distances.append(Distance(name, gap))
         N = self._press(contact, name, gap, rate, exponent)
         F = _scale(N, n)
         if contact.friction is not None:
@@ -143,7 +145,7 @@ class Loads:
         self.probes.append(Probe((x, y, z), reading, anchor.body, anchor.point))
         return x, y, z
 
-    def _define(self, name: str, key: str, value: Expr) -> Expr:
+    def _define(self, name: str, key: str, value: Expr) -> Symbol:
         symbol = Symbol(f"force[{name}] {key}", real=True)
         self.definitions.append(Definition(symbol, value))
         return symbol

@@ -80,6 +80,7 @@ def build_tree(description: Model) -> Tree:
         wrenches=(*(_make_wrench(x, seats[x.body], reader) for x in description.wrenches), *loads.wrenches),
         probes=(*_probe_frames(description, seats, reader), *loads.probes),
         definitions=tuple(loads.definitions),
+        distances=tuple(loads.distances),
         quaternions=tuple(_find_quaternions(description, moving)),
         couplings=couplings,
         loops=tuple(_make_loop(loop, seats, reader) for loop in description.loops),

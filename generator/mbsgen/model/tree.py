@@ -198,6 +198,14 @@ class Definition:
     value: Expr  # over parameters, coordinates, velocities, probes and earlier definitions
 
 
+@dataclass(frozen=True)
+class Distance:
+    """The distance of a point of contact from its plane; below 0 inside."""
+
+    name: str
+    symbol: Symbol  # of its definition
+
+
 def rate_symbol(joint: str) -> Symbol:
     """Return the symbol of a joint's velocity in forces; no parameter has it."""
     return Symbol(f"qd[{joint}]", real=True)
@@ -251,6 +259,7 @@ class Tree:
     wrenches: tuple[Wrench, ...] = ()
     probes: tuple[Probe, ...] = ()  # what wrenches and force laws read of the state
     definitions: tuple[Definition, ...] = ()  # what they have in common
+    distances: tuple[Distance, ...] = ()  # of contacts, by their definitions
     quaternions: tuple[Quaternion, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[Loop, ...] = ()

@@ -51,6 +51,7 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
         _group("w", "Entries of w: components of the wrenches that are inputs", _list_components(tree)),
         _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),
         _group("theta", "Entries of theta: differentiated parameters", _list_parameters(tree, Kind.DIFFERENTIATED)),
+        _group("contact", "Entries of distance: points of contact", (x.name for x in tree.distances)),
         _group("sensor", "Columns of position, v and omega; six rows each of J", (s.name for s in tree.sensors)),
         _group(
             "body",

@@ -425,6 +425,10 @@ def _places(truth: Truth, _: Computation, results: Results) -> Iterator[Comparis
     yield Comparison("position", results["position"], expected)
 
 
+def _distances(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    yield Comparison("distance", results["distance"], truth.read([x.symbol for x in truth.tree.distances]), Decimal(1))
+
+
 def _velocities(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     for place, name in enumerate(("v", "omega")):
         if name in results:
@@ -583,6 +587,7 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.CLOSED_VELOCITIES: _closed_velocities,
     ports.CLOSED_ACCELERATIONS: _closed_accelerations,
     ports.POSITION: _places,
+    ports.DISTANCE: _distances,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,
     ports.SENSOR_JACOBIAN: _jacobian,

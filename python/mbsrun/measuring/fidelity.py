@@ -308,6 +308,7 @@ def _name_entries(manifest: Manifest, axis: Axis) -> list[str]:
     names = {
         Axis.VELOCITIES: [joint.name for joint in manifest.coordinates],
         Axis.SENSORS: [frame.name for frame in manifest.frames if frame.sensor],
+        Axis.CONTACTS: list(manifest.contacts),
         Axis.CONSTRAINTS: list(manifest.equations),
         Axis.DRIVEN: [manifest.coordinates[i].name for i in manifest.driven],
     }

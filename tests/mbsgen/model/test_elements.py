@@ -234,6 +234,15 @@ def test_a_scene_keeps_the_frames_that_forces_read(tmp_path: Path) -> None:
     assert push(part, [0.1, 0.2], [0.3, 0.4]) == pytest.approx(push(whole, [0.1, 0.2], [0.3, 0.4]), rel=1e-14)
 
 
+def test_distances_are_of_spheres_and_corners(tmp_path: Path) -> None:
+    """From a turned ground, and from below: the mast's tip is 0.4 from its joint, and the ball has a radius of 0.1."""
+    tree = build_tree(read(WHOLE, tmp_path))
+    gaps = evaluate(poses.build_distances(tree), {"q": [0.05, 0.3], "p": [0.8]})["distance"]
+    assert [x.name for x in tree.distances] == ["ball", *(f"box.{k}" for k in range(1, 9))]
+    assert gaps[0] == pytest.approx(-0.4 * math.cos(0.3) - 0.1, rel=1e-14)
+    assert gaps[1:] == pytest.approx([-0.05, 0.05] * 4, rel=1e-14)
+
+
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
