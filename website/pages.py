@@ -33,7 +33,7 @@ NAVIGATION: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     },
     {"Simulate": ["simulation.md", "fmu.md"]},
     {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
-    {"Control": ["controller.md", "track.md", "microcontroller.md", "acados.md"]},
+    {"Control": ["controller.md", "cpp.md", "track.md", "microcontroller.md", "acados.md"]},
     {
         "Trust": ["accuracy.md", "laboratory.md", "reproduction.md", "study/README.md", "laboratory/verdicts.md"],
     },
@@ -145,7 +145,7 @@ and second derivatives. Simulation, optimal control and controllers are built on
 | see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
 | describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
-| call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated) |
+| call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |
 | find an optimal motion | [The problem file](problem.md) |
 | control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |
 | close a loop | [Closed loops](loops.md) |

@@ -77,7 +77,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     tell("the check of all functions")
     verification = verify(trees.generated, functions.families, still=not request.scene.motion)
     tell("C")
-    unit = _make_unit(trees, functions, verification)
+    unit = _make_unit(trees, functions, verification, request)
     sources = write_c(unit)
     described = _describe(trees.generated, unit, sources, identify_mechanism(staged))
     evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
@@ -121,7 +121,7 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     return _Trees(written, parametric, approximation.tree, approximation)
 
 
-def _make_unit(trees: _Trees, functions: Functions, verification: Verification) -> Unit:
+def _make_unit(trees: _Trees, functions: Functions, verification: Verification, request: Request) -> Unit:
     tree, approximation = trees.generated, trees.approximation
     return Unit(
         mangle(tree.name),
@@ -135,6 +135,7 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification) 
         groups=tuple(group for group in list_groups(tree) if group.name != "p" or functions.has_setup),
         tolerance=approximation.tolerance if approximation and approximation.taken else None,
         references=verification.references,
+        headers=tuple(name for x in find_targets(request.targets) for name in x.headers(mangle(tree.name))),
     )
 
 

@@ -68,7 +68,9 @@ def write_c(unit: Unit) -> Sources:
         **sources,
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
         f"{unit.prefix}.pc": lay_out("c/model.pc", **common),
-        "CMakeLists.txt": lay_out("c/CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, **common),
+        "CMakeLists.txt": lay_out(
+            "c/CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, headers=unit.headers, **common
+        ),
     }
     return Sources(files, header, tuple(sources), tuple(_describe(unit.prefix, f) for f in found))
 

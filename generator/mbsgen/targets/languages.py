@@ -15,6 +15,7 @@ from mbsgen.request import OptionError
 from mbsgen.targets.acados import add_acados
 from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
+from mbsgen.targets.cpp import list_headers, write_cpp
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python import write_python
 from mbsgen.targets.unit import Unit
@@ -22,6 +23,10 @@ from mbsgen.targets.unit import Unit
 
 def _write_nothing(_: Unit) -> Mapping[str, str]:
     return {}
+
+
+def _list_nothing(_: str) -> tuple[str, ...]:
+    return ()
 
 
 def _add_nothing(_: Sequence[Family]) -> tuple[Family, ...]:
@@ -36,10 +41,17 @@ class Target:
     help: str  # of that option
     write: Callable[[Unit], Mapping[str, str]] = _write_nothing  # files of the folder, path -> text
     add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
+    headers: Callable[[str], tuple[str, ...]] = _list_nothing  # installed beside the model's header, by its prefix
 
 
 TARGETS: tuple[Target, ...] = (
     Target("python", "Also write the kernels as a Python module, for any number type.", write_python),
+    Target(
+        "cpp",
+        "Also write a C++ class: a header on top of the C, with Eigen if wanted.",
+        write_cpp,
+        headers=list_headers,
+    ),
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded

@@ -24,6 +24,7 @@ class Unit:
     groups: tuple[Group, ...] = ()  # names of the entries of vectors
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
     tolerance: float | None = None  # allowed relative error of the functions; None: exact
+    headers: tuple[str, ...] = ()  # that target languages add, to be installed
     part: int = LENGTH  # least lines of a part of a long function
 
     @property
