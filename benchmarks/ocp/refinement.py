@@ -139,7 +139,7 @@ def write_page(rows: Sequence[Row]) -> str:
 
 def _list_cells(found: Found | None) -> list[str]:
     if found is None:
-        return ["none found", *[""] * 7]
+        return [f"none up to {MOST}", *[""] * 7]
     defect = f"{found.defect:.1e}" + ("" if found.is_accurate else ", too large")
     grid = [str(found.intervals), str(found.degree), str(found.variables), defect, f"{found.longest:.3g}"]
     return [*grid, str(found.rounds), f"{found.seconds:.2f}", f"{found.cost:.8g}"]
