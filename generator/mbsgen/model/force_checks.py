@@ -150,7 +150,7 @@ def check_bodies(model: Model) -> Iterator[Finding]:
     pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces)]
     pairs += [(("contacts", i), x.body, x.plane.body) for i, x in enumerate(model.contacts)]
     for place, first, second in pairs:
-        if carriers[first] == carriers[second]:
+        if first in carriers and carriers[first] == carriers.get(second):  # a body that is missing has a finding
             finding = f"{abbreviate(first)} and {abbreviate(second)} do not move relative to each other"
             yield Finding(
                 place,

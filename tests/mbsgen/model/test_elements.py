@@ -308,6 +308,7 @@ FAULTS = {  # old text, new text, path and piece of the finding
         "contacts[0].body",
         "no body",
     ),
+    "a contact of nothing": ("body: mast, position: [0, 0, 0.4], radius", "radius", "contacts[0].body", "missing"),
     "two alike": ("name: rope", "name: strut", "forces[1].name", "is taken"),
     "a contact with the name of a force": ("name: ball", "name: rope", "contacts[0].name", "is taken"),
     "both ends on one body": ("to: {body: base, position: [0, 0, 1]}", "to: {body: sled}", "forces[0]", "both ends"),
