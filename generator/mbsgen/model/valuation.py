@@ -19,6 +19,7 @@ from mbsgen.model.tree import Kind
 
 MAX_TERMS = 1000  # of an expression, with all that the parameters in it stand for
 LARGEST = 1e150  # products of two numbers do not overflow
+SMALLEST = 1e-150  # of an angle; its sine has a square that does not vanish
 GENERIC = 0.7390851332151607  # for a run-time parameter that is 0 now, and may be anything later
 
 Array = NDArray[np.float64]
@@ -71,7 +72,9 @@ class Valuation:
         """Find numbers of a placement that have no value."""
         self.triple((*place, "position"), placement.position)
         for k, rotation in enumerate(placement.orientation):
-            self.number((*place, "orientation", k, "angle"), rotation.angle)
+            angle = self.number((*place, "orientation", k, "angle"), rotation.angle)
+            if 0 < abs(angle) < SMALLEST:
+                self._find((*place, "orientation", k, "angle"), f"an angle of {angle:g}", "give 0, or a larger one")
 
     def is_doubtful(self, place: Place) -> bool:
         """Return whether a place has a finding already."""

@@ -251,6 +251,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {  # keys of the frame or t
         "frames[0].orientation.matrix",
         "left-handed",
     ),
+    "an angle like none": (
+        {"orientation": [{"axis": "x", "angle": 1e-300}]},
+        "frames[0].orientation[0].angle",
+        "an angle of 1e-300",
+    ),
     "no convention": ({"type": "dh", "a": 1}, "bodies[0].joint.convention", "missing"),
     "a third convention": ({"type": "dh", "convention": "craig"}, "bodies[0].joint.convention", "craig"),
     "an axis": ({"type": "dh", "convention": "standard", "axis": "x"}, "bodies[0].joint.axis", "axis"),
