@@ -218,7 +218,8 @@ class _Reading(PartReading):
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
         self.closure = None if self.manifest.quaternions else find_closure(self.plant)
-        if not (self.inputs.known or section.controls or self.is_phase):
+        chosen = section.controls or section.wrenches or section.contacts or section.unknowns
+        if not (self.inputs.known or chosen or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
             finding = "the model has no actuated coordinate" if self.coordinates.known else "no model and no controls"
             self.fault(("model",) if self.coordinates.known else ("controls",), finding, remedy)

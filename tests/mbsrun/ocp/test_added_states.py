@@ -16,7 +16,19 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.problem import Control, Cost, Form, Integral, Problem, Representation, State, Term
+from mbsrun.ocp.problem import (
+    Constraint,
+    Control,
+    Cost,
+    Force,
+    Form,
+    Integral,
+    Problem,
+    Representation,
+    State,
+    Term,
+    Unknown,
+)
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Solution, read_solution, write_solution
@@ -278,3 +290,49 @@ def test_many_starts_without_a_mechanism(tmp_path: Path) -> None:
     assert isinstance(outcome, Solution)
     assert [start.kind for start in starts.results] == ["guess", "noise", "noise"]
     assert starts.times == 3
+
+
+def jerky() -> Problem:
+    """Push 1 kg over 1 m from rest to rest in the least time, by a force whose rate is at most 32 N/s."""
+    problem = replace(push(8, degree=3), horizon_range=(0.5, 2.0), cost=Cost(terminal=(Term("T", 1.0),)))
+    return replace(
+        problem,
+        states=(State("force", "change", start=(0.0, 0.0), end=(0.0, 0.0)),),
+        controls=(Control("change", (-32.0, 32.0)),),
+        forces=(Force(0, "force"),),
+    )
+
+
+def test_a_bounded_rate_of_an_input() -> None:
+    """The least time is (32 s / rate)^(1/3), with steps of the rate at a quarter and at three quarters of it."""
+    solution = found(jerky(), mass())
+    assert solution.cost.total == pytest.approx(1.0, rel=1e-7)
+    assert solution.trajectory.controls[:, 0] == pytest.approx([32, 32, -32, -32, -32, -32, 32, 32], abs=1e-4)
+    assert solution.trajectory.point_u.ravel() == pytest.approx(solution.trajectory.point_states.ravel(), abs=1e-9)
+    check = resimulate(solution, mass()).resimulation
+    assert check is not None
+    assert check.is_accurate
+
+
+def test_the_least_peak_of_an_input() -> None:
+    """A push over 1 m in 1 s needs at least 4 N: first ahead, then back."""
+    limits = (Constraint("u_x - peak", (-np.inf, 0.0)), Constraint("u_x + peak", (0.0, np.inf)))
+    problem = replace(push(8), cost=Cost(terminal=(Term("peak", 1.0),)), constraints=limits)
+    solution = found(replace(problem, unknowns=(Unknown("peak", (0.0, 100.0), 10.0),)), mass())
+    assert solution.cost.total == pytest.approx(4.0, rel=1e-7)
+    assert solution.trajectory.u[:, 0] == pytest.approx([4, 4, 4, 4, -4, -4, -4, -4], abs=1e-5)
+
+
+def test_a_soft_constraint_is_exact_where_its_weight_is_large() -> None:
+    """With a large weight the slack vanishes, and the cost is the hard constraint's; with a small one it gives."""
+    hard = replace(push(8), constraints=(Constraint("qd_x", (-np.inf, 1.2)),))
+    soft = replace(
+        hard, controls=(Control("slack", (0.0, np.inf)),), constraints=(Constraint("qd_x - slack", (-np.inf, 1.2)),)
+    )
+    firm, weak = (
+        found(replace(soft, cost=Cost(1.0, running=(Term("slack", weight),))), mass()) for weight in (100.0, 1.0)
+    )
+    assert firm.cost.total == pytest.approx(found(hard, mass()).cost.total, rel=1e-5)
+    assert np.abs(firm.trajectory.controls).max() < 1e-5
+    assert weak.trajectory.controls.max() > 0.05
+    assert weak.cost.total < firm.cost.total
