@@ -1,4 +1,4 @@
-"""The problems: a file for ours, a program in plain CasADi on the same mesh, and what is known of the optimum."""
+"""The problems: a file for ours, a program in plain CasADi on the same mesh, and the published optimum."""
 
 from __future__ import annotations
 

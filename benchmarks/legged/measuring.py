@@ -1,4 +1,4 @@
-"""Solve a problem by this project and in plain CasADi, and check the solution by programs of its own.
+"""Solve a problem by this project and in plain CasADi, and check the solution by separate programs.
 
 Times are of the processor, without what is done once: reading, code, derivatives. Momentum at impacts and the places
 of feet are computed by the recursion of `chains`, which shares nothing with the generated kernels.

@@ -1,9 +1,9 @@
 """Refined grids beside equal intervals of the same accuracy: `python -m benchmarks.ocp.refinement`.
 
 Each problem is solved on a coarse grid, which is refined until the re-simulation confirms an accuracy. Then the same
-problem is solved on equal intervals, with the degree of the coarse grid and with that of the refined one: 10, 13, 17,
+problem is solved on equal intervals, with the degrees of the coarse grid and of the refined one: 10, 13, 17,
 22, ... of them (a factor of 1.3), until the re-simulation calls a solution as accurate. Of both degrees, the one with
-fewer variables counts. Processor time of the refined grid is that of all its solves; of equal intervals, that of the
+fewer variables counts. The refined grid takes the processor time of all its solves, equal intervals the time of the
 one solve on the grid that was found, without the search.
 """
 

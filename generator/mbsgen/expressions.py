@@ -7,7 +7,7 @@ is a small tree of our own types. Length, nesting, size and powers are bounded.
 
 Beside the usual functions there are
 
-    max(x, y), min(x, y)    the derivative is that of the larger or smaller one; where they are equal, half of each
+    max(x, y), min(x, y)    the larger or smaller one is differentiated; where they are equal, half of each
     step(x, w)              1/(1 + exp(-x/w)), a smooth step from 0 to 1 of width w
     softplus(x, w)          w log(1 + exp(x/w)), a smooth max(x, 0), of which step(x, w) is the derivative
 

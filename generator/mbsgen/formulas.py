@@ -7,7 +7,7 @@ With the differentiated arguments stacked into one vector a, y = F(a) and weight
     adjoint_jacobian   lower triangle of d2(w . y)/da2    forward over reverse
 
 Griewank, Walther, "Evaluating derivatives", SIAM 2008, chapters 3 and 5. The derivative of |x| is the sign of x, and 0
-at 0; the derivative of max(x, y) is that of the larger one. Results are the structural nonzeros, column by column. A
+at 0; of max(x, y) the larger one is differentiated. Results are the structural nonzeros, column by column. A
 function returns 1 where a result is not finite.
 """
 

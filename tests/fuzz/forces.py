@@ -1,7 +1,7 @@
 """Applied forces of a model file: wrenches, force elements and contacts, in the base frame.
 
 This is an independent program: it reads the YAML's data, and shares no line with the generator. A force is applied at a
-point that moves with its body; the equations are those of the documentation.
+point that moves with its body; the equations are the documented ones.
 """
 
 from __future__ import annotations

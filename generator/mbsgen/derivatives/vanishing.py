@@ -2,7 +2,7 @@
 
 A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
 moment about it. An expression that is 0 to 35 of 50 digits at several random points is taken to be identically zero
-(Schwartz, Zippel). The derivatives of some functions are 0 to all digits in whole regions, without being 0: those of
+(Schwartz, Zippel). The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of
 max(x, 0) for x < 0, or of tanh(100 x). Other functions stand in their place here.
 """
 

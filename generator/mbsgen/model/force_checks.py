@@ -26,7 +26,7 @@ from mbsgen.model.quantities import list_quantities
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.valuation import Valuation
 
-State = Mapping[str, Expr]  # the symbols of what forces may read, by name
+State = Mapping[str, Expr]  # the symbols that forces may read, by name
 
 
 def list_state(model: Model) -> State:

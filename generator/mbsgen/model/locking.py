@@ -125,7 +125,7 @@ def _lock_body(
 
 
 def _read_fixed(body: Body, fixed: Mapping[str, Expression]) -> Body:
-    """Let the force laws of a body's joints read the coordinates and velocities of locked joints as numbers."""
+    """Replace coordinates and velocities of locked joints in the force laws of a body's joints by numbers."""
 
     def read(joint: Joint) -> Joint:
         return replace(joint, law=replace(joint.law, force=substitute(joint.law.force, fixed)))

@@ -52,7 +52,7 @@ def list_quantities(model: Model) -> dict[str, Quantity]:
 
 
 def probe_symbols(name: str, reading: Reading) -> tuple[Symbol, Symbol, Symbol]:
-    """Return the symbols of what a probe reads: of a frame, or of a part of a force."""
+    """Return the symbols that a probe reads: of a frame, or of a part of a force."""
     x, y, z = (Symbol(f"{reading.value}[{name}].{axis}", real=True) for axis in "xyz")
     return x, y, z
 

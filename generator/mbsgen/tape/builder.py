@@ -178,7 +178,7 @@ class Builder:
     def larger(self, x: Scalar, y: Scalar) -> Scalar:
         """Return the larger of two numbers, s x + (1 - s) y, with s = 1 where x > y, 0 where x < y, else 1/2.
 
-        So its derivative is that of the larger one, or half of each where they are equal.
+        So the larger one is differentiated, or half of each where they are equal.
         """
         if (x - y).is_zero:
             return x

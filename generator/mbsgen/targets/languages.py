@@ -48,7 +48,7 @@ TARGETS: tuple[Target, ...] = (
     Target("python", "Also write the kernels as a Python module, for any number type.", write_python),
     Target(
         "cpp",
-        "Also write a C++ class: a header on top of the C, with Eigen if wanted.",
+        "Also write a C++ class: a header on top of the C, for Eigen too.",
         write_cpp,
         headers=list_headers,
     ),

@@ -76,7 +76,7 @@ def make(
     Raises ProblemError, UnsolvedError, the errors of generation and compilation, and BareError.
     """
     if problem.mesh is not None:
-        finding = "a controller moves its plan ahead by equal intervals, and these have lengths of their own"
+        finding = "a controller moves its plan ahead by equal intervals, and these differ"
         raise ProblemError(problem.name, [("intervals", finding, "give their number")])
     if problem.inputs != "constant":
         finding = "a controller holds its inputs from sample to sample, and these change within an interval"

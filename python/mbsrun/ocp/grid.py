@@ -1,4 +1,4 @@
-"""The intervals of a horizon: equal ones, or lengths of their own.
+"""The intervals of a horizon: equal ones, or with given lengths.
 
 Interval k is as long as the fraction f_k of the horizon T, and the fractions sum to 1:
 

@@ -127,7 +127,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class ExtraSizes:
-    """What a problem adds to the motion of its mechanism."""
+    """The variables that a problem adds to the motion of its mechanism."""
 
     states: int = 0
     controls: int = 0

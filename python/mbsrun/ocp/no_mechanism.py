@@ -17,7 +17,7 @@ NAME = "no mechanism"
 
 
 class NoKernelError(MbsError):
-    """A kernel of a mechanism that there is not."""
+    """A kernel of no mechanism."""
 
 
 class NoMechanism(Unchangeable):

@@ -67,7 +67,7 @@ class PartReading(Reading):
                 self.fault(place, f"unknown name {abbreviate(name)}", remedy)
 
     def add_names(self, section: ProblemSection) -> None:
-        """Let expressions read the names of states, controls and unknowns."""
+        """Add the names of states, controls and unknowns to the names that expressions read."""
         for key, kind, given in (
             ("states", "a state", section.states),
             ("controls", "a control", section.controls),
@@ -79,7 +79,7 @@ class PartReading(Reading):
                 self.quantities.setdefault(name, Quantity(key, i))
 
     def states(self, given: Mapping[str, StateSection]) -> tuple[State, ...]:
-        """Read the states beside those of the mechanism."""
+        """Read the states that the problem adds."""
         return tuple(self.state(name, section) for name, section in given.items())
 
     def state(self, name: str, section: StateSection) -> State:
@@ -123,7 +123,7 @@ class PartReading(Reading):
         return value
 
     def controls(self, given: Mapping[str, ControlSection]) -> tuple[Control, ...]:
-        """Read the inputs beside those of the mechanism."""
+        """Read the inputs that the problem adds."""
         found = []
         for name, section in given.items():
             bounds = self.range(("controls", name, "range"), section.range)

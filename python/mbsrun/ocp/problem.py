@@ -6,7 +6,7 @@
 
 with inputs u that are constant over each of the N intervals of length h = T / N (Docquier, Bruls, Fisette, eqs. 22-27),
 or polynomials of degree d - 1 over each, by their values at the d collocation points.
-Where intervals have lengths of their own, h of the second sum is the distance of the midpoints of both.
+Where lengths of intervals differ, h of the second sum is the distance of the midpoints of both.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class State:
-    """A state beside those of the mechanism, with an ordinary differential equation of first order."""
+    """A state beside the mechanism's, with an ordinary differential equation of first order."""
 
     name: str
     rate: str  # its time derivative, an expression of the motion
@@ -144,7 +144,7 @@ class State:
 
 @dataclass(frozen=True)
 class Control:
-    """An input beside those of the mechanism, constant over each interval; expressions read it by its name."""
+    """An input beside the mechanism's, constant over each interval; expressions read it by its name."""
 
     name: str
     bounds: Range = (-math.inf, math.inf)
@@ -268,7 +268,7 @@ class Problem:
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read
     inputs: Course = "constant"  # over an interval; polynomial: of degree d - 1, by a value at each point
-    contacts_hold_at_start: bool = True  # where the start is free, and no link gives it: then by rows of their own
+    contacts_hold_at_start: bool = True  # where the start is free, and no link gives it: then by separate rows
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
     references: tuple[Reference, ...] = ()  # that expressions read
@@ -297,7 +297,7 @@ class Problem:
 
     @property
     def every_state(self) -> tuple[State, ...]:
-        """Return the states beside those of the mechanism; integrals are states that begin at 0."""
+        """Return the states beside the mechanism's; integrals are states that begin at 0."""
         integrals = zip(self.added.states[len(self.states) :], self.integrals, strict=True)
         own = (State(name, part.expression, start=(0.0, 0.0), end=part.range) for name, part in integrals)
         return (*self.states, *own)
@@ -340,7 +340,7 @@ class Problem:
 
 
 def list_names(text: str, functions: Sequence[Symbolic]) -> frozenset[str]:
-    """List the names that an expression reads, with the names that its functions read in place of their own."""
+    """List the names that an expression reads, functions replaced by the names that they read."""
     reads = {function.name: frozenset(function.reads) for function in functions}
     return frozenset().union(*(reads.get(name, frozenset((name,))) for name in names(parse(text))))
 

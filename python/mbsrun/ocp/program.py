@@ -84,7 +84,7 @@ class Block:
     data: Array | None = None  # F's last input, if any: numbers, (size, places)
     scale: Array | float = 1.0  # (places,), or one for all
     factor: int | None = None  # the variable that multiplies all results, if there is one
-    plant: int = 0  # whose kernels the function calls: the number of a plant among those of the program
+    plant: int = 0  # whose kernels the function calls: its number among the plants of the program
 
     @property
     def places(self) -> int:

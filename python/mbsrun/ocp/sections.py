@@ -276,7 +276,7 @@ class UnknownSection(Section):
 
 
 class StateSection(Section):
-    """A state beside those of the mechanism."""
+    """A state beside the mechanism's."""
 
     rate: FormulaField
     start: EndField = Field(examples=[0.0])
@@ -286,7 +286,7 @@ class StateSection(Section):
 
 
 class ControlSection(Section):
-    """An input beside those of the mechanism."""
+    """An input beside the mechanism's."""
 
     range: RangeField = Field(default=(None, None), examples=[[0.0, 1.0]])
     guess: NumberField = Field(default=Number(0.0), examples=[0.1])

@@ -1,8 +1,8 @@
 """The derivative of an optimal cost by parameters of the model, through the whole optimum.
 
-With the cost f(x, p), the constraints g(x, p) and their multipliers lam at the optimum x(p), the first-order conditions
-leave of the total derivative the part at constant x alone (Fiacco, "Introduction to sensitivity and stability analysis
-in nonlinear programming", 1983, section 3.2):
+With cost f(x, p), constraints g(x, p) and their multipliers lam at the optimum x(p), only the part at constant x
+remains of the total derivative (Fiacco, "Introduction to sensitivity and stability analysis in nonlinear programming",
+1983, section 3.2):
 
     d/dp f(x(p), p) = f_p + lam' g_p.
 

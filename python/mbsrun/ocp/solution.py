@@ -89,7 +89,7 @@ class Round:
 
     change: str  # from the grid before, in words; empty: the first
     degree: int
-    times: tuple[float, ...]  # of the mesh points [s]; those of the guess where no solution was found
+    times: tuple[float, ...]  # of the mesh points [s]; of the guess, where no solution was found
     variables: int
     status: str
     iterations: int

@@ -1,4 +1,4 @@
-"""The first guess of what a problem adds to a motion: its states, its controls, what expressions give.
+"""The first guess of the parts that a problem adds to a motion: its states, its controls, what expressions give.
 
 A control is held at its guess. A state is held, or goes straight from a number to another; else it is integrated along
 the guessed motion from its start, s' = rate(t, q, qd, qdd, u, s), by LSODA at a loose tolerance. Where that fails, as

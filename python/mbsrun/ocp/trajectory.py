@@ -49,7 +49,7 @@ class Trajectory:
     point_q: Array  # (N, d, nq)
     point_qd: Array  # (N, d, n)
     point_qdd: Array  # (N, d, n)
-    states: Array = field(default_factory=NONE.copy)  # (N + 1, ns): beside those of the mechanism
+    states: Array = field(default_factory=NONE.copy)  # (N + 1, ns): beside the mechanism's
     point_states: Array = field(default_factory=NONE.copy)  # (N, d, ns)
     controls: Array = field(default_factory=NONE.copy)  # (N, nc): beside u, constant from t[k] to t[k + 1], or means
     point_controls: Array = field(default_factory=NONE.copy)  # (N, d, nc), or (N, d, 0) where they are constant

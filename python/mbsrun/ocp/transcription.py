@@ -12,7 +12,7 @@ for a residual; where the equations of motion are explicit, the third is z_kj - 
 takes the place of z_kj in the second, and of z(T): see `representations`. (Docquier, Bruls, Fisette, eqs. 5, 15,
 22-27.) In the integral form the second is solved, and states at the points are bounded by separate rows where they
 have bounds. Shooting is the integral form of any Runge-Kutta method, with its third solved as well: see `condensation`.
-Intervals may have lengths h_k of their own: see `grid`. Where the horizon T is free, h is T times a number.
+The lengths h_k of intervals may differ: see `grid`. Where the horizon T is free, h is T times a number.
 
 Second-order collocation replaces the first part of the second line by an integral of the velocities' polynomial,
 

@@ -79,7 +79,7 @@ class GivenValues:
             self._w[i] = value
 
     def __call__(self, parts: Parts) -> dict[str, Array]:
-        """Return the parts with what is given put into u and w; components that are unknown keep w, or their guess."""
+        """Return the parts with given components put into u and w; unknown components keep w, or their guess."""
         found, B = dict(parts), len(parts["t"])
         found["u"] = parts["u"].copy()
         found["w"] = parts["w"].copy() if "w" in parts else np.tile(self._w, (B, 1))

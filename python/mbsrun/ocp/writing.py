@@ -187,7 +187,7 @@ class Writer:
     def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
         """Split the equations of stages (N, S, ...) into groups.
 
-        They are of states, of motion, of loops, of states added, of what expressions give, and of contacts.
+        They are of states, of motion, of loops, of states added, of results of expressions, and of contacts.
 
         For an ODE, the equations of motion are the last ones of states.
         """
@@ -362,7 +362,7 @@ class Writer:
         return [*(text for _, text in self.shape.forces), *(text for text in self.components if text is not None)]
 
     def place_given(self) -> Indices:
-        """Return the variables (N, S, ...) of what expressions give."""
+        """Return the variables (N, S, ...) that expressions give."""
         extras = self.layout.extras
         chosen = [i for i, text in enumerate(self.components) if text is not None]
         return np.concatenate((extras.forces, extras.wrenches[:, :, chosen]), axis=2)
@@ -646,7 +646,7 @@ def order_components(shape: Structure, manifest: Manifest) -> tuple[str | None, 
 
 
 def _read_wrenches(kernel: KernelResult, plant: Plant) -> KernelResult:
-    """Let a kernel read the components of open wrenches, if there are any, in the order of its inputs."""
+    """Return a kernel that reads the components of open wrenches, if there are any, in the order of its inputs."""
     if not plant.manifest.wrenches:
         return kernel
     order = [a.name for a in plant.describe(kernel.kernel).inputs]

@@ -43,7 +43,7 @@ class SolvingController:
             finding = "a sample holds its inputs from sample to sample, and these change within an interval"
             raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
         if problem.every_component or problem.forces:
-            finding = "the simulated plant takes the inputs u alone, and the problem gives forces of its own"
+            finding = "the simulated plant takes the inputs u alone, and the problem gives further forces"
             raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
         if problem.every_state or problem.controls:
             finding = "a sample measures coordinates and velocities, and the problem adds states or controls"

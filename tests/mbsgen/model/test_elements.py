@@ -102,7 +102,7 @@ def push(tree: Tree, q: Sequence[float], qd: Sequence[float]) -> np.ndarray[tupl
 
 @pytest.mark.parametrize("exponent", [1, 1.5, 2, 2.5, 3])
 def test_a_body_at_rest_sinks_by_the_root_of_its_weight(exponent: float) -> None:
-    """stiffness depth^exponent = m g, but for the width, 1e-6 m."""
+    """stiffness depth^exponent = m g, except for the width, 1e-6 m."""
     depth = (MASS * GRAVITY / 1e4) ** (1 / exponent)
     N = push(make_ball(exponent=exponent, dissipation=0.3, friction=(0.8, 0.01)), [0.1 - depth, 0.0], [0.0, 0.0])
     assert pytest.approx([MASS * GRAVITY, 0], rel=1e-6) == N

@@ -88,7 +88,7 @@ def check_derivatives(
 ) -> None:
     """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate.
 
-    There may be so many more nonzeros than CasADi finds.
+    There may be as many more nonzeros than CasADi finds.
     """
     transcription = transcribe(problem, arm)
     program = condensation.build(transcription.program, arm)

@@ -167,7 +167,7 @@ def test_every_fault_of_contacts_is_reported(tmp_path: Path) -> None:
 
 
 def test_every_row_has_a_name(tmp_path: Path) -> None:
-    """A clash is told by the names of rows: with states, forces by expressions, contacts and friction too."""
+    """A clash is named by rows: with states, forces by expressions, contacts and friction too."""
     text = STAND + "forces: {dx: -e}\nstates: {e: {rate: u_dz, start: 0, end: 1}}\n"
     problem, plant = read(tmp_path, text.replace("cost", "start: {pose: {foot_x: null, dz: 0.5}}\ncost", 1))
     transcription = transcribe(problem, plant)

@@ -57,7 +57,7 @@ def given(defects: list[float]) -> Solution:
 
 
 def test_a_refined_swing_is_the_true_one() -> None:
-    """Against DOP853 over the whole horizon. All mesh points stay, intervals differ, and every round is told."""
+    """Against DOP853 over the whole horizon. All mesh points stay, intervals differ, and every round is recorded."""
     told: list[Round] = []
     solution = refine(solved(swing()), pendulum(), told.append)
     assert solution.resimulation is not None
