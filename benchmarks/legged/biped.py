@@ -85,7 +85,7 @@ def write(intervals: int, degree: int) -> Graph:
     graph.require(flight.qd0 - push.qd1)
     feet = biped.positions(flight.q1)
     graph.require(ca.vertcat(feet[0, 0] - JUMP, feet[2, 0], feet[0, 1] - JUMP - GAP, feet[2, 1]))
-    after = graph.strike(biped, flight.q1, flight.qd1, FEET, (0, 2))
+    after = graph.strike(biped, flight.q1, flight.qd1, FEET, (0, 2), FRICTION)
     graph.require(landing.q0 - flight.q1)
     graph.require(landing.qd0 - after)
     graph.require(landing.q1[:3] - last[:3])

@@ -119,21 +119,36 @@ class Graph:
         self.cost += phase.time_cost * T
         return Ends(start[:n], start[n:], now[:n], now[n:], T)
 
-    def strike(self, mechanism: Mechanism, q: ca.MX, before: ca.MX, feet: Sequence[str], axes: Sequence[int]) -> ca.MX:
+    def strike(
+        self,
+        mechanism: Mechanism,
+        q: ca.MX,
+        before: ca.MX,
+        feet: Sequence[str],
+        axes: Sequence[int],
+        friction: float | None = None,
+    ) -> ca.MX:
         """Add an impact in which points come to rest, and return the velocities after it."""
         jump = self.add(np.full(mechanism.n, -INFINITE), INFINITE, 0.0)
         impulse = self.add(np.full(len(feet) * len(axes), -INFINITE), INFINITE, 0.0)
         self.require(mechanism.momentum(q, jump, _spread(mechanism, feet, axes, impulse)))
         after = before + jump
         self.require(_pick(mechanism, mechanism.velocities(q, after), feet, axes))
+        if friction is not None:
+            self._rub(friction, impulse, len(axes))
         return after
 
-    def solve(self, *, expand: bool = True, tolerance: float = 1e-8) -> Answer:
-        """Solve the program by IPOPT with MUMPS; expanded to SX, or as the MX graph stands."""
+    def solve(self, *, expand: bool = True, tolerance: float = 1e-8, limit: float = 1e6) -> Answer:
+        """Solve the program by IPOPT with MUMPS; expanded to SX, or as the MX graph stands; within a time [s]."""
         options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": 1000}
         program = {"x": ca.vertcat(*self.variables), "f": self.cost, "g": ca.vertcat(*self.rows)}
         begin = time.process_time()
-        solver = ca.nlpsol("solver", "ipopt", program, options | {"expand": expand, "ipopt.tol": tolerance})
+        solver = ca.nlpsol(
+            "solver",
+            "ipopt",
+            program,
+            options | {"expand": expand, "ipopt.tol": tolerance, "ipopt.max_cpu_time": limit},
+        )
         built = time.process_time() - begin
         lower, upper, guess = (np.concatenate(x) for x in zip(*self.bounds, strict=True))
         low, high = (np.concatenate(x) for x in zip(*self.limits, strict=True))
@@ -155,22 +170,19 @@ class Graph:
         self.require(mechanism.residual(q, qd, qdd, spread) - drive)
         if phase.feet:
             self.require(_pick(mechanism, mechanism.velocities(q, qd), phase.feet, phase.axes))
-            self._rub(phase, force)
+            self._rub(phase.friction, force, len(phase.axes))
         for row, lower, upper in phase.rows(q, qd):
             self.require(row, lower, upper)
 
-    def _rub(self, phase: Phase, force: ca.MX) -> None:
-        """Limit the force across to the friction: a cone with a rounded apex, in the plane two straight lines."""
-        count = len(phase.axes)
-        for k in range(len(phase.feet)):
+    def _rub(self, friction: float, force: ca.MX, count: int) -> None:
+        """Limit forces across to the friction: a cone with a rounded apex, in the plane two straight lines."""
+        for k in range(force.numel() // count):
             *across, normal = ca.vertsplit(force[k * count : (k + 1) * count])
             if len(across) == 1:
-                self.require(
-                    ca.vertcat(phase.friction * normal - across[0], phase.friction * normal + across[0]), 0, INFINITE
-                )
+                self.require(ca.vertcat(friction * normal - across[0], friction * normal + across[0]), 0, INFINITE)
             else:
                 rounded = ca.sqrt(ca.sumsqr(ca.vertcat(*across)) + ROUNDED**2)
-                self.require(phase.friction * normal + ROUNDED - rounded, 0, INFINITE)
+                self.require(friction * normal + ROUNDED - rounded, 0, INFINITE)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
-from benchmarks.legged.measuring import Row
+from benchmarks.legged.measuring import LIMIT, Effort, Row
 
 COLUMNS = (
     "problem",
@@ -22,6 +22,7 @@ COLUMNS = (
     "graph, s",
     "ratio",
     "ratio, graph",
+    "of an iteration",
 )
 CHECKS = ("problem", "momentum at impacts", "slip, m", "defect of an interval")
 _TEXT = """\
@@ -33,7 +34,8 @@ the plain programs are a [recursion](../legged/chains.py) that shares nothing wi
 Measured on: {machine}.
 
 Times are of the processor, of the quickest of {rounds} solves, without what is done once: reading, code, derivatives.
-"expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours.
+"expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
+and last of the quicker one's time of an iteration to ours. Plain programs are stopped after {limit:.0f} s.
 
 {table}
 The checks use the recursion as well. The balance of momentum is M (v+ - v-) - J' L, relative to the largest impulse.
@@ -53,15 +55,24 @@ def lay_out(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             str(row.freedoms),
             str(row.variables),
             f"{ours.cost:.9g}",
-            f"{row.expanded.cost:.9g}",
+            f"{row.expanded.cost:.9g}" if row.expanded.is_solved else "unsolved",
             f"{ours.iterations}, {row.expanded.iterations}, {row.graph.iterations}",
             f"{ours.seconds:.3f}",
             f"{ours.evaluating or 0.0:.3f}",
-            f"{row.expanded.seconds:.3f}",
-            f"{row.graph.seconds:.3f}",
-            f"{row.expanded.seconds / ours.seconds:.1f}",
-            f"{row.graph.seconds / ours.seconds:.1f}",
+            _write_time(row.expanded),
+            _write_time(row.graph),
+            _write_ratio(row.expanded, ours),
+            _write_ratio(row.graph, ours),
+            f"{min(row.expanded.each, row.graph.each) / ours.each:.1f}",
         )
+
+
+def _write_time(effort: Effort) -> str:
+    return f"{'' if effort.is_solved else '> '}{effort.seconds:.3f}"
+
+
+def _write_ratio(effort: Effort, ours: Effort) -> str:
+    return f"{'' if effort.is_solved else '> '}{effort.seconds / ours.seconds:.1f}"
 
 
 def lay_out_checks(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -83,7 +94,7 @@ def make_tables(rows: Sequence[Row]) -> Iterator[Table]:
 def write_page(rows: Sequence[Row], machine: str, rounds: int) -> str:
     """Write the page."""
     tables = [_write(*part) for part in ((COLUMNS, lay_out(rows)), (CHECKS, lay_out_checks(rows)))]
-    return _TEXT.format(machine=machine, rounds=rounds, table=tables[0], checks=tables[1])
+    return _TEXT.format(machine=machine, rounds=rounds, limit=LIMIT, table=tables[0], checks=tables[1])
 
 
 def _write(columns: Sequence[str], lines: Iterator[tuple[str, ...]]) -> str:
