@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from mbsgen.expressions import ExpressionError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem, list_names
-from mbsrun.quantities import find_component, list_quantities
+from mbsrun.quantities import find_component, list_quantities, name_components
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ def find_faults(problem: Problem, manifest: Manifest) -> Iterator[tuple[str, str
 def list_open_components(problem: Problem, manifest: Manifest) -> list[str]:
     """Name the components of open wrenches that have no value in a problem."""
     known = {find_component(manifest, part.wrench, part.component) for part in problem.every_component}
-    names = [name for name, x in list_quantities(manifest, problem.added).items() if x.kind == "w"]
-    return [name for i, name in enumerate(names) if i not in known]
+    names = enumerate(name_components(manifest))
+    return [name or f"component {i} of w" for i, name in names if i not in known]
 
 
 def _read(part: Given, problem: Problem, manifest: Manifest) -> frozenset[tuple[str, int]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbsgen.errors import Fault, InputError
-from mbsgen.manifest import Argument
+from mbsgen.manifest import Argument, Wrench
 from mbsgen.roles import Role
 from mbsrun.ocp.problem import Constraint, Cost, Form, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
@@ -384,14 +384,15 @@ def test_a_model_without_inputs_is_refused(tmp_path: Path, arm: Peer) -> None:
 
 
 def test_a_model_with_open_wrenches_is_refused(tmp_path: Path, arm: Peer) -> None:
-    """An input that a problem file has no word for."""
+    """Every component needs a value."""
     pushed = Peer.__new__(Peer)
     kernels = [
         k.model_copy(update={"inputs": (*k.inputs, Argument(name="w", role=Role.WRENCH, rows=3, cols=1))})
         for k in arm.manifest.kernels
     ]
-    pushed.manifest = arm.manifest.model_copy(update={"kernels": tuple(kernels)})
-    with pytest.raises(InputError, match="leaves w open"):
+    wrench = Wrench(name="push", frame=0, in_base=True, force=True, moment=False)
+    pushed.manifest = arm.manifest.model_copy(update={"kernels": tuple(kernels), "wrenches": (wrench,)})
+    with pytest.raises(InputError, match="the model leaves wrenches open, and fx_push, fy_push, fz_push have no value"):
         read(tmp_path, GOOD, pushed)
 
 
