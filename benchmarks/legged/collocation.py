@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -140,8 +141,13 @@ class Graph:
 
     def solve(self, *, expand: bool = True, tolerance: float = 1e-8, limit: float = 1e6) -> Answer:
         """Solve the program by IPOPT with MUMPS; expanded to SX, or as the MX graph stands; within a time [s]."""
-        options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": 1000}
-        program = {"x": ca.vertcat(*self.variables), "f": self.cost, "g": ca.vertcat(*self.rows)}
+        options: dict[str, Any] = {
+            "ipopt.print_level": 0,
+            "print_time": False,
+            "ipopt.sb": "yes",
+            "ipopt.max_iter": 1000,
+        }
+        program: dict[str, Any] = {"x": ca.vertcat(*self.variables), "f": self.cost, "g": ca.vertcat(*self.rows)}
         begin = time.process_time()
         solver = ca.nlpsol(
             "solver",
@@ -211,7 +217,8 @@ def _points(degree: int) -> tuple[Array, Array, Array]:
         others = np.delete(tau, r)
         derivative[r] = np.polyval(np.polyder(np.poly(others) / np.prod(tau[r] - others)), tau)
     powers = np.vander(tau[1:], increasing=True).T
-    return tau[1:], derivative, np.linalg.solve(powers, 1 / np.arange(1, degree + 1))
+    weights = np.linalg.solve(powers, 1 / np.arange(1, degree + 1))
+    return tau[1:].astype(float), derivative, weights.astype(float)
 
 
 def _spread(mechanism: Mechanism, feet: Sequence[str], axes: Sequence[int], force: ca.MX) -> ca.MX:

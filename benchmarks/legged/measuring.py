@@ -15,9 +15,9 @@ from benchmarks.legged.cases import Case
 from benchmarks.legged.chains import Mechanism
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.phases.guess import Unreached, guess_phases
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import PhasedSolver, equip_phases, resimulate_phases
+from mbsrun.ocp.phases.solve import PhasedSolver, resimulate_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 
 LIMIT = 20.0  # s of the processor, for a solve of a plain program

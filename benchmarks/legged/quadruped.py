@@ -85,7 +85,7 @@ def guess_pose(mark: int) -> Array:
     def place(begin: float) -> float:
         """Return how far a foot is before its hip, that stands from `begin`."""
         since = (times[mark] - begin) % times[-1]
-        return reach - speed * since if since <= TIMES[0][2] + 1e-9 else -reach + swing * (since - TIMES[0][2])
+        return float(reach - speed * since if since <= TIMES[0][2] + 1e-9 else -reach + swing * (since - TIMES[0][2]))
 
     front, hind = guess_leg(place(times[2])), guess_leg(place(0.0))
     return np.array([done * STRIDE, 0.0, HEIGHT, 0.0, 0.0, 0.0, *front, *front, *hind, *hind])

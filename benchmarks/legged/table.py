@@ -33,8 +33,8 @@ in plain CasADi, with IPOPT and MUMPS, on the same mesh, from the same guess, to
 the plain programs are a [recursion](../legged/chains.py) that shares nothing with the generator.
 Measured on: {machine}.
 
-Times are of the processor, of the quickest solve ({rounds} of each), without what is done once: reading, code, derivatives.
-"expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
+Times are of the processor, of the quickest solve ({rounds} of each), without what is done once: reading, code,
+derivatives. "expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
 and last of the quicker one's time of an iteration to ours. Plain programs are stopped after {limit:.0f} s.
 
 {table}

@@ -60,7 +60,7 @@ def describe_free() -> Mechanism:
 def write(step: Step, intervals: int, degree: int) -> Graph:
     """Write the program of a step."""
     stance, free, graph = describe_stance(), describe_free(), Graph()
-    sums = np.tril(np.ones((5, 5)))
+    sums = ca.DM(np.tril(np.ones((5, 5))))
     flipped = FLIP @ START
 
     def guess(s: float) -> tuple[np.ndarray, np.ndarray]:
