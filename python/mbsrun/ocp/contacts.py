@@ -15,6 +15,7 @@ collocation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Form, Problem
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import find_component, name_components
-from mbsrun.quaternions import list_quaternions
+from mbsrun.quaternions import find_rates, list_quaternions
 
 ROUNDED = 1e-3  # N: of the cone's apex
 SAME = 1e-9  # relative difference of a force's power, by two kernels
@@ -38,6 +39,28 @@ def list_held(contacts: Sequence[Contact], manifest: Manifest) -> tuple[int, ...
     """Return the entries of w that contacts determine, contact by contact."""
     found = (find_component(manifest, contact.wrench, axis) for contact in contacts for axis in contact.axes)
     return tuple(i for i in found if i is not None)
+
+
+@dataclass(frozen=True)
+class Held:
+    """The velocities that contacts keep at 0, and the components of w that keep them there."""
+
+    entries: list[int]  # of the velocities of all sensors
+    components: list[int]
+
+    def differentiate(self, plant: Plant, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return J_c (B, k, n) and dJ_c/dt qd (B, k) of the velocities J_c qd at states q (B, nq), qd (B, n)."""
+        slopes = plant("jac_motion", q=q, qd=qd)
+        by_q, by_qd = (slopes[f"jac_v_{name}"][:, self.entries] for name in ("q", "qd"))
+        return by_qd, np.einsum("bkn,bn->bk", by_q, find_rates(plant, q, qd))
+
+
+def find_held(problem: Problem, manifest: Manifest) -> Held | None:
+    """Find the velocities that a problem's contacts keep at 0; None without contacts."""
+    if not problem.contacts:
+        return None
+    entries = [entry for contact in problem.contacts for entry in list_entries(contact, manifest)]
+    return Held(entries, list(list_held(problem.contacts, manifest)))
 
 
 def list_entries(contact: Contact, manifest: Manifest) -> tuple[int, ...]:

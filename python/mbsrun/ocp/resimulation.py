@@ -9,12 +9,13 @@ limited; a check that does not finish within the limits calls no solution accura
 
 States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls.
 
-With closed loops, accelerations and the forces of loops follow together,
+With closed loops and contacts, accelerations and the forces of both follow together,
 
-    M qdd - J' lam = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,
+    M qdd - J' lam - J_c' f = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,    J_c qdd = -dJ_c/dt qd,
 
-and each step ends with the nearest state that keeps the loops closed. So they do not drift open; how far a step opens
-them is measured before.
+with the velocities J_c qd of points in contact along the axes that are held. With loops, each step ends with the
+nearest state that keeps them closed. So they do not drift open; how far a step opens them is measured before. Points in
+contact start at rest and do not accelerate; how far they creep is the slip.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from scipy.integrate import DOP853
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
-from mbsrun.ocp.contacts import measure_slip
+from mbsrun.ocp.contacts import Held, find_held, measure_slip
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
@@ -50,16 +51,16 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     plant = equip(plant, solution.problem, trajectory.unknowns)
     steps = solution.problem.grid.lengths(float(trajectory.t[-1]))
     states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
-    course = Course(solution.problem, trajectory, plant)
+    course, held = Course(solution.problem, trajectory, plant), find_held(solution.problem, plant.manifest)
     allowance, defects, last, unfinished = Allowance(limits), None, None, ""
     reached: Array | None = None
     (N, d), nq = trajectory.point_t.shape, trajectory.q.shape[1]
     every = np.concatenate((trajectory.q, trajectory.point_q.reshape(N * d, nq)))
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
     try:
-        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance)
+        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance, held=held)
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        reached = _integrate_all(plant, states[:1], course, steps, allowance, gaps)
+        reached = _integrate_all(plant, states[:1], course, steps, allowance, gaps, held)
         last = None if reached is None else reached[-1:]
     except LimitError as error:
         unfinished = error.finding
@@ -159,12 +160,18 @@ class Course:
 
 
 def _integrate_all(
-    plant: Plant, state: Array, course: Course, steps: Array, allowance: Allowance, gaps: list[float] | None
+    plant: Plant,
+    state: Array,
+    course: Course,
+    steps: Array,
+    allowance: Allowance,
+    gaps: list[float] | None,
+    held: Held | None,
 ) -> Array | None:
     """Integrate one motion, (1, nq + n + ns), through all intervals: its states at their ends, (N + 1, nq + n + ns)."""
     reached = [state]
     for k, step in enumerate(steps):
-        last = integrate(plant, reached[-1], course.inputs(k), float(step), allowance, gaps)
+        last = integrate(plant, reached[-1], course.inputs(k), float(step), allowance, gaps, held)
         if last is None:
             return None
         reached.append(last)
@@ -178,8 +185,9 @@ def integrate(
     duration: float | Array,
     allowance: Allowance | None = None,
     gaps: list[float] | None = None,
+    held: Held | None = None,
 ) -> Array | None:
-    """Integrate several motions at once, states (B, nq + n + ns), each for its duration [s].
+    """Integrate several motions at once, states (B, nq + n + ns), each for its duration [s], with contacts if any.
 
     Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
     allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
@@ -191,8 +199,8 @@ def integrate(
     def rate(time: float, flat: Array) -> Array:
         q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
         parts = inputs.read(pace * time, q, qd, further)
-        qdd = accelerations(plant, q, qd, parts["u"], parts["w"])
-        rates = inputs.rates(parts | {"qdd": qdd})
+        qdd, w = _balance(plant, q, qd, parts["u"], parts["w"], held)
+        rates = inputs.rates(parts | {"qdd": qdd, "w": w})
         return (pace * np.concatenate((find_rates(plant, q, qd), qdd, rates), axis=1)).ravel()
 
     places, closure = len(plant.manifest.positions), find_closure(plant)
@@ -228,19 +236,36 @@ def integrate(
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array, w: Array | None = None) -> Array:
     """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m), w (B, nw) if any."""
-    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
-    if w is not None and w.size:
-        state["w"] = w
-    closure, n = find_closure(plant), qd.shape[1]
+    return _balance(plant, q, qd, u, np.zeros((len(q), 0)) if w is None else w, None)[0]
+
+
+def _balance(plant: Plant, q: Array, qd: Array, u: Array, w: Array, held: Held | None) -> tuple[Array, Array]:
+    """Solve for qdd, and for the components of w that hold contacts; return both, w complete."""
+    closure, (B, n) = find_closure(plant), qd.shape
     if not n:
-        return qd
+        return qd, w
+    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
+    if held is not None:
+        w = w.copy()
+        w[:, held.components] = 0
+    if w.size:
+        state["w"] = w
     if closure is not None:
-        state["lam"] = np.zeros((len(q), len(closure.dependent)))
-    M, c = plant("jac_impl", **state)["jac_Phi_qdd"], plant("impl", **state)["Phi"]
-    if closure is None:
-        return np.asarray(np.linalg.solve(M, -c[..., None])[..., 0])
-    J = closure.jacobian(q)
-    none = np.zeros((len(q), J.shape[1], J.shape[1]))
-    whole = np.block([[M, -J.swapaxes(1, 2)], [J, none]])
-    right = -np.concatenate((c, closure.bias(q, qd)), axis=1)
-    return np.asarray(np.linalg.solve(whole, right[..., None])[:, :n, 0])
+        state["lam"] = np.zeros((B, len(closure.dependent)))
+    slopes, c = plant("jac_impl", **state), plant("impl", **state)["Phi"]
+    rows, forces, bias = [], [], []
+    if closure is not None:
+        J = closure.jacobian(q)
+        rows, forces, bias = [J], [-J.swapaxes(1, 2)], [closure.bias(q, qd)]
+    if held is not None:
+        J, turning = held.differentiate(plant, q, qd)
+        rows, forces, bias = [*rows, J], [*forces, slopes["jac_Phi_w"][:, :, held.components]], [*bias, turning]
+    if not rows:
+        return np.asarray(np.linalg.solve(slopes["jac_Phi_qdd"], -c[..., None])[..., 0]), w
+    below = np.concatenate(rows, axis=1)
+    none = np.zeros((B, below.shape[1], below.shape[1]))
+    whole = np.block([[slopes["jac_Phi_qdd"], np.concatenate(forces, axis=2)], [below, none]])
+    found = np.linalg.solve(whole, -np.concatenate((c, *bias), axis=1)[..., None])[..., 0]
+    if held is not None:
+        w[:, held.components] = found[:, -len(held.components) :]
+    return np.asarray(found[:, :n]), w

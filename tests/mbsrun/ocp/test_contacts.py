@@ -14,6 +14,7 @@ from mbsrun import load
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.clashes import name_rows
+from mbsrun.ocp.contacts import find_held
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.resimulation import resimulate
@@ -183,3 +184,76 @@ def test_every_row_has_a_name(tmp_path: Path) -> None:
         "friction",
     ):
         assert name in words
+
+
+LEG = """
+name: leg
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rail, joint: {name: x, type: prismatic, axis: x, actuated: false}, mass: 0}
+  - {name: trunk, parent: rail, joint: {name: z, type: prismatic, axis: z, actuated: false}, mass: 5}
+  - name: thigh
+    parent: trunk
+    joint: {name: hip, type: revolute, axis: y}
+    mass: 1
+    com: [0, 0, -0.2]
+    inertia: [0.02, 0.02, 0.001]
+  - name: shank
+    parent: thigh
+    joint: {name: knee, type: revolute, axis: y, position: [0, 0, -0.4]}
+    mass: 0.5
+    com: [0, 0, -0.2]
+    inertia: [0.01, 0.01, 0.001]
+frames:
+  - {name: sole, body: shank, position: [0, 0, -0.4]}
+wrenches:
+  - {name: sole, body: shank, position: [0, 0, -0.4], force: input}
+"""
+SQUAT = """
+model: leg.yaml
+horizon: 0.6
+intervals: 6
+scheme: radau
+degree: 3
+start: {pose: {hip: 0.5, knee: -1.0}}
+end: {pose: {hip: 0.8, knee: -1.6}, velocity: zero}
+contacts: [{sensor: sole, axes: xz}]
+cost: {inputs: 1}
+"""
+
+
+def test_a_foot_is_held_in_the_re_simulation(tmp_path: Path) -> None:
+    """The forces that hold it follow from the motion, so the defect is the error of the collocation, of its order."""
+    (tmp_path / "leg.yaml").write_text(LEG)
+    (tmp_path / "squat.ocp.yaml").write_text(SQUAT)
+    problem, plant = read_problem(tmp_path / "squat.ocp.yaml", load)
+    coarse, fine = (found(replace(problem, intervals=N), plant).resimulation for N in (6, 12))
+    assert coarse is not None
+    assert fine is not None
+    for check in (coarse, fine):
+        assert check.slip_along is not None
+        assert check.slip_along < 1e-10
+    assert coarse.defect is not None
+    assert fine.defect is not None
+    assert fine.defect < coarse.defect / 8
+    assert fine.open_loop_error is not None
+    assert fine.open_loop_error < 1e-4
+
+
+def test_velocities_of_contacts_are_differentiated(tmp_path: Path) -> None:
+    """J_c qdd + dJ_c/dt qd is the derivative of the velocities along a motion, by differences."""
+    (tmp_path / "leg.yaml").write_text(LEG)
+    (tmp_path / "squat.ocp.yaml").write_text(SQUAT)
+    problem, plant = read_problem(tmp_path / "squat.ocp.yaml", load)
+    held = find_held(problem, plant.manifest)
+    assert held is not None
+    q, qd, qdd = np.random.default_rng(3).normal(size=(3, 4))
+
+    def velocity(t: float) -> np.ndarray:
+        found = plant("motion", q=q + t * qd + t**2 / 2 * qdd, qd=qd + t * qdd)["v"]
+        return np.asarray(found.T.ravel()[held.entries])
+
+    J, bias = held.differentiate(plant, q[None], qd[None])
+    h = 1e-5
+    assert J[0] @ qd == pytest.approx(velocity(0.0), abs=1e-12)
+    assert J[0] @ qdd + bias[0] == pytest.approx((velocity(h) - velocity(-h)) / (2 * h), abs=1e-7)
