@@ -48,6 +48,23 @@ def _solve(name: str, title: str, text: str, problem: str, model: str, options: 
     )
 
 
+def _phases(name: str, title: str, text: str, problem: str, models: Sequence[str]) -> Example:
+    """Return an optimal motion in phases; exit code 1 says that a grid is coarser than the accuracy asked for."""
+    return Example(
+        name,
+        title,
+        text,
+        f"mbsrun solve models/legged/{problem}.ocp.yaml -o build/{name} || test $? -eq 1\n",
+        f"build/{name}/mechanism.png",
+        (
+            f"build/{name}/animation.html",
+            f"models/legged/{problem}.ocp.yaml",
+            *(f"models/legged/{model}.yaml" for model in models),
+            f"build/{name}/trajectories.png",
+        ),
+    )
+
+
 _MECHANISMS = (
     _simulate(
         "pendulum",
@@ -185,4 +202,52 @@ _TOOLS = (
         ("models/cart_pole.yaml",),
     ),
 )
-EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_TOOLS)
+_WHOLE = (
+    _phases(
+        "walker",
+        "A five-link walker",
+        "One step, with an impact after which the legs change names, repeated forever.",
+        "walker",
+        ("walker", "walker_free"),
+    ),
+    _phases(
+        "bound",
+        "A quadruped bounds",
+        "Four phases of free duration, with friction under the feet.",
+        "bound",
+        ("bounder",),
+    ),
+    _phases(
+        "pick_and_place",
+        "An arm picks a mass up, and places it",
+        "The payload is a parameter of each phase.",
+        "pick_and_place",
+        ("carrier",),
+    ),
+    Example(
+        "brachistochrone",
+        "The brachistochrone",
+        "A problem without a mechanism: states and a control alone. The time is the published one to all digits.",
+        "mbsrun solve models/classics/brachistochrone.ocp.yaml -o build/brachistochrone\n",
+        "build/brachistochrone/trajectories.png",
+        ("models/classics/brachistochrone.ocp.yaml", "build/brachistochrone/solution.csv"),
+    ),
+    Example(
+        "identification",
+        "A pendulum's inertia from a recorded swing",
+        "Inertia and friction are unknowns, chosen such that the motion follows noisy measurements.",
+        "mbsrun solve models/recorded/pendulum_inertia.ocp.yaml -o build/identification\n",
+        "build/identification/trajectories.png",
+        ("models/recorded/pendulum_inertia.ocp.yaml", "build/identification/solution.csv"),
+    ),
+    Example(
+        "markers",
+        "Coordinates from recorded markers",
+        "Inverse kinematics along a file of marker positions, and the forces of the motion found.",
+        "mbsrun fit-motion models/recorded/arm.yaml models/recorded/swing.trc --smooth 1e-9 -o build/markers\n"
+        "mbsrun inverse-dynamics models/recorded/arm.yaml build/markers/motion.csv --noise 5e-3 -o build/forces\n",
+        "build/markers/motion.png",
+        ("models/recorded/arm.yaml", "models/recorded/swing.trc", "build/markers/motion.csv"),
+    ),
+)
+EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_WHOLE, *_TOOLS)
