@@ -82,7 +82,7 @@ def random_scene(model: Model, seed: int) -> Scene:
     places: tuple[Expression, ...] = (Number(0.0), Number(0.7), parse("-pi/2"), parse("k/2"))
     locked = tuple((str(name), places[rng.integers(4)]) for name in rng.choice(joints, count, replace=False))
     dynamics = ("impl", "semi", "semi_res", "exp1", "exp2")
-    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition", "rates")]
+    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition", "rates", "distances")]
     return Scene(
         functions=(str(rng.choice(dynamics)), str(rng.choice(dynamics)), str(rng.choice(others))),
         locked=locked,

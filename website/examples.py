@@ -172,8 +172,8 @@ _OPTIMA = (
         "design",
         "A spring, and where the elbow is",
         "Design and motion are chosen together: the spring's stiffness and rest, and the length of the upper arm.",
-        "lifting_arm_design",
-        "lifting_arm",
+        "design/lifting_arm",
+        "design/lifting_arm",
     ),
 )
 _TOOLS = (

@@ -154,10 +154,12 @@ def test_a_quick_run_measures_both(
 
 
 def test_ours_are_all_forms_solvers_and_barriers(problem: Problem) -> None:
-    """Of an ODE there is no integral form; the linear solver that is taken anyway is not named."""
+    """The linear solver that is taken anyway is not named."""
     found = dict(list_variants(replace(problem, representation=Representation.EXP1_O)))
     names = ["", ", adaptive", ", mumps", ", mumps, adaptive"]
-    assert list(found) == [f"mbsgen{form}{name}" for form in ("", ", shooting form") for name in names]
+    assert list(found) == [
+        f"mbsgen{form}{name}" for form in ("", ", integral form", ", shooting form") for name in names
+    ]
     told = found["mbsgen, shooting form, mumps, adaptive"].solver.options
     assert dict(told) == {"linear_solver": "mumps", "mu_strategy": "adaptive"}
 

@@ -161,6 +161,7 @@ def _change_words(content: bytes, rng: random.Random) -> bytes:
         return content
     place = rng.choice(inner)
     is_number = words[place][0] in "0123456789.-"
+    pool: tuple[str, ...]
     pool = (*NASTY_NUMBERS, *NASTY_NUMBERS, *NASTY_WORDS) if is_number else (*NASTY_WORDS, *NASTY_NUMBERS, *FUNCTIONS)
     if is_number and rng.random() < 0.4:
         pool = tuple(str(round(rng.uniform(-2, 5), rng.randrange(4))) for _ in range(2))
@@ -454,6 +455,15 @@ class _Described:
     """A mechanism without loops: nothing is computed of it when a problem is read."""
 
     manifest: manifest.Manifest
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Return the values of its parameters."""
+        return {p.name: p.value for p in (*self.manifest.parameters, *self.manifest.design)}
+
+    def with_parameters(self, **_: float) -> _Described:
+        """Return the same: nothing is computed."""
+        return self
 
 
 @cache

@@ -312,7 +312,7 @@ def test_a_sweep_without_time_is_not_through(run: Run) -> None:
 BAD = {
     "a sweep that bumps what there is not": (["sweep", "task.ocp.yaml", "--bump", "q9"], COARSE, "no coordinate 'q9'"),
     "a missing file": (["solve", "nowhere.ocp.yaml"], COARSE, "there is no such file"),
-    "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: model: missing"),
+    "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: intervals: missing"),
     "a target that is no number": (["solve", "task.ocp.yaml", "--target", "1", "2", "up"], COARSE, "unknown name"),
     "a guess that is missing": (
         ["solve", "task.ocp.yaml", "--guess", "none.json"],
@@ -322,7 +322,7 @@ BAD = {
     "a guess that is no solution": (
         ["solve", "task.ocp.yaml", "--guess", "task.ocp.yaml"],
         COARSE,
-        "solve the problem",
+        "give a solution (.json) or a recording",
     ),
     "an unknown solver": (["solve", "task.ocp.yaml", "--solver", "magic"], COARSE, "'magic' is not one of"),
     "a target of two numbers": (["solve", "task.ocp.yaml", "--target", "1", "2"], COARSE, "3 arguments"),

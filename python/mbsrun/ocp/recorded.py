@@ -27,6 +27,7 @@ from mbsrun.ocp.solution import read_guess
 from mbsrun.ocp.trajectory import NONE, Trajectory, average_inputs
 from mbsrun.quaternions import find_velocities, normalise
 from mbsrun.recordings import (
+    READERS,
     Recording,
     Track,
     Treatment,
@@ -48,6 +49,10 @@ def find_guess(path: Path, problem: Problem, plant: Plant) -> Trajectory:
     """Read a guess: a solution (.json), or a recording. Raises InputError for one of another mechanism."""
     if path.suffix.lower() == ".json":
         return read_guess(path, plant.manifest)
+    if path.suffix.lower() not in READERS:
+        finding = f"found {abbreviate(path.suffix)} at the end of its name"
+        remedy = f"give a solution (.json) or a recording ({', '.join(READERS)})"
+        raise InputError([Fault(str(path), 0, "", finding, remedy)])
     return recall(read_recording(path), problem, plant)
 
 

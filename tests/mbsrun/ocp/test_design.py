@@ -93,7 +93,7 @@ def test_forms_agree(folder: Path) -> None:
 
 def test_no_other_number_is_better() -> None:
     """At an optimum over the motion, given the design, the cost is stationary in the design: by solving again."""
-    problem, plant = read_problem(MODELS / "lifting_arm_design.ocp.yaml", load_on_demand)
+    problem, plant = read_problem(MODELS / "design" / "lifting_arm.ocp.yaml", load_on_demand)
     found = solved(problem, plant)
     names = [unknown.name for unknown in problem.unknowns]
     best = dict(zip(names, found.trajectory.unknowns.tolist(), strict=True))
@@ -121,7 +121,7 @@ def test_no_other_number_is_better() -> None:
 @pytest.mark.parametrize("representation", [Representation.IMPL, Representation.EXP1_O])
 def test_derivatives_by_the_design(representation: Representation) -> None:
     """Both backends agree, and with differences: sensors, dynamics and expressions read the unknowns."""
-    problem, plant = read_problem(MODELS / "lifting_arm_design.ocp.yaml", load_on_demand)
+    problem, plant = read_problem(MODELS / "design" / "lifting_arm.ocp.yaml", load_on_demand)
     problem = replace(problem, intervals=2, degree=2, representation=representation)
     solver = Solver(problem, plant)
     program = Prepared(solver.transcription.program, equip(plant, problem))

@@ -250,7 +250,7 @@ def test_states_and_controls_of_a_problem_are_quantities() -> None:
 
 def test_unknowns_are_quantities() -> None:
     """The mass of a spring is chosen, by an expression in CasADi and by a text."""
-    arm = mbsrun.read_problem(MODEL.parent / "lifting_arm_design.ocp.yaml")
+    arm = mbsrun.read_problem(MODEL.parent / "design" / "lifting_arm.ocp.yaml")
     (unknown, *_) = arm.value.unknowns
     priced = arm.with_cost(arm.quantities()[unknown.name], 0.5, at="end").solve(check=False)
     written = arm.with_cost(unknown.name, 0.5, at="end").solve(check=False)
