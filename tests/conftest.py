@@ -15,6 +15,14 @@ import pytest
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
 
+LONG = ("tests/test_documentation.py", "tests/test_website.py", "tests/test_golden.py", "tests/mbsrun/test_cli.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the modules whose tests take the longest, so that no process is left alone with them at the end."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+
+
 @pytest.fixture(scope="session")
 def requires() -> Callable[[str], str]:
     """Find the path of a tool by its name, or skip the test that asks for one that is missing."""

@@ -22,7 +22,9 @@ ROOT = Path(__file__).parents[1]
     "-o", "--out", type=click.Path(path_type=Path), default=ROOT / "build" / "site", help="By default build/site."
 )
 @click.option("--only", multiple=True, metavar="NAME", help="Run these examples alone, and show no others.")
-@click.option("--quick", is_flag=True, help="A preview: of each class of messages, show one.")
+@click.option(
+    "--quick", is_flag=True, help="A preview, without the reference of Python; of each class of messages, show one."
+)
 def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     """Write the pages, run the examples, and let MkDocs make HTML of them."""
     unknown = set(only) - {example.name for example in EXAMPLES}
@@ -43,7 +45,9 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     gallery.write(results, source)
     messages.write(source, 1 if quick else None)
     commands.write(source)
-    reference.write(source)
+    listed = [] if quick else reference.PAGES
+    if not quick:
+        reference.write(source)
     config = load_config(
         str(Path(__file__).with_name("mkdocs.yml")),
         docs_dir=str(source),
@@ -51,7 +55,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
         nav=[
             *navigation,
             {"Gallery": gallery.list_pages(results)},
-            {"Reference": [*commands.PAGES, *reference.PAGES, *messages.PAGES]},
+            {"Reference": [*commands.PAGES, *listed, *messages.PAGES]},
         ],
         strict=True,
     )
