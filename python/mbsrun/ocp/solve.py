@@ -80,7 +80,7 @@ class Solver:
         crossed = find_crossed_bounds(problem, self.plant.manifest)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")
-        x = self.transcription.pack(complete(_complete_guess(guess, problem), problem, self.plant))
+        x = self.transcription.pack(complete(guess, problem, self.plant))
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -244,13 +244,6 @@ def solve(
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
     return make(problem, plant).solve(problem, start, watch)
-
-
-def _complete_guess(guess: Trajectory, problem: Problem) -> Trajectory:
-    """Take the problem's guess of unknowns where a motion has not as many."""
-    if guess.unknowns.size == len(problem.unknowns):
-        return guess
-    return replace(guess, unknowns=np.array([unknown.guess for unknown in problem.unknowns]))
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:

@@ -31,7 +31,9 @@ class _TooLongError(Exception):
 
 
 def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
-    """Return a motion with guesses of the states and controls that it does not have; others stay as they are."""
+    """Return a motion with guesses of the unknowns, states and controls that it lacks; others stay as they are."""
+    if motion.unknowns.size != len(problem.unknowns):
+        motion = replace(motion, unknowns=np.array([unknown.guess for unknown in problem.unknowns]))
     states, controls = problem.every_state, problem.controls
     if motion.controls.shape[1] != len(controls):
         values = np.array([np.clip(control.guess, *control.bounds) for control in controls])
@@ -50,18 +52,12 @@ def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory
     parts |= {"t": motion.point_t.reshape(-1, 1), "T": np.full((N * d, 1), motion.t[-1])}
     if motion.point_w.shape[2] == len(name_components(plant.manifest)):
         parts["w"] = motion.point_w.reshape(N * d, -1)
-    parts["unknowns"] = np.tile(_list_unknowns(motion, problem), (N * d, 1))
+    parts["unknowns"] = np.tile(motion.unknowns, (N * d, 1))
     found = GivenValues(problem, plant)(parts)
     point_u, point_w = (np.nan_to_num(found[kind], posinf=0, neginf=0).reshape(N, d, -1) for kind in ("u", "w"))
     if not problem.forces:
         return replace(motion, point_w=point_w)
     return replace(motion, point_u=point_u.reshape(N, d, m), point_w=point_w)
-
-
-def _list_unknowns(motion: Trajectory, problem: Problem) -> Array:
-    """Return the unknowns of a motion, or their guesses."""
-    guesses = np.array([unknown.guess for unknown in problem.unknowns])
-    return motion.unknowns if motion.unknowns.size == guesses.size else guesses
 
 
 def _add_states(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
@@ -115,7 +111,7 @@ def _integrate(
     rates = Values([problem.every_state[i].rate for i in integrated], problem, plant)
     given = GivenValues(problem, plant)
     table = {"states": values, **_tabulate(motion, t)}
-    calls, unknowns = 0, _list_unknowns(motion, problem)[None]
+    calls, unknowns = 0, motion.unknowns[None]
 
     def rate(time: float, own: Array) -> Array:
         nonlocal calls

@@ -50,7 +50,7 @@ class Limits:
 
 
 class BioptimModel:
-    """A model of this project for bioptim; functions of contacts, muscles and ligaments raise NotImplementedError."""
+    """A model of this project for bioptim; it refuses functions of contacts, muscles and ligaments by PeerError."""
 
     contact_names: tuple[str, ...] = ()
     soft_contact_names: tuple[str, ...] = ()
@@ -260,7 +260,7 @@ class BioptimModel:
         return Quantities(manifest, list_quantities(manifest), (), Path(self.path), {}, ca.SX)
 
     def _refuse(self, what: str) -> NoReturn:
-        raise NotImplementedError(f"{what} of models of mbsgen in bioptim: not supported")
+        raise PeerError(f"bioptim asks for {what}, which these models do not have; leave it out of the program")
 
     def __getattr__(self, name: str) -> Any:
         """Refuse the methods of the protocol that a model of rigid bodies without contacts has no function for."""
