@@ -139,8 +139,8 @@ def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
     if manifest.dependent:
         state["lam"] = np.zeros(len(manifest.dependent))
     by_force = -plant("jac_impl", **state)["jac_Phi_w"]
-    velocities = [_find_velocities(plant, q, qd) for qd in np.eye(n)]
-    start = _find_velocities(plant, np.array(problem.start_q), np.array(problem.start_qd))
+    velocities = [find_velocities(plant, q, qd) for qd in np.eye(n)]
+    start = find_velocities(plant, np.array(problem.start_q), np.array(problem.start_qd))
     free = set(problem.free_start)
     for k, contact in enumerate(problem.contacts):
         held, entries = list_held([contact], manifest), list_entries(contact, manifest)
@@ -155,7 +155,7 @@ def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
             yield (f"contacts[{k}]", finding, "give a start at which it stands, or free velocities")
 
 
-def _find_velocities(plant: Plant, q: Array, qd: Array) -> Array:
+def find_velocities(plant: Plant, q: Array, qd: Array) -> Array:
     """Return the velocities of all sensors, one after the other."""
     return np.asarray(plant("motion", q=q, qd=qd)["v"].T.ravel())
 

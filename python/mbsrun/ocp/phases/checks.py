@@ -123,6 +123,7 @@ class _Link:
         if link.impact is not None:
             plant = self.plants.find_impact(self.index, source)
             yield from self.check_impact(link.impact, plant, left, own)
+            yield from self.check_rebound(link.impact, problem.phases[target].problem)
             left = plant.manifest
         elif own.loops is Loops.REDUCED and set(left.independent) < set(range(len(left.coordinates))):
             yield from self.check_speeds(problem.phases[target].problem)
@@ -234,6 +235,15 @@ class _Link:
         sensors = [frame.name for frame in manifest.frames if frame.sensor]
         for i, contact in enumerate(impact.contacts):
             yield from _check_contact((*place, "contacts", i), contact, plant, sensors)
+
+    def check_rebound(self, impact: Impact, after: Problem) -> Iterator[PhaseFault]:
+        """Refuse contacts that leave the ground after an impact, and that the phase after holds."""
+        held = {(contact.sensor, contact.normal) for contact in after.contacts}
+        for contact in impact.contacts if impact.restitution else ():
+            if contact.normal in contact.axes and (contact.sensor, contact.normal) in held:
+                finding = f"{contact.sensor} rebounds, and phase {self.link.target} holds it"
+                remedy = "give restitution: 0, or leave the contact out of that phase"
+                yield PhaseFault((*self.place, "impact", "restitution"), finding, remedy)
 
 
 def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[PhaseFault]:

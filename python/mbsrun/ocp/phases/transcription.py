@@ -18,7 +18,7 @@ from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_tra
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import Side, read_side
 from mbsrun.ocp.phases.solution import Guess
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.phases.standing import find_standing
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
@@ -132,11 +132,10 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
             state = impact.after
         write_transfer(rows, text, state, after.state, link.map, link.velocities)
         same, dependent = numbers[source] == numbers[target], len(plants.phases[target].manifest.dependent)
-        parts = (problem.phases[source].problem, problem.phases[target].problem)
         closed[target] = np.concatenate(
             (
                 _find_given_loops(link, same, phases[target], dependent),
-                _find_given_contacts(link, *parts, phases[target]),
+                _find_given_contacts(problem, plants, i, phases[target]),
             )
         )
         conditions = write_conditions(rows, text, link.conditions, before, after)
@@ -170,18 +169,10 @@ def _find_given_loops(link: Link, same: bool, target: Transcription, dependent: 
     return closing if link.impact is None else closing[:dependent]
 
 
-def _find_given_contacts(link: Link, source: Problem, target: Problem, part: Transcription) -> Indices:
-    """Return the rows that would hold contacts at a start, of contacts that stand by the link already.
-
-    These are the contacts that an impact holds, or the phase before. Where a map exchanges legs, contacts have other
-    names; then all of them stand, if not less stood before.
-    """
-    rows = part.rows.extras.contacts_at_start
-    before = {(x.sensor, k) for x in (source.contacts if link.impact is None else link.impact.contacts) for k in x.axes}
-    after = [(x.sensor, k) for x in target.contacts for k in x.axes]
-    if not rows.size or (link.map and len(before) >= len(after)):
-        return rows
-    return rows[[held in before for held in after]]
+def _find_given_contacts(problem: PhasedProblem, plants: Plants, link: int, target: Transcription) -> Indices:
+    """Return the rows that would hold contacts at a start, of contacts that stand by the link already."""
+    rows = target.rows.extras.contacts_at_start
+    return rows[find_standing(problem, plants, link)] if rows.size else rows
 
 
 def _collect(bounds: Sequence[tuple[Indices, float, float]], first: int, last: int) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mbsgen.manifest import Coordinate, Frame, Wrench
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
@@ -99,3 +100,27 @@ def test_a_contact_that_nothing_holds_before_begins_at_rest(hopper: Peer) -> Non
     found = optimum(soft, hopper)
     assert found.phases[1].trajectory.qd[-1, 0] == pytest.approx(0.0, abs=1e-8)
     assert found.cost > optimum(problem, hopper).cost
+
+
+def test_a_link_that_changes_velocities_leaves_no_contact_standing(hopper: Peer) -> None:
+    """A foot that stood, and that a link sets in motion, needs a condition; one that keeps its velocity needs none."""
+    problem, plants = hop(), Plants((hopper,) * 2)
+    push, land = problem.phases[0], problem.phases[2]
+    for link, free in (
+        (Link("push", "land"), 1),
+        (Link("push", "land", map=(("foot", "2*foot - 0.1"),)), 1),
+        (Link("push", "land", map=(("foot", "leg"), ("leg", "foot"))), 0),
+        (Link("push", "land", velocities=(("foot", "foot - 1"),)), 0),
+        (Link("push", "land", velocities=(("foot", None),)), 0),
+    ):
+        whole = PhasedProblem("step", (push, land), (link,))
+        assert transcribe_phases(whole, plants).closed[1].size == free, link
+
+
+def test_a_foot_that_rebounds_is_not_held(hopper: Peer) -> None:
+    """After an impact with restitution it leaves the ground; so the phase after cannot hold it."""
+    problem = hop()
+    impact = Impact((SOLE,), restitution=0.5)
+    thrown = replace(problem, links=(problem.links[0], Link("flight", "land", impact=impact)))
+    with pytest.raises(ProblemError, match=r"links\[1\].impact.restitution: sole rebounds, and phase land holds it"):
+        solve_phases(thrown, Plants((hopper,) * 3))
