@@ -124,7 +124,7 @@ MBSRUN = Package(
         "ocp.phases.sides",
         "ocp.phases.linking",
         "ocp.phases.impacts",
-        "ocp.phases.solution",
+        "ocp.phases.solution ocp.phases.standing",
         "ocp.phases.transcription",
         "ocp.phases",
         "ocp",
