@@ -12,65 +12,81 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from benchmarks.readme import SUMMARY, fill
 from mbsrun import bare
-from tests import acados
+from tests import acados, forked
+from website.blocks import NOT_RUN, Block, list_shown, read_blocks
 
 ROOT = Path(__file__).parents[1]
 ACADOS = ROOT / "build" / "acados"  # where `.ci/run` installs it
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-NOT_RUN = "# not run"
 FEWER = {
     "--starts 20": "--starts 3",
     "--azimuths 0.8 1.2 3": "--azimuths 0.8 1.2 2",
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
 TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES)}  # skipped without them
-INTERPRETERS = {"sh": ("bash", "-euo", "pipefail", "-c"), "python": (sys.executable, "-c")}
+SHELL = ("bash", "-euo", "pipefail", "-c")
+SEPARATE = "README.md"  # its commands are started as a user starts them, each in a new process
 
 
 def name(document: Path) -> str:
     return document.relative_to(ROOT).as_posix()
 
 
-def blocks(document: Path) -> list[tuple[str, str]]:
-    """List the language and the text of the blocks that can be run."""
-    return BLOCK.findall(document.read_text(encoding="utf-8"))
+def blocks(document: Path) -> list[Block]:
+    """List the blocks of a document that can be run."""
+    return read_blocks(document.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Return a folder of the project's commands, which start at once."""
+    with forked.serve(tmp_path_factory.mktemp("programs")) as folder:
+        yield folder
 
 
 @pytest.mark.parametrize("document", [d for d in DOCUMENTS if blocks(d)], ids=name)
-def test_what_a_document_says_to_type_works(document: Path, tmp_path: Path, requires: Callable[[str], str]) -> None:
+def test_what_a_document_says_to_type_works(
+    document: Path, tmp_path: Path, requires: Callable[[str], str], programs: Path
+) -> None:
+    """Blocks run, print the lines that the document quotes after them, and write the files that it shows."""
     for tool in TOOLS.get(name(document), ()):
         requires(tool)
     checkout = tmp_path / "checkout"
     unwanted = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist")
     shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(*unwanted), symlinks=True)
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    for language, block in blocks(document):
-        if block.startswith(NOT_RUN):
+    own = [] if name(document) == SEPARATE else [str(programs)]
+    path = os.pathsep.join([*own, str(Path(sys.executable).parent), os.environ["PATH"]])
+    interpreters = {"sh": SHELL, "python": (str(programs / forked.PYTHON),) if own else (sys.executable, "-c")}
+    for block in blocks(document):
+        if block.text.startswith(NOT_RUN):
             continue
+        text = block.text
         for many, few in FEWER.items():
-            block = block.replace(many, few)
+            text = text.replace(many, few)
         run = subprocess.run(
-            [*INTERPRETERS[language], block],
+            [*interpreters[block.language], text],
             cwd=checkout,
             env={**os.environ, "PATH": path},
             capture_output=True,
             text=True,
             check=False,
         )
-        assert run.returncode == 0, f"{block}\n{run.stdout}{run.stderr}"
+        assert run.returncode == 0, f"{text}\n{run.stdout}{run.stderr}"
+        printed = [line.split() for line in (run.stdout + run.stderr).splitlines()]
+        assert [line for line in block.quoted if line.split() not in printed] == [], run.stdout + run.stderr
+    assert [file for file in list_shown(document.read_text(encoding="utf-8")) if not (checkout / file).is_file()] == []
 
 
 def test_what_is_made_fewer_stands_in_a_document() -> None:
-    texts = [text for document in DOCUMENTS for _, text in blocks(document)]
+    texts = [block.text for document in DOCUMENTS for block in blocks(document)]
     assert [many for many in FEWER if not any(many in text for text in texts)] == []
 
 
@@ -92,7 +108,7 @@ def test_the_example_for_acados_runs(tmp_path: Path) -> None:
     untimed = command.replace("--acados ", "--acados-untimed ")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     for line, variables in (
-        ([*INTERPRETERS["sh"], untimed], {"PATH": path}),
+        ([*SHELL, untimed], {"PATH": path}),
         ([str(ACADOS / "bin" / "python"), "-c", example], acados.variables(ACADOS)),
     ):
         run = subprocess.run(
@@ -105,7 +121,7 @@ def test_the_example_for_acados_runs(tmp_path: Path) -> None:
 def test_what_is_not_run_here_is_run_by_ci() -> None:
     """The lines of blocks marked `# not run`, comments aside, are lines of `.ci/run`."""
     done = {line.strip() for line in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()}
-    left = [block for document in DOCUMENTS for _, block in blocks(document) if block.startswith(NOT_RUN)]
+    left = [block.text for document in DOCUMENTS for block in blocks(document) if block.text.startswith(NOT_RUN)]
     commands = {line.partition("#")[0].strip() for block in left for line in block.splitlines()} - {""}
     assert commands
     assert commands <= done
@@ -128,4 +144,4 @@ def test_the_readme_shows_the_figures_of_the_benchmarks() -> None:
 
 def test_the_readme_is_among_the_documents() -> None:
     assert ROOT / "README.md" in DOCUMENTS
-    assert any(not block.startswith(NOT_RUN) for _, block in blocks(ROOT / "README.md"))
+    assert any(not block.text.startswith(NOT_RUN) for block in blocks(ROOT / "README.md"))
