@@ -6,16 +6,19 @@ import difflib
 import functools
 import io
 import math
+import platform
 import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
 import click
+from click.shell_completion import CompletionItem
 from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
@@ -66,6 +69,7 @@ from mbsgen.targets.languages import TARGETS
 _UNCUT = 10_000  # characters in a line, so that neither a pipe nor a narrow terminal cuts text off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
 DIFFERENT = 1  # exit code: a folder differs from the generated one
+PACKAGES = ("sympy", "mpmath", "jinja2", "pydantic", "pyyaml", "click", "rich")  # that `--version` shows
 BAD_INPUT = 2  # exit code: an unacceptable file or argument; 0 is success
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))
@@ -183,6 +187,21 @@ class ModelFirst(click.Group):
             raise click.UsageError(f"there is no command and no file {first!r}; did you mean {near[0]!r}?", ctx)
         return super().parse_args(ctx, ["generate", *args] if args and args[0] not in own else args)
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete the first word to a command or a file."""
+        return [*super().shell_complete(ctx, incomplete), CompletionItem(incomplete, type="file")]
+
+
+def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the versions of mbsgen, Python and the packages that mbsgen uses."""
+    if asked and not ctx.resilient_parsing:
+        found = {"Python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+        click.echo(f"mbsgen, version {__version__}")
+        for name, text in found.items():
+            click.echo(f"{name:<12}{text}")
+        click.echo("compiler, cache and solvers: mbsrun --version")
+        ctx.exit()
+
 
 @click.group(
     cls=ModelFirst,
@@ -190,7 +209,9 @@ class ModelFirst(click.Group):
     subcommand_metavar="[COMMAND] MODEL ...",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(__version__, prog_name="mbsgen")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_versions, help="Show versions."
+)
 def cli() -> None:
     """Turn the description of a multibody system into C kernels: `mbsgen`."""
 

@@ -83,7 +83,7 @@ def _exchange(one: Path, other: Path) -> bool:
     """Exchange two folders in one step; return whether this succeeded. Only Linux can, on most file systems."""
     try:
         renameat2 = ctypes.CDLL(None).renameat2
-    except AttributeError:
+    except (AttributeError, TypeError):  # TypeError: of Windows, where None names no library
         return False
     names = os.fsencode(one), os.fsencode(other)
     return bool(renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE) == 0)

@@ -16,11 +16,10 @@ process.
 from __future__ import annotations
 
 import atexit
-import fcntl
 import logging
 import os
-import pwd
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -34,6 +33,10 @@ from typing import Literal
 from mbsgen import manifest as manifests
 from mbsgen.errors import MbsError
 from mbsrun.trust import StrangerError, check_folder, close_to_others, compute_hash, make_folder, read_checked
+
+if sys.platform != "win32":
+    import fcntl
+    import pwd
 
 MODELS, COMPILED, BUILDING = "models", "compiled", "building-"
 HASH = ".sha256"
@@ -65,7 +68,10 @@ class Entry:
 
 
 def cache_folder(environment: Mapping[str, str]) -> Path:
-    """Return the cache's path: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen; CacheError without a home folder."""
+    """Return the cache's path: $XDG_CACHE_HOME/mbsgen, else ~/.cache/mbsgen; of Windows, in %LOCALAPPDATA%.
+
+    Raises CacheError without such a folder.
+    """
     base = Path(environment.get("XDG_CACHE_HOME", ""))
     if base.is_absolute():
         return base / "mbsgen"
@@ -130,10 +136,13 @@ def remove(entries: Iterable[Entry]) -> None:
 
 def _find_home(environment: Mapping[str, str]) -> Path | None:
     """Return the user's home: $HOME, else by the user's number; None where it does not exist."""
-    try:
-        home = Path(environment.get("HOME") or pwd.getpwuid(os.geteuid()).pw_dir)
-    except KeyError:
-        return None
+    if sys.platform == "win32":
+        home = Path(environment.get("LOCALAPPDATA", ""))
+    else:
+        try:
+            home = Path(environment.get("HOME") or pwd.getpwuid(os.geteuid()).pw_dir)
+        except KeyError:
+            return None
     return home if home.is_absolute() and home.is_dir() else None
 
 
@@ -225,7 +234,10 @@ def _make(cache: Path, target: Path, make: Callable[[Path], Path]) -> None:
 def _check_room(place: Path) -> None:
     """Raise OSError if the disk is full, since a compiler reports this only in its own words."""
     with (place / "room").open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, ROOM)
+        if sys.platform == "linux":
+            os.posix_fallocate(file.fileno(), 0, ROOM)
+        else:
+            file.write(bytes(ROOM))
 
 
 def _hash_of(target: Path) -> Path:
@@ -238,11 +250,13 @@ def _turn(target: Path) -> Iterator[None]:
     place = target.with_name(target.name + _LOCK)
     with place.open("a") as file:
         with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
+            if sys.platform != "win32":
+                fcntl.flock(file, fcntl.LOCK_EX)
         try:
             yield
         finally:
-            place.unlink(missing_ok=True)
+            with suppress(PermissionError):  # of Windows, while another process waits with the file open
+                place.unlink(missing_ok=True)
 
 
 def _rename(made: Path, target: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.metadata import version
 
 import click
 
@@ -26,6 +27,7 @@ from mbsrun.commands.solve import solve_command
 from mbsrun.commands.study import study_command
 from mbsrun.commands.sweep import sweep_command
 from mbsrun.commands.track import track_command
+from mbsrun.environment import describe_installation
 
 HELP = """Simulate multibody systems, and solve their optimal control problems.
 
@@ -69,12 +71,23 @@ COMMANDS = (
 )
 
 
+def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print everything that was found: versions, compiler, cache."""
+    if asked and not ctx.resilient_parsing:
+        click.echo(f"mbsrun, version {version('mbsgen')}")
+        for name, text in describe_installation().items():
+            click.echo(f"{name:<12}{text}")
+        ctx.exit()
+
+
 @click.group(
     help=HELP,
     commands=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(package_name="mbsgen", prog_name="mbsrun")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_versions, help="Show versions."
+)
 def cli() -> None:
     """Simulate, and solve optimal control problems: `mbsrun`."""
 

@@ -11,10 +11,13 @@ import hashlib
 import os
 import re
 import shlex
+import shutil
 import subprocess
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path, PurePath
 
 from mbsgen.errors import MbsError
@@ -24,13 +27,17 @@ from mbsrun.cache import COMPILED, find_or_make
 # checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line code, of numbers
 # gathered from everywhere, would make it slower.
 FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", "-fno-tree-slp-vectorize", "-fno-math-errno")
+COMPILERS = ("cc", "gcc", "clang")  # looked for in this order where CC names none
+ZIG = ("-m", "ziglang", "cc")  # of Python: the compiler in the package ziglang
+ZIG_FLAGS = ("-fno-sanitize=undefined",)  # which it would turn on below -O2
+INSTALL = "install cc, gcc or clang, or run: pip install 'mbsgen[compiler]'"
 LARGE = 2_000_000  # bytes of a source; larger ones are compiled with less optimisation
 ACCEPTED = re.compile(
     r"-O[0-3gs]?|-g[0-3]?|-pipe|-std=(c|gnu)(99|11|17|18|2x|23)|-ffp-contract=(off|on|fast)|-f(no-)?math-errno"
     r"|-m(arch|tune|cpu)=[\w.+-]+|-m(no-)?(sse[\w.]*|avx[\w.]*|fma|bmi2?)|-mprefer-vector-width=\w+|-fPIC"
     r"|-f(no-)?(unroll-loops|omit-frame-pointer|semantic-interposition|tree-vectorize|tree-slp-vectorize|plt)"
     r"|-fstack-protector(-strong|-all)?|-fstack-clash-protection|-fcf-protection(=\w+)?|-fdiagnostics-color(=\w+)?"
-    r"|-W(no-)?[a-z][\w=+-]*|-D_FORTIFY_SOURCE=[0-3]|-U_FORTIFY_SOURCE|-D_GLIBCXX_ASSERTIONS"
+    r"|-fno-sanitize=undefined|-W(no-)?[a-z][\w=+-]*|-D_FORTIFY_SOURCE=[0-3]|-U_FORTIFY_SOURCE|-D_GLIBCXX_ASSERTIONS"
 )
 _FILE = re.compile(r"[A-Za-z0-9_]+\.[ch]", re.ASCII)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]*)"', re.MULTILINE)
@@ -81,11 +88,14 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
     """Return the compiler of CC and CFLAGS. Raises CompileError if there is none, or if it would not keep IEEE
     arithmetic.
 
-    CC names another compiler than `cc`; CFLAGS adds to the flags, except fast-math.
+    CC names a compiler; without it, the first of COMPILERS on the PATH is taken, else Zig's of the package ziglang.
+    CFLAGS adds to the flags, except fast-math.
     """
-    command = _split(environment, "CC") or ["cc"]
-    flags = (*FLAGS, *_split(environment, "CFLAGS"))
-    refused = [word for word in (*command[1:], *flags) if word.startswith("-") and not ACCEPTED.fullmatch(word)]
+    command = _split(environment, "CC") or list(_choose_command(environment))
+    is_zig = tuple(command[1:4]) == ZIG
+    flags = (*FLAGS, *(ZIG_FLAGS if is_zig else ()), *_split(environment, "CFLAGS"))
+    given = (*command[4 if is_zig else 1 :], *flags)
+    refused = [word for word in given if word.startswith("-") and not ACCEPTED.fullmatch(word)]
     if refused:
         raise CompileError(
             f"CC and CFLAGS: {' '.join(refused)} is not accepted; optimisation (-O3), the processor (-march=), "
@@ -95,6 +105,28 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
     if _FAST_MATH.search(macros):
         raise CompileError(f"{' '.join(command)} compiles with fast-math; kernels must keep IEEE arithmetic")
     return Compiler(tuple(command), flags, macros)
+
+
+def find_zig() -> tuple[str, ...]:
+    """Return the command of the C compiler in the package ziglang. Raises CompileError where it is not installed."""
+    if find_spec(ZIG[1]) is None:
+        raise CompileError("the package ziglang is not installed; run: pip install 'mbsgen[compiler]'")
+    return (sys.executable, *ZIG)
+
+
+def count_cores() -> int:
+    """Return the number of processors that this process may use, or has where the system does not say."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+def _choose_command(environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Return a compiler of the PATH, else of the package ziglang. Raises CompileError where there is neither."""
+    for name in COMPILERS:
+        if shutil.which(name, path=environment.get("PATH")):
+            return (name,)
+    if find_spec(ZIG[1]) is None:
+        raise CompileError(f"there is no C compiler on the PATH; {INSTALL}")
+    return find_zig()
 
 
 def choose_level(source: bytes) -> str:
@@ -158,7 +190,7 @@ def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Pat
     """Link objects; compile them unless the library exists."""
 
     def make(building: Path) -> Path:
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(count_cores()) as pool:
             compiled = [str(path) for path in pool.map(_compile, objects)]
         made = building / "library.so"
         _run([*compiler.command, *compiler.flags, "-shared", *compiled, "-o", str(made), "-lm"])
@@ -182,7 +214,7 @@ def _run(command: Sequence[str]) -> str:
         )
     except OSError as error:
         raise CompileError(
-            f"cannot run {command[0]}: {error.strerror}; install a C compiler, or name one in CC"
+            f"cannot run {command[0]}: {error.strerror}; name another compiler in CC, or unset CC and {INSTALL}"
         ) from None
     if done.returncode:
         raise CompileError(f"{shlex.join(command)}\nfailed with status {done.returncode}:\n{done.stderr.strip()}")

@@ -2,7 +2,8 @@
 
 If nobody else may write to a folder and the folders above it, nobody else can replace its files between a check and
 their use. So folders are checked up to the user's home, or to the root of the file system. Files are opened first; then
-the open file is checked and read.
+the open file is checked and read. Windows has neither owners nor permissions of this kind; there the profile's own
+access list has to keep others out, and nothing but hashes is checked.
 """
 
 from __future__ import annotations
@@ -10,11 +11,16 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-OTHERS = stat.S_IWGRP | stat.S_IWOTH
 BYTECODE = "__pycache__"  # Python writes it beside a module that it imports
+OTHERS = 0 if sys.platform == "win32" else stat.S_IWGRP | stat.S_IWOTH
+if sys.platform == "win32":
+    _OPENING = os.O_RDONLY | os.O_BINARY
+else:
+    _OPENING = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 class StrangerError(Exception):
@@ -65,7 +71,7 @@ def compute_hash(path: Path) -> str:
 
 def read_checked(path: Path) -> bytes:
     """Read a file that nobody else can have written. Raises as `compute_hash` does."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, _OPENING)
     with open(descriptor, "rb") as file:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
@@ -91,5 +97,5 @@ def _check_entry(path: Path, status: os.stat_result) -> None:
 
 
 def _check_owner(path: Path, status: os.stat_result) -> None:
-    if status.st_uid not in (os.geteuid(), 0):
+    if sys.platform != "win32" and status.st_uid not in (os.geteuid(), 0):
         raise StrangerError(f"{path} belongs to another user")

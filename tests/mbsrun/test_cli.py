@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import pytest
 from rich import filesize
 
 from mbsrun import cli, load
+from mbsrun.cache import cache_folder
 from mbsrun.commands import simulate, sweep
 from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
@@ -361,6 +363,38 @@ def test_help_and_version(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-m", "mbsrun", *arguments], capture_output=True, text=True, check=True)
     assert done.stdout.strip()
     assert done.stderr == ""
+
+
+def test_the_version_lists_what_was_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiler, flags, cache and optional packages; a compiler that is missing is no error."""
+    shown = dict(line.split(maxsplit=1) for line in run("--version").stdout.splitlines()[1:])
+    assert shown["casadi"] == version("casadi")
+    assert "-ffp-contract=fast" in shown["flags"]
+    assert Path(shown["cache"]) == cache_folder(os.environ)
+    assert {"ziglang", "pin", "fmpy", "distributed"} <= set(shown)
+    monkeypatch.setenv("CC", "no-such-compiler")
+    result = run("--version")
+    assert result.exit_code == 0
+    assert "compiler    none: cannot run no-such-compiler" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "found"),
+    [
+        ("mbsrun", "sim", "plain,simulate"),
+        ("mbsrun", "simulate --dur", "plain,--duration"),
+        ("mbsrun", "simulate --method rk", "plain,rk4"),
+        ("mbsgen", "che", "plain,check"),
+        ("mbsgen", "models/cart", "file,models/cart"),
+    ],
+)
+def test_a_shell_completes_commands_options_and_names(program: str, words: str, found: str) -> None:
+    """As bash calls it, after `eval "$(_MBSRUN_COMPLETE=bash_source mbsrun)"`."""
+    told = {"COMP_WORDS": f"{program} {words}", "COMP_CWORD": str(len(words.split()))}
+    environment = {**os.environ, f"_{program.upper()}_COMPLETE": "bash_complete", **told}
+    call = f"import sys; sys.argv = ['{program}']; from {program}.cli import cli; cli(prog_name='{program}')"
+    done = subprocess.run([sys.executable, "-c", call], env=environment, capture_output=True, text=True, check=True)
+    assert found in done.stdout.splitlines()
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mbsgen import manifest as manifests
 from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.cache import ABANDONED, HASH, cache_folder
-from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler
+from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler, find_zig
+from mbsrun.models import Extent, find_folder
 from tests.sample import write_sample
 
+ROOT = Path(__file__).parents[2]
 FAST_MATH = ["-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-ffinite-math-only", "-fassociative-math"]
 UNKNOWN = ["-fplugin=evil.so", "-Wl,-rpath,/tmp", "-DMBS_REAL=float", "-I/tmp", "-o", "-include", "-xc++", "-B/tmp"]
 
@@ -189,8 +192,41 @@ def test_what_killed_processes_left_is_removed_after_a_day(tmp_path: Path, own_c
 
 def test_a_missing_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(CompileError, match=r"cannot run no-such-compiler.*; install a C compiler, or name one in CC"):
+    with pytest.raises(CompileError, match=r"cannot run no-such-compiler.*; name another compiler in CC, or unset CC"):
         compile_folder(write_sample(tmp_path / "sample"))
+
+
+def test_zig_compiles_where_the_machine_has_no_compiler(
+    tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its kernels agree with gcc's to rounding: a mass matrix, accelerations and their derivatives."""
+    pytest.importorskip("ziglang")
+    folder = find_folder(ROOT / "models" / "six_axis.yaml", Extent(("semi", "exp2"), 1))
+    rng = np.random.default_rng(1)
+    q, qd, u = rng.uniform(-1, 1, (3, 5, 6))
+    calls = {"semi": {"q": q, "qd": qd}, "exp2": {"q": q, "qd": qd, "u": u}, "jac_exp2": {"q": q, "qd": qd, "u": u}}
+    expected = {name: load(folder)(name, **inputs) for name, inputs in calls.items()}
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_compiler(os.environ).command == find_zig()
+    for name, results in expected.items():
+        for result, values in load(folder)(name, **calls[name]).items():
+            np.testing.assert_allclose(values, results[result], rtol=0, atol=1e-12 * np.abs(results[result]).max())
+    assert len(kept(own_cache, ".so")) == 8  # the loop over states and three kernels, of two compilers each
+
+
+def test_a_compiler_on_the_path_is_preferred_and_cc_overrides(tmp_path: Path) -> None:
+    for name in ("clang", "gcc"):
+        (tmp_path / name).symlink_to("/usr/bin/cc")
+    environment = {**os.environ, "PATH": f"{tmp_path}"}
+    assert find_compiler(environment).command == ("gcc",)
+    assert find_compiler({**environment, "CC": "clang"}).command == ("clang",)
+    assert find_compiler({**environment, "CC": f"{sys.executable} -m ziglang cc"}).command == find_zig()
+
+
+def test_a_machine_without_any_compiler_is_helped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbsrun.library.find_spec", lambda _: None)
+    with pytest.raises(CompileError, match=r"no C compiler on the PATH; install .* pip install 'mbsgen\[compiler\]'"):
+        find_compiler({"PATH": str(tmp_path)})
 
 
 def test_a_failing_compiler_is_told_with_its_words(tmp_path: Path, own_cache: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -110,7 +111,10 @@ def _compile_timing(precision: Precision) -> Path:
 
 @contextmanager
 def _one_core() -> Iterator[None]:
-    """Keep this process on one of its cores; afterwards it may use all of them again."""
+    """Keep this process on one of its cores, where the system can; afterwards it may use all of them again."""
+    if sys.platform != "linux":
+        yield
+        return
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(cores)})
     try:
