@@ -68,7 +68,7 @@ MBSGEN = Package(
         "equations.lines",
         "equations.printing",
         "equations",
-        "report drawing output scaling oracle interpreted comparison formulas",
+        "report drawing appearance output scaling oracle interpreted comparison formulas",
         "pipeline",
         "cli",
         "__main__",
@@ -78,7 +78,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits forms reading stack",
+        "trust limits forms reading stack style",
         "cache",
         "library models bare",
         "binding environment",
@@ -86,7 +86,8 @@ MBSRUN = Package(
         "external",
         "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "skeleton ocp.no_mechanism",
-        "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities animation jets",
+        "ocp.program ocp.formulas ocp.integrators ocp.representations closure quaternions quantities jets",
+        "animation",
         "recordings.recording",
         "recordings.lines recordings.splines",
         "recordings.tables recordings.markers recordings.storage",

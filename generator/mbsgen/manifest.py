@@ -133,6 +133,63 @@ class Frame(_Entry):
     com: tuple[float, float, float] | None = None  # centre of mass [m], where no other frame shows the body's extent
 
 
+class Point(_Entry):
+    """A point that is fixed in a frame."""
+
+    frame: int  # -1: the base
+    at: tuple[float, float, float]  # [m]
+
+
+class Mass(_Entry):
+    """A body of the model with a mass, in the frame that moves with it."""
+
+    name: str
+    frame: int  # -1: it is fixed to the base
+    mass: float  # [kg]
+    com: tuple[float, float, float]  # [m]
+    inertia: tuple[float, float, float, float, float, float]  # about com, in the frame: xx yy zz xy xz yz [kg m2]
+
+
+class Axle(_Entry):
+    """The joint of a frame."""
+
+    name: str
+    coordinate: int | None  # its entry of qd; None: it follows another joint
+    axis: tuple[float, float, float]  # in the frame, a unit vector
+
+
+class Element(_Entry):
+    """A spring or a cable between two points."""
+
+    name: str
+    cable: bool
+    first: Point
+    second: Point
+
+
+class Touch(_Entry):
+    """A contact of a sphere, a box or a point with a plane."""
+
+    name: str
+    centre: Point
+    axes: tuple[float, ...]  # of the box in that frame, one after the other
+    radius: float  # of the sphere [m]; 0: a point
+    size: tuple[float, float, float] | None  # of the box [m]
+    plane: Point
+    normal: tuple[float, float, float]  # in the frame of that point, a unit vector
+
+
+class Appearance(_Entry):
+    """The content of a picture beside frames, at the model's numbers; nothing computes with it."""
+
+    gravity: tuple[float, float, float]  # in the base frame [m/s2]
+    masses: tuple[Mass, ...]
+    axles: tuple[Axle, ...]  # of the joint frames, in their order
+    elements: tuple[Element, ...] = ()
+    contacts: tuple[Touch, ...] = ()
+    wrenches: tuple[Point, ...] = ()  # where the open wrenches act, in the manifest's order
+
+
 class Wrench(_Entry):
     """An external wrench that the model leaves open: entries of the input w, in the order of the manifest."""
 
@@ -180,6 +237,7 @@ class Manifest(_Entry):
     dependent: tuple[int, ...] = ()  # the other ones, as many as entries of h
     pose: tuple[float, ...] = ()  # q at which all loops are closed; empty without loops
     driven: tuple[int, ...] = ()  # entries of qd whose accelerations are given
+    appearance: Appearance | None = None
     kernels: tuple[Kernel, ...]
     tolerance: float | None = None  # bound on the relative error of the kernels; None: exact
 
@@ -233,7 +291,7 @@ def write(manifest: Manifest) -> str:
         unsaid["tolerance"] = True
     unsaid |= {
         name: True
-        for name in ("contacts", "loops", "independent", "dependent", "pose", "driven")
+        for name in ("appearance", "contacts", "loops", "independent", "dependent", "pose", "driven")
         if not getattr(manifest, name)
     }
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mbsgen import __version__, manifest
+from mbsgen.appearance import describe_appearance
 from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
@@ -79,7 +80,7 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     tell("C")
     unit = _make_unit(trees, functions, verification, request)
     sources = write_c(unit)
-    described = _describe(trees.generated, unit, sources, identify_mechanism(staged))
+    described = _describe(trees.generated, unit, sources, staged)
     evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
     tell("the report")
     report = make_report(
@@ -263,7 +264,7 @@ def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
     return tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is kind)
 
 
-def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manifest:
+def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model) -> Manifest:
     joints = tree.joints
     return Manifest(
         format=manifest.FORMAT,
@@ -271,7 +272,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
         model=tree.name,
         prefix=unit.prefix,
         model_hash=unit.model_hash,
-        mechanism=mechanism,
+        mechanism=identify_mechanism(staged),
         header=sources.header,
         sources=sources.sources,
         coordinates=tuple(
@@ -303,6 +304,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, mechanism: str) -> Manif
         dependent=tree.closure.dependent if tree.closure else (),
         pose=tree.closure.pose if tree.closure else (),
         driven=tuple(joints.index(tree.bodies[number - 1].joint) for number in tree.driven),
+        appearance=describe_appearance(staged, tree),
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )

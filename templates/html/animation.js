@@ -1,160 +1,71 @@
-"use strict";
-// Plays the motion of the page's block #motion: poses of frames over time, in a view that orbits a point.
+// Plays the motions of the page's block #motion in the view of renderer.js: poses of frames over time.
 // Names are only ever set as text.
 const motion = JSON.parse(document.getElementById("motion").textContent);
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
-const places = new Float32Array(bytes(motion.places)); // [time][frame][x, y, z]
-const turns = new Int16Array(bytes(motion.turns)); // [time][frame][x, y, z, w], unit quaternions times 32767
-const frames = motion.frames, F = frames.length, K = motion.times;
 const byId = (id) => document.getElementById(id);
-const canvas = byId("scene"), pen = canvas.getContext("2d"), slider = byId("time");
+const scene = motion.scene, K = motion.times, slider = byId("time");
+scene.meshes.forEach((mesh) => {
+  mesh.vertices = new Float32Array(bytes(mesh.vertices));
+  mesh.faces = new Uint32Array(bytes(mesh.faces));
+});
+const courses = motion.courses.map((course, m) => ({
+  frames: scene.mechanisms[m].frames,
+  places: new Float32Array(bytes(course.places)), // [time][frame][x, y, z]
+  turns: new Int16Array(bytes(course.turns)), // [time][frame][x, y, z, w], unit quaternions times 32767
+  arrows: course.arrows.map((arrow) => ({ ...arrow, values: new Float32Array(bytes(arrow.values)) })), // [time][x, y, z]
+  p: null, R: null, traces: [],
+}));
+const view = createRenderer(byId("scene"), scene);
 
 // --- poses ----------------------------------------------------------------------------------------------------------
 
-function place(k, f) { // a point at grid time k, which may lie between two
-  const a = Math.min(Math.floor(k), K - 1), b = Math.min(a + 1, K - 1), s = k - a;
-  const i = 3 * (a * F + f), j = 3 * (b * F + f);
-  return [0, 1, 2].map((c) => places[i + c] + s * (places[j + c] - places[i + c]));
+function turn(course, f, a, b, s, out) { // between two quaternions, the shorter way
+  const F = course.frames.length, i = 4 * (a * F + f), j = 4 * (b * F + f), q = course.turns;
+  let scalar = 0;
+  for (let c = 0; c < 4; c++) scalar += q[i + c] * q[j + c];
+  const sign = scalar < 0 ? -1 : 1, v = [0, 1, 2, 3].map((c) => (1 - s) * q[i + c] + sign * s * q[j + c]);
+  const length = Math.hypot(...v) || 1, [x, y, z, w] = v.map((x) => x / length);
+  out.set([
+    1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
+    2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
+    2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
+  ], 9 * f);
 }
 
-function axes(k, f) { // the frame's axes, as three vectors
-  const i = 4 * (Math.round(k) * F + f);
-  const [x, y, z, w] = [0, 1, 2, 3].map((c) => turns[i + c] / 32767);
-  return [
-    [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-    [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-    [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-  ];
+function pose(course, k) { // at a picture's number, which may lie between two
+  const F = course.frames.length, a = Math.min(Math.floor(k), K - 1), b = Math.min(a + 1, K - 1), s = k - a;
+  course.p = new Float64Array(3 * F);
+  course.R = new Float64Array(9 * F);
+  const [one, other] = [a, b].map((i) => 3 * i * F);
+  for (let i = 0; i < 3 * F; i++) course.p[i] = course.places[one + i] + s * (course.places[other + i] - course.places[one + i]);
+  for (let f = 0; f < F; f++) turn(course, f, a, b, s, course.R);
 }
 
-// --- view -----------------------------------------------------------------------------------------------------------
-
-const low = [0, 0, 0], high = [0, 0, 0];
-function include(p) {
-  for (let c = 0; c < 3; c++) { low[c] = Math.min(low[c], p[c]); high[c] = Math.max(high[c], p[c]); }
-}
-for (let i = 0; i < places.length; i += 3) include(places.subarray(i, i + 3));
-motion.markers.forEach((m) => include(m.at));
-const size = Math.max(Math.hypot(...high.map((h, c) => h - low[c])), 1e-6);
-const home = () => ({ azimuth: -0.9, elevation: 0.38, zoom: 1, centre: high.map((h, c) => (h + low[c]) / 2) });
-let view = home(), width = 1, height = 1;
-
-function camera() { // right, up and towards the eye, in the base frame
-  const [ca, sa] = [Math.cos(view.azimuth), Math.sin(view.azimuth)];
-  const [ce, se] = [Math.cos(view.elevation), Math.sin(view.elevation)];
-  return [[-sa, ca, 0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]];
-}
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-
-function projector() {
-  const [right, up, eye] = camera(), distance = 2.6 * size;
-  const scale = 0.92 * view.zoom * Math.min(width, height - 130) / size;
-  return (p) => {
-    const d = p.map((x, c) => x - view.centre[c]), depth = dot(d, eye);
-    const s = scale * distance / Math.max(distance - depth, 0.05 * distance);
-    return { x: width / 2 + s * dot(d, right), y: (height - 40) / 2 - s * dot(d, up), depth, near: s / scale };
-  };
-}
-
-// --- drawing --------------------------------------------------------------------------------------------------------
-
-let color = {};
-function readColors() {
-  const style = getComputedStyle(document.documentElement);
-  for (const name of ["faint", "ink", "body", "slide", "joint", "sensor", "marker"]) {
-    color[name] = style.getPropertyValue("--" + name).trim();
-  }
-}
-
-function line(points, stroke, thickness) {
-  pen.beginPath();
-  points.forEach((p, i) => (i ? pen.lineTo(p.x, p.y) : pen.moveTo(p.x, p.y)));
-  pen.strokeStyle = stroke;
-  pen.lineWidth = thickness;
-  pen.stroke();
-}
-
-function dashed(points, stroke, pattern) {
-  pen.setLineDash(pattern);
-  line(points, stroke, 2);
-  pen.setLineDash([]);
-}
-
-function disc(p, radius, fill) {
-  pen.beginPath();
-  pen.arc(p.x, p.y, radius, 0, 2 * Math.PI);
-  pen.fillStyle = fill;
-  pen.fill();
-}
-
-function ground(project) { // a grid through the base, of a round spacing
-  const step = 10 ** Math.round(Math.log10(size / 6)), reach = Math.ceil(0.75 * size / step);
-  const [cx, cy] = [0, 1].map((c) => Math.round((high[c] + low[c]) / 2 / step));
-  for (let i = -reach; i <= reach; i++) {
-    const ends = (a, b) => [project(a), project(b)];
-    line(ends([(cx + i) * step, (cy - reach) * step, 0], [(cx + i) * step, (cy + reach) * step, 0]), color.faint, 1);
-    line(ends([(cx - reach) * step, (cy + i) * step, 0], [(cx + reach) * step, (cy + i) * step, 0]), color.faint, 1);
-  }
-}
-
-function triad(project, origin, vectors, length) {
-  ["#d1495b", "#3a9d5d", "#3b7dd8"].forEach((hue, c) => {
-    line([project(origin), project(origin.map((x, i) => x + length * vectors[c][i]))], hue, 2);
+function list(course, k) { // the arrows at a picture
+  const i = 3 * Math.min(Math.round(k), K - 1), { p, R } = course;
+  return course.arrows.map(({ kind, frame, at, base, scale, values }) => {
+    const local = [0, 1, 2].map((c) => scale * values[i + c]);
+    const turned = (v) => (frame < 0 ? v : [0, 1, 2].map((r) => R[9 * frame + r] * v[0] + R[9 * frame + 3 + r] * v[1] + R[9 * frame + 6 + r] * v[2]));
+    const foot = turned(at).map((x, c) => x + (frame < 0 ? 0 : p[3 * frame + c]));
+    return { kind, at: foot, vector: base ? local : turned(local) };
   });
 }
 
-function star(p, radius) {
-  pen.beginPath();
-  for (let i = 0; i < 10; i++) {
-    const r = i % 2 ? 0.42 * radius : radius, a = Math.PI * i / 5 - Math.PI / 2;
-    pen.lineTo(p.x + r * Math.cos(a), p.y + r * Math.sin(a));
-  }
-  pen.closePath();
-  pen.fillStyle = color.marker;
-  pen.fill();
-}
+for (const course of courses) course.frames.forEach((frame, f) => {
+  if (!frame.sensor) return;
+  const points = new Float32Array(3 * K), F = course.frames.length;
+  for (let k = 0; k < K; k++) points.set(course.places.subarray(3 * (k * F + f), 3 * (k * F + f) + 3), 3 * k);
+  course.traces.push([`${f} ${frame.name}`, points]);
+});
 
-function draw() {
-  const project = projector(), k = now();
-  pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  pen.lineCap = pen.lineJoin = "round";
-  ground(project);
-  triad(project, [0, 0, 0], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], 0.08 * size);
-  if (byId("traces").checked) {
-    frames.forEach((frame, f) => {
-      if (!frame.sensor) return;
-      const path = [];
-      for (let i = 0; i < K; i++) path.push(project(place(i, f)));
-      pen.globalAlpha = 0.3;
-      line(path, color.sensor, 1.5);
-      pen.globalAlpha = 1;
-      line([...path.slice(0, Math.floor(k) + 1), project(place(k, f))], color.sensor, 2);
-    });
-  }
-  const shapes = [];
-  frames.forEach((frame, f) => {
-    const p = place(k, f), end = project(p), thick = Math.max(2, 0.012 * Math.min(width, height)) * end.near;
-    if (!(frame.parent < 0 && frame.slide)) { // a floating base hangs on nothing
-      const start = project(frame.parent < 0 ? [0, 0, 0] : place(k, frame.parent));
-      const stroke = frame.slide ? color.slide : color.body;
-      shapes.push({ depth: (start.depth + end.depth) / 2, draw: () => line([start, end], stroke, frame.slide ? 2 : thick) });
-    }
-    const radius = frame.sensor ? 0.75 * thick : 0.6 * thick;
-    shapes.push({ depth: end.depth + 1e-3 * size, draw: () => disc(end, radius, frame.sensor ? color.sensor : color.joint) });
-    if (byId("axes").checked) shapes.push({ depth: end.depth + 2e-3 * size, draw: () => triad(project, p, axes(k, f), 0.06 * size) });
+function showPoses() {
+  const k = now();
+  courses.forEach((course, m) => {
+    pose(course, k);
+    view.setPose(m, course.p, course.R);
+    view.setArrows(m, list(course, k));
+    for (const [name, points] of course.traces) view.setTrace(m, name, points, Math.floor(k));
   });
-  motion.links.forEach((link) => { // a rod, or a gap between ends that coincide where the loop is closed
-    const ends = link.ends.map((f) => project(place(k, f)));
-    const stroke = link.rod ? color.body : color.joint;
-    shapes.push({ depth: (ends[0].depth + ends[1].depth) / 2, draw: () => dashed(ends, stroke, link.rod ? [] : [4, 4]) });
-  });
-  motion.markers.forEach((m) => {
-    const p = project(m.at);
-    shapes.push({ depth: p.depth, draw: () => star(p, 11 * p.near) });
-  });
-  shapes.sort((a, b) => a.depth - b.depth).forEach((shape) => shape.draw());
-  disc(project([0, 0, 0]), 4, color.ink);
 }
 
 // --- time -----------------------------------------------------------------------------------------------------------
@@ -164,9 +75,11 @@ const span = motion.end - motion.start;
 const now = () => (span > 0 ? Math.min((seconds / span) * (K - 1), K - 1) : 0);
 
 function show() {
+  const time = motion.start + seconds, part = motion.parts.filter((x) => x.start <= time + 1e-9).pop();
   slider.value = String(Math.round(now()));
-  byId("clock").textContent = `${(motion.start + seconds).toFixed(2)} / ${motion.end.toFixed(2)} s`;
-  draw();
+  byId("clock").textContent = `${time.toFixed(2)} / ${motion.end.toFixed(2)} s`;
+  byId("part").textContent = part ? part.name : "";
+  if (view) showPoses();
 }
 
 function ask() { // to show, at the next refresh of the screen
@@ -177,8 +90,11 @@ function ask() { // to show, at the next refresh of the screen
 function tick(at) {
   asked = false;
   if (playing) {
-    seconds += (Math.min(at - before, 100) / 1000) * Number(byId("speed").value);
-    if (seconds >= span) { seconds = span; setPlaying(false); }
+    seconds += (Math.min(Math.max(at - before, 0), 100) / 1000) * Number(byId("speed").value);
+    if (seconds >= span) {
+      seconds = byId("loop").checked ? 0 : span;
+      if (!byId("loop").checked) setPlaying(false);
+    }
   }
   before = at;
   show();
@@ -200,83 +116,45 @@ function moveTo(wanted) {
 
 // --- hands ----------------------------------------------------------------------------------------------------------
 
-const fingers = new Map();
-canvas.addEventListener("pointerdown", (event) => {
-  canvas.setPointerCapture(event.pointerId);
-  fingers.set(event.pointerId, event);
-});
-for (const end of ["pointerup", "pointercancel"]) {
-  canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
-}
-canvas.addEventListener("pointermove", (event) => {
-  const old = fingers.get(event.pointerId);
-  if (!old) return;
-  const dx = event.clientX - old.clientX, dy = event.clientY - old.clientY;
-  if (fingers.size === 2) {
-    const other = [...fingers.values()].find((finger) => finger.pointerId !== event.pointerId);
-    const gap = (a) => Math.hypot(a.clientX - other.clientX, a.clientY - other.clientY) || 1;
-    zoom(gap(event) / gap(old));
-    pan(dx / 2, dy / 2);
-  } else if (event.shiftKey || event.buttons === 4) {
-    pan(dx, dy);
-  } else {
-    view.azimuth -= 0.008 * dx;
-    view.elevation = Math.max(-1.55, Math.min(1.55, view.elevation + 0.008 * dy));
-  }
-  fingers.set(event.pointerId, event);
-  ask();
-});
-canvas.addEventListener("wheel", (event) => {
-  event.preventDefault();
-  zoom(Math.exp(-0.0012 * event.deltaY));
-}, { passive: false });
-
-function zoom(factor) {
-  view.zoom = Math.max(0.1, Math.min(40, view.zoom * factor));
-  ask();
-}
-
-function pan(dx, dy) {
-  const [right, up] = camera(), s = size / (0.92 * view.zoom * Math.min(width, height - 130));
-  view.centre = view.centre.map((x, c) => x - s * (dx * right[c] - dy * up[c]));
-}
-
-function reset() {
-  view = home();
-  ask();
-}
-canvas.addEventListener("dblclick", reset);
-byId("reset").addEventListener("click", reset);
+byId("reset").addEventListener("click", () => view && view.reset());
 byId("play").addEventListener("click", () => setPlaying(!playing));
 slider.addEventListener("input", () => { setPlaying(false); moveTo((Number(slider.value) / Math.max(K - 1, 1)) * span); });
-for (const id of ["traces", "axes"]) byId(id).addEventListener("change", ask);
+for (const box of document.querySelectorAll("[data-switch]")) {
+  const names = box.dataset.switch.split(" ");
+  const solids = scene.mechanisms.flatMap((m) => m.solids);
+  const needed = { arrows: courses.some((x) => x.arrows.length), apart: courses.length > 1,
+    meshes: solids.some((x) => x.layer === "meshes"), contacts: solids.some((x) => x.layer === "contacts"),
+    solids: solids.some((x) => x.layer === "solids"), traces: courses.some((x) => x.traces.length) };
+  box.parentElement.hidden = needed[names[0]] === false;
+  const change = () => {
+    if (!view) return;
+    for (const name of names) view.options[name] = box.checked;
+    if (names[0] === "apart") view.reset();
+    view.draw();
+  };
+  box.checked = motion.options[names[0]] ?? box.checked;
+  box.addEventListener("change", change);
+  change();
+}
 byId("controls").addEventListener("submit", (event) => event.preventDefault());
 document.addEventListener("keydown", (event) => {
-  if (event.key === " " && event.target.tagName !== "BUTTON") { event.preventDefault(); setPlaying(!playing); }
+  if (event.key === " " && !["BUTTON", "INPUT", "SUMMARY"].includes(event.target.tagName)) { event.preventDefault(); setPlaying(!playing); }
   const steps = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
   if (steps && event.target === document.body) moveTo(seconds + (steps * span) / Math.max(K - 1, 1));
 });
-
-function fit() {
-  width = innerWidth;
-  height = innerHeight;
-  canvas.width = width * devicePixelRatio;
-  canvas.height = height * devicePixelRatio;
-  readColors();
-  ask();
-}
-addEventListener("resize", fit);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", fit);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view && view.draw());
 
 document.title = motion.title;
 byId("title").textContent = motion.title;
-const entries = frames.filter((frame) => frame.sensor).map((frame) => [frame.name, "sensor"])
-  .concat(motion.markers.map((m) => [m.name, "marker"]));
-for (const [name, kind] of entries) {
+const several = scene.mechanisms.length > 1;
+const entries = several ? scene.mechanisms.map((m) => [m.name, m.color])
+  : scene.mechanisms[0].frames.filter((frame) => frame.sensor).map((frame) => [frame.name, "var(--sensor)"]);
+for (const [name, color] of entries.concat(scene.markers.map((m) => [m.name, "var(--marker)"]))) {
   const item = document.createElement("li");
   item.textContent = name;
-  item.style.setProperty("--dot", `var(--${kind})`);
+  item.style.setProperty("--dot", color);
   byId("legend").append(item);
 }
+byId("none").hidden = Boolean(view);
 slider.max = String(K - 1);
-fit();
+show();

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -91,4 +93,5 @@ def test_ends_of_loops_and_centres_of_mass_are_in_the_axes_of_the_file(tmp_path)
     assert np.linalg.norm(found.p[0, :, link.first] - found.p[0, :, link.second]) == pytest.approx(0.3, abs=1e-14)
     centre = [0.1 * np.cos(b) - 0.05 * np.sin(b), 0, 0.1 * np.sin(b) + 0.05 * np.cos(b)]
     assert found.p[0, :, 3] == pytest.approx(centre, abs=1e-15)
-    assert '"links": [{"ends": [4, 5], "rod": true}]' in render_animation(closed, [0], q[None])
+    ends = [{"frame": i, "at": [0.0, 0.0, 0.0]} for i in (4, 5)]
+    assert json.dumps([{"kind": "rod", "ends": ends}]) in render_animation(closed, [0], q[None])

@@ -70,9 +70,10 @@ def swing(count: int) -> tuple[Any, Any, Any]:
 
 def decode(motion: dict[str, Any]) -> tuple[Any, Any]:
     """Return positions (K, F, 3) and quaternions (K, F, 4), as the page's script reads them."""
-    shape = (motion["times"], len(motion["frames"]))
-    places = np.frombuffer(base64.b64decode(motion["places"]), "<f4").reshape(*shape, 3)
-    turns = np.frombuffer(base64.b64decode(motion["turns"]), "<i2").reshape(*shape, 4)
+    (mechanism,), (course,) = motion["scene"]["mechanisms"], motion["courses"]
+    shape = (motion["times"], len(mechanism["frames"]))
+    places = np.frombuffer(base64.b64decode(course["places"]), "<f4").reshape(*shape, 3)
+    turns = np.frombuffer(base64.b64decode(course["turns"]), "<i2").reshape(*shape, 4)
     return places, turns / 32767
 
 
@@ -92,8 +93,8 @@ def test_the_page_holds_the_poses_of_the_motion(pendulum: Mechanism) -> None:
     assert np.abs(turns[:, 1, 1] - np.sin(angle / 2)).max() < cubic + 2e-5
     assert np.abs(turns[:, 1, 3] - np.cos(angle / 2)).max() < cubic + 2e-5
     assert motion["title"] == "pendulum"
-    assert motion["markers"] == [{"name": "goal", "at": [1.0, 2.0, 3.0]}]
-    assert [frame["parent"] for frame in motion["frames"]] == [-1, 0]
+    assert motion["scene"]["markers"] == [{"name": "goal", "at": [1.0, 2.0, 3.0]}]
+    assert [frame["parent"] for frame in motion["scene"]["mechanisms"][0]["frames"]] == [-1, 0]
 
 
 def test_names_stay_names(pendulum: Mechanism) -> None:
@@ -107,8 +108,8 @@ def test_names_stay_names(pendulum: Mechanism) -> None:
         assert [kind for kind, _ in found.scripts] == ["application/json", ""]
         assert found.scripts[1] == plain.scripts[1]
         assert found.motion["title"] == HOSTILE
-    assert {frame["name"] for frame in page.motion["frames"]} == {HOSTILE}
-    assert marked.motion["markers"][0]["name"] == HOSTILE
+    assert {frame["name"] for frame in page.motion["scene"]["mechanisms"][0]["frames"]} == {HOSTILE}
+    assert marked.motion["scene"]["markers"][0]["name"] == HOSTILE
 
 
 def test_the_page_asks_for_nothing_and_admits_its_own_script_only(pendulum: Mechanism) -> None:

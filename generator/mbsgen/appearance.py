@@ -1,0 +1,172 @@
+"""The appearance of a model: Model, Tree -> masses, axes of joints, springs, contacts, as numbers for pictures.
+
+Points and axes are in the frames of the manifest, at the model's numbers. They are placed by the reduction of the model
+itself: a frame is added at each body and each end, and found again among the sensors of the Tree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.expressions import FLOATS, Expression, evaluate
+from mbsgen.manifest import Appearance, Axle, Element, Mass, Point, Touch
+from mbsgen.model.model import BASE, HERE, Body, Contact, ForceElement, Frame, LoopEnd, Model, Placement, Triple
+from mbsgen.model.reduction import build_tree
+from mbsgen.model.symbols import exact, to_double
+from mbsgen.model.tree import Matrix, Sensor, Tree, Vector
+
+Array = NDArray[np.float64]
+
+
+def describe_appearance(model: Model, tree: Tree) -> Appearance:
+    """Describe a model for pictures; `tree` is its tree, in the order of the manifest's frames."""
+    values = _read_parameters(model)
+    seats = _Seats(model)
+    gravity = _floats(model.gravity, values)
+    return Appearance(
+        gravity=_triple(gravity),
+        masses=tuple(x for body in model.bodies if (x := _weigh(body, seats.find(body.name), values)) is not None),
+        axles=tuple(_describe_axle(tree, i) for i in range(1, len(tree.bodies) + 1)),
+        elements=tuple(_describe_element(x, seats) for x in model.forces),
+        contacts=tuple(_describe_contact(x, seats, values) for x in model.contacts),
+        wrenches=tuple(
+            _point(seats.find(x.body).place(_floats(x.position, values)))
+            for x in model.wrenches
+            if x.force is None or x.moment is None
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Seat:
+    """Where a frame of the model stands, in a frame of the manifest; -1: the base."""
+
+    frame: int
+    position: Array
+    axes: Array  # columns
+
+    def place(self, point: Array) -> tuple[int, Array]:
+        """Find the place of a point."""
+        return self.frame, self.position + self.axes @ point
+
+
+class _Seats:
+    """The seats of bodies and of placements on bodies, found by one reduction of the model."""
+
+    def __init__(self, model: Model) -> None:
+        ends = [end for x in model.forces for end in (x.first, x.second)]
+        ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
+        ends += [LoopEnd(body.name) for body in model.bodies]
+        wanted = list(dict.fromkeys((end.body, end.placement) for end in ends if end.body != BASE))
+        added = tuple(Frame(f"appearance.{k}", body, placement) for k, (body, placement) in enumerate(wanted))
+        tree = build_tree(replace(model, frames=(*model.frames, *added)))
+        sensors = tree.sensors[len(tree.sensors) - len(added) :]
+        values = {p.symbol: exact(p.value) for p in tree.parameters}
+
+        def number(matrix: tuple[Vector, ...]) -> Array:
+            return np.array([[to_double(x.xreplace(values)) for x in row] for row in matrix])
+
+        def seat(sensor: Sensor) -> _Seat:
+            own: Matrix = tree.bodies[sensor.body - 1].axes if sensor.body else sensor.orientation
+            axes = number(own) if sensor.body else np.eye(3)
+            position, turned = number((sensor.position,))[0], number(sensor.orientation)
+            return _Seat(sensor.body - 1, axes.T @ position, axes.T @ turned)
+
+        self._found = dict(zip(wanted, map(seat, sensors), strict=True))
+        self._base = _Base(_read_parameters(model))
+
+    def find(self, body: str, placement: Placement = HERE) -> _Seat:
+        """Find the seat of a body, or of a placement on it."""
+        return self._base.seat(placement) if body == BASE else self._found[body, placement]
+
+
+@dataclass(frozen=True)
+class _Base:
+    """Places frames on the base."""
+
+    values: Mapping[str, float]
+
+    def seat(self, placement: Placement) -> _Seat:
+        """Return the seat of a placement on the base."""
+        axes = np.eye(3)
+        for step in placement.orientation:
+            c, s = (f(_float(step.angle, self.values)) for f in (np.cos, np.sin))
+            turn = np.eye(3)
+            j, k = (step.axis + 1) % 3, (step.axis + 2) % 3
+            turn[j, j] = turn[k, k] = c
+            turn[j, k], turn[k, j] = -s, s
+            axes = axes @ turn
+        return _Seat(-1, _floats(placement.position, self.values), axes)
+
+
+def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
+    """Return the mass of a body with its centre and its inertia in its frame; None without a mass."""
+    mass = _float(body.mass, values)
+    if not mass > 0:
+        return None
+    tensor = seat.axes @ np.array([_floats(row, values) for row in body.inertia.rows]) @ seat.axes.T
+    frame, centre = seat.place(_floats(body.com, values))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
+    inertia = (xx, yy, zz, xy, xz, yz)
+    return Mass(name=body.name, frame=frame, mass=mass, com=_triple(centre), inertia=inertia)
+
+
+def _describe_axle(tree: Tree, i: int) -> Axle:
+    """Return the axis of a body's joint in the author's axes, and the joint's entry of qd."""
+    body = tree.bodies[i - 1]
+    x, y, z = (to_double(body.axes[body.joint.axis][c]) for c in range(3))
+    name = body.joint.name
+    entry = next((k for k, joint in enumerate(tree.joints) if joint is body.joint), None)
+    return Axle(name=name, coordinate=entry, axis=(x, y, z))
+
+
+def _describe_element(element: ForceElement, seats: _Seats) -> Element:
+    ends = (seats.find(end.body, end.placement) for end in (element.first, element.second))
+    first, second = (_point((seat.frame, seat.position)) for seat in ends)
+    return Element(name=element.name, cable=element.cable is not None, first=first, second=second)
+
+
+def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
+    seat, plane = seats.find(contact.body, contact.placement), contact.plane
+    carrier = seats.find(plane.body)
+    normal = carrier.axes @ _floats(plane.normal, values)
+    return Touch(
+        name=contact.name,
+        centre=_point((seat.frame, seat.position)),
+        axes=tuple(seat.axes.T.ravel().tolist()),
+        radius=_float(contact.radius, values),
+        size=None if contact.size is None else _triple(_floats(contact.size, values)),
+        plane=_point(carrier.place(_floats(plane.position, values))),
+        normal=_triple(normal / np.linalg.norm(normal)),
+    )
+
+
+# --- numbers ---------------------------------------------------------------------------------------------------------
+
+
+def _read_parameters(model: Model) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for parameter in model.parameters:
+        values[parameter.name] = _float(parameter.value, values)
+    return values
+
+
+def _float(expression: Expression, values: Mapping[str, float]) -> float:
+    return float(evaluate(expression, values, FLOATS))
+
+
+def _floats(triple: Triple, values: Mapping[str, float]) -> Array:
+    return np.array([_float(x, values) for x in triple])
+
+
+def _triple(v: Array) -> tuple[float, float, float]:
+    x, y, z = v.tolist()
+    return x, y, z
+
+
+def _point(placed: tuple[int, Array]) -> Point:
+    return Point(frame=placed[0], at=_triple(placed[1]))

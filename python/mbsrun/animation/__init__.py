@@ -1,0 +1,81 @@
+"""Animations: motions -> a film -> a page that plays it, or a file of pictures.
+
+render_animation(kernels, times, q)          a page of one motion
+render_parts(parts, title)                   parts that follow each other, such as phases
+write_page(make_film(motions, wanted))       several motions at the same time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbsrun.animation.film import Film, Marker
+from mbsrun.animation.motions import MAX_PICTURES, RATE, Motion, Part, Wanted, choose_times, make_film
+from mbsrun.animation.page import write_page
+from mbsrun.ocp.plant import Plant
+
+__all__ = [
+    "MAX_PICTURES",
+    "RATE",
+    "Film",
+    "Marker",
+    "Motion",
+    "Part",
+    "Wanted",
+    "choose_times",
+    "make_film",
+    "render_animation",
+    "render_parts",
+    "write_animation",
+    "write_page",
+]
+
+
+def write_animation(
+    path: str | Path,
+    kernels: Plant,
+    times: ArrayLike,
+    q: ArrayLike,
+    *,
+    qd: ArrayLike | None = None,
+    u: ArrayLike | None = None,
+    title: str | None = None,
+    markers: Sequence[Marker] = (),
+) -> None:
+    """Write the page that plays the motion q (K, n) at `times` (K,), which increase.
+
+    Between them q is taken to be linear, or cubic where its rates qd (K, n) are given. Inputs u (K, inputs) are drawn
+    as arrows. The title is the model's name unless another is given. The same motion gives the same bytes. Raises
+    ValueError for arrays that do not fit.
+    """
+    text = render_animation(kernels, times, q, qd=qd, u=u, title=title, markers=markers)
+    Path(path).write_text(text, encoding="utf-8")
+
+
+def render_animation(
+    kernels: Plant,
+    times: ArrayLike,
+    q: ArrayLike,
+    *,
+    qd: ArrayLike | None = None,
+    u: ArrayLike | None = None,
+    title: str | None = None,
+    markers: Sequence[Marker] = (),
+) -> str:
+    """Return the text of the page; see `write_animation`."""
+    rates, inputs = (None if x is None else _array(x) for x in (qd, u))
+    part = Part(kernels, _array(times), _array(q), rates, u=inputs)
+    return render_parts([part], kernels.manifest.model if title is None else title, markers)
+
+
+def render_parts(parts: Sequence[Part], title: str, markers: Sequence[Marker] = ()) -> str:
+    """Return the text of a page that plays parts of a motion one after the other; their frames have the same names."""
+    return write_page(make_film([Motion(tuple(parts))], Wanted(title, tuple(markers))))
+
+
+def _array(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
