@@ -87,6 +87,9 @@ def make(
     if problem.every_state or problem.controls:
         finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
         raise ProblemError(problem.name, [("states", finding, "leave them out")])
+    if problem.bounds.rates or problem.delays:
+        finding = "a controller begins anew at every sample, and knows no input before it, as rates and delays need"
+        raise ProblemError(problem.name, [("bounds", finding, "leave bounds of input_rates and delays out")])
     if problem.functions:
         finding = f"a controller is C, and {problem.functions[0].name} is an expression of CasADi"
         raise ProblemError(problem.name, [("functions", finding, "write it as text")])

@@ -305,6 +305,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         ("bounds.q", bounds.q, nq),
         ("bounds.qd", bounds.qd, n),
         ("bounds.u", bounds.u, m),
+        ("bounds.rates", bounds.rates, m if bounds.rates else 0),
     ):
         if len(values) != size:
             yield (place, f"found {len(values)} entries", f"give {size}, as the model {manifest.model} has")
@@ -326,11 +327,37 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     if not all(math.isfinite(value) for _, value in ends):
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
+    yield from _find_wrong_rates(problem, m)
     yield from _find_wrong_additions(problem, manifest)
     yield from _find_wrong_wrenches(problem, manifest)
     yield from find_faults(problem, manifest)
     yield from find_contact_faults(problem, manifest)
     yield from _find_wrong_expressions(problem, manifest)
+
+
+def _find_wrong_rates(problem: Problem, m: int) -> Iterator[Finding]:
+    """Find prices of rates and delays without a control or an input, and histories out of bounds."""
+    controls, given = [control.name for control in problem.controls], {force.input for force in problem.forces}
+    for name, weight in problem.cost.control_rates:
+        if name not in controls:
+            yield ("cost.control_rates", f"no control {abbreviate(name)}", f"there are {', '.join(controls) or 'none'}")
+        if not 0 <= weight < math.inf:
+            yield ("cost.control_rates", f"the weight of {name} is {weight:g}", "give one that is not negative")
+    for i, limits in enumerate(problem.bounds.rates):
+        if i in given and limits != (-math.inf, math.inf):
+            finding = f"input {i} is given by an expression, and has no rate"
+            yield (f"bounds.rates[{i}]", finding, "bound the rate of a state in its expression")
+    for i, delay in enumerate(problem.delays):
+        size = m if delay.kind == "input" else len(controls)
+        if not 0 <= delay.index < size or (delay.kind == "input" and delay.index in given):
+            remedy = "name an input that no expression gives, or a control"
+            yield (f"delays[{i}].index", f"found {delay.kind} {delay.index}", remedy)
+            continue
+        ranges = problem.bounds.u if delay.kind == "input" else [control.bounds for control in problem.controls]
+        lower, upper = ranges[delay.index] if delay.index < len(ranges) else (-math.inf, math.inf)
+        if delay.history is not None and not lower <= delay.history <= upper:
+            finding = f"{delay.history:g} is out of [{lower:g}, {upper:g}]"
+            yield (f"delays[{i}].history", finding, "give a history within the bounds, or None")
 
 
 def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Finding]:

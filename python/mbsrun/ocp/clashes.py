@@ -72,6 +72,9 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
         yield rows.extras.contacts[k], f"the contacts in interval {k + 1}"
     yield rows.extras.contacts_at_start, "start: the contacts"
     yield rows.extras.friction, "friction"
+    inputs = [f"the rate of the input {names[manifest.actuated[i]]}" for i in shape.rated_inputs]
+    inputs += [f"the rate of {shape.added.controls[i]}" for i in shape.rated_controls]
+    yield from _name(rows.rates.T, inputs)
     yield from _name(rows.constraints, (f"constraint {text}" for text, _ in shape.constraints))
 
 

@@ -73,3 +73,12 @@ def square_rates(m: int, intervals: int) -> Formula:
     steps = (Power(Operation("-", u, before), 2) for u, before in zip(_name("u", m), _name("before", m), strict=True))
     rate = Operation("/", Operation("*", Number(float(intervals)), _sum(steps)), Name("T0"))
     return _formula([rate], [Input("before", m), Input("u", m), Input("T", 1)])
+
+
+def find_rates(m: int) -> Formula:
+    """Return (u - before) / T: rates over a horizon T, which a scale turns into rates over a part of it."""
+    rates = [
+        Operation("/", Operation("-", u, before), Name("T0"))
+        for u, before in zip(_name("u", m), _name("before", m), strict=True)
+    ]
+    return _formula(rates, [Input("before", m), Input("u", m), Input("T", 1)])

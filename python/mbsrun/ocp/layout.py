@@ -170,6 +170,7 @@ class Rows:
     accelerations: Indices  # (targets,)
     sensor_velocities: Indices  # (targets, 3)
     constraints: tuple[Indices, ...]  # of each, (places,)
+    rates: Indices  # (N - 1, ...): of constant inputs, then of controls, whose rates have bounds
     size: int
 
 

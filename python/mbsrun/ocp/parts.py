@@ -42,6 +42,7 @@ class PartReading(Reading):
     def __init__(self, document: Document, stand_ins: frozenset[Place], manifest: Manifest) -> None:
         super().__init__(document, stand_ins)
         self.manifest = manifest
+        self.is_linked = False  # a link gives the start
         self.referring = Referring(self, manifest, Path(document.file).parent)
         self.quantities: dict[str, Quantity] = {}  # everything that an expression of the motion reads
         self.used: set[str] = set()  # constants that formulas read
@@ -74,9 +75,14 @@ class PartReading(Reading):
             ("unknowns", "an unknown", section.unknowns),
         ):
             for i, name in enumerate(given):
-                if not is_free_name(name) or name in self.quantities or name in self.constants:
-                    self.fault((key, name), f"no name for {kind}", "give a word that means nothing else")
-                self.quantities.setdefault(name, Quantity(key, i))
+                self.add_name((key, name), name, kind, Quantity(key, i))
+
+    def add_name(self, place: Place, name: str, kind: str, quantity: Quantity) -> None:
+        """Add a name to the names that expressions read."""
+        if not is_free_name(name) or name in self.quantities or name in self.constants:
+            named = "" if name in place else f": {abbreviate(name)}"
+            self.fault(place, f"no name for {kind}{named}", "give a word that means nothing else")
+        self.quantities.setdefault(name, quantity)
 
     def states(self, given: Mapping[str, StateSection]) -> tuple[State, ...]:
         """Read the states that the problem adds."""

@@ -126,7 +126,8 @@ def plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
         axes.plot(t, values, label=plain(name))
     for k, control in enumerate(problem.controls):
         points = trajectory.point_controls[:, :, k : k + 1]
-        _plot_input(axes, trajectory, trajectory.controls[:, k], points, linestyle="--", label=plain(control.name))
+        name = f"slack of {control.softens}" if control.softens else control.name
+        _plot_input(axes, trajectory, trajectory.controls[:, k], points, linestyle="--", label=plain(name))
     axes.set_title("Further states, open wrenches dotted, controls dashed", loc="left", fontsize="medium")
     axes.grid(alpha=0.3)
 

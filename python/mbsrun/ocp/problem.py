@@ -28,6 +28,8 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
 
+SAME_TIME = 1e-9  # of the horizon: a delay that is as near to a mesh point ends there
+
 
 class Form(Enum):
     """The variables that a motion has within an interval."""
@@ -85,16 +87,19 @@ class Cost:
     input_rates: float = 0.0  # k2
     running: tuple[Term, ...] = ()  # integrated over the horizon
     terminal: tuple[Term, ...] = ()  # at its end
+    control_rates: tuple[tuple[str, float], ...] = ()  # as k2, of a control: its name and weight
 
     @property
     def weights(self) -> tuple[float, ...]:
         """Return the weight of every term, in order."""
-        return (self.inputs, self.input_rates, *(term.weight for term in self.running + self.terminal))
+        terms = (term.weight for term in self.running + self.terminal)
+        return (self.inputs, self.input_rates, *terms, *(weight for _, weight in self.control_rates))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Name every term."""
-        return ("inputs", "input rates", *(term.title for term in self.running + self.terminal))
+        terms = (term.title for term in self.running + self.terminal)
+        return ("inputs", "input rates", *terms, *(f"rates of {name}" for name, _ in self.control_rates))
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,7 @@ class Bounds:
     q: tuple[Range, ...]
     qd: tuple[Range, ...]
     u: tuple[Range, ...]
+    rates: tuple[Range, ...] = ()  # of each constant input: its differences over time; empty where none is bounded
 
 
 @dataclass(frozen=True)
@@ -149,6 +155,21 @@ class Control:
     name: str
     bounds: Range = (-math.inf, math.inf)
     guess: float = 0.0
+    rates: Range = (-math.inf, math.inf)  # of (c_(k+1) - c_k) / h, where it is constant
+    softens: str = ""  # the constraint that it lets be violated, where it is a slack
+
+
+@dataclass(frozen=True)
+class Delay:
+    """An input that acts later than it is given: until then, it is what was given before the start.
+
+    The problem's input is the one that acts, u(t) = command(t - delay); so the first intervals have known inputs.
+    """
+
+    kind: Literal["input", "control"]
+    index: int  # into u, or into the controls
+    seconds: float
+    history: float | None = 0.0  # the command before the start; None: free
 
 
 @dataclass(frozen=True)
@@ -191,6 +212,8 @@ class Unknown:
     name: str
     bounds: Range = (-math.inf, math.inf)
     guess: float = 0.0
+    softens: str = ""  # the constraint that it lets be violated, where it is a slack
+    largest: tuple[str, ...] = ()  # expressions that it bounds along the path; their largest value is its guess
 
 
 @dataclass(frozen=True)
@@ -268,6 +291,7 @@ class Problem:
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read
     inputs: Course = "constant"  # over an interval; polynomial: of degree d - 1, by a value at each point
+    delays: tuple[Delay, ...] = ()
     contacts_hold_at_start: bool = True  # where the start is free, and no link gives it: then by separate rows
     parameters: tuple[tuple[str, float], ...] = ()  # values of the model's run-time and differentiated parameters
     mesh: tuple[float, ...] | None = None  # the fraction of the horizon that each interval has; None: they are equal
@@ -345,6 +369,12 @@ def list_names(text: str, functions: Sequence[Symbolic]) -> frozenset[str]:
     return frozenset().union(*(reads.get(name, frozenset((name,))) for name in names(parse(text))))
 
 
+def count_delayed(delay: Delay, problem: Problem) -> int | None:
+    """Count the intervals before the first command of a delayed input acts; None where it acts within an interval."""
+    times = problem.grid.mesh(problem.horizon).tolist()
+    return next((k for k, t in enumerate(times) if abs(t - delay.seconds) <= SAME_TIME * problem.horizon), None)
+
+
 @dataclass(frozen=True)
 class Conflict:
     """A part of a problem that does not go together with the rest."""
@@ -377,12 +407,41 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
         finding = "a quaternion is not the integral of a velocity, as coordinates of second-order collocation are"
         found.append(Conflict("integrator", finding, "take integrator: collocation"))
     found += _find_slopes(problem)
+    found += _find_delays(problem)
+    if problem.inputs != "constant" and _has_rates(problem):
+        finding = "rates are differences of constant inputs over time, and these inputs change within an interval"
+        found.append(Conflict("inputs", finding, "let a control be the rate of a state, as `lift_inputs` does"))
     if form is not Form.SHOOTING and (not INTEGRATORS[problem.integrator].is_collocation or problem.steps != 1):
         finding = f"{problem.integrator} with {problem.steps} steps is for shooting, and the form is {form.value}"
         found.append(Conflict("form", finding, "take form: shooting, or integrator: collocation and 1 step"))
     elif INTEGRATORS[problem.integrator].is_explicit and not representation.is_explicit:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
+    return found
+
+
+def _has_rates(problem: Problem) -> bool:
+    ranges = (*problem.bounds.rates, *(control.rates for control in problem.controls))
+    return bool(problem.cost.control_rates) or any(map(math.isfinite, (x for limits in ranges for x in limits)))
+
+
+def _find_delays(problem: Problem) -> list[Conflict]:
+    """Find delays that no grid of the problem can have."""
+    found = []
+    if problem.delays and problem.horizon_range is not None:
+        finding = "the horizon is free, so the mesh points move, and a delay ends at one of them"
+        found.append(Conflict("inputs", finding, "give the horizon, or leave the delay out"))
+        return found
+    for delay in problem.delays:
+        if not 0 < delay.seconds < problem.horizon:
+            finding = f"a delay of {delay.seconds:g} s, and the horizon is {problem.horizon:g} s"
+            found.append(Conflict("inputs", finding, "give a positive delay below the horizon"))
+        elif count_delayed(delay, problem) is None:
+            times = problem.grid.mesh(problem.horizon).tolist()
+            k = next(k for k, t in enumerate(times) if t > delay.seconds)
+            finding = f"a delay of {delay.seconds:g} s ends within an interval, from {times[k - 1]:g} to {times[k]:g} s"
+            remedy = "let it end at a mesh point: give a multiple of the intervals' length, or lengths of intervals"
+            found.append(Conflict("inputs", finding, remedy))
     return found
 
 

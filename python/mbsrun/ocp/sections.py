@@ -178,6 +178,15 @@ class ReferenceSection(Section):
     cutoff: NumberField | None = Field(default=None, examples=[6.0])
 
 
+class LargestSection(Section):
+    """The largest value of an expression along the path, as a term of the cost."""
+
+    expression: FormulaField
+    weight: NumberField = Field(default=Number(1.0), examples=[1.0])
+    absolute: bool = Field(default=False, examples=[False])  # of the expression's absolute value
+    name: str | None = Field(default=None, examples=["peak"])  # which expressions read
+
+
 class CostSection(Section):
     """The cost."""
 
@@ -186,6 +195,20 @@ class CostSection(Section):
     running: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     terminal: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     track: Annotated[tuple[TrackSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    largest: Annotated[tuple[LargestSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+
+
+class SoftSection(Section):
+    """The price of violating a constraint."""
+
+    linear: NumberField = Field(default=Number(0.0), examples=[100.0])
+    quadratic: NumberField = Field(default=Number(0.0), examples=[0.0])
+    name: str | None = Field(default=None, examples=["slack"])  # which expressions read
+
+
+SoftField = Annotated[  # the linear price, or both
+    Annotated[NumberField, Tag("list")] | Annotated[SoftSection, Tag("mapping")], Discriminator(_form)
+]
 
 
 class ConstraintSection(Section):
@@ -194,6 +217,7 @@ class ConstraintSection(Section):
     expression: FormulaField
     range: RangeField = Field(examples=[[None, 1.0]])
     at: Literal["start", "path", "end"] = Field(default="path", examples=["path"])
+    soft: SoftField | None = Field(default=None, examples=[100.0])
 
 
 class StartSection(Section):
@@ -209,6 +233,7 @@ class BoundsSection(Section):
     coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
     velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
     inputs: RangesField = Field(default={}, examples=[[None, None]])
+    input_rates: RangesField = Field(default={}, examples=[[None, None]])
 
 
 class PositionSection(Section):
@@ -285,11 +310,49 @@ class StateSection(Section):
     guess: StraightField = Field(default=None, examples=[0.5])
 
 
+class RateSection(Section):
+    """The rate of a control: its bounds and its price."""
+
+    range: RangeField = Field(default=(None, None), examples=[[-1.0, 1.0]])
+    weight: NumberField = Field(default=Number(0.0), examples=[0.0])
+
+
+HistoryField = Annotated[  # a number, or free
+    Annotated[Literal["free"], Tag("text")] | Annotated[NumberField, Tag("number")],
+    Discriminator(lambda value: "text" if value == "free" else "number"),
+]
+
+
 class ControlSection(Section):
     """An input beside the mechanism's."""
 
     range: RangeField = Field(default=(None, None), examples=[[0.0, 1.0]])
     guess: NumberField = Field(default=Number(0.0), examples=[0.1])
+    rate: RateSection | None = Field(default=None, examples=[{"range": [-1.0, 1.0]}])
+    delay: NumberField | None = Field(default=None, examples=[0.1])
+    history: HistoryField | None = Field(default=None, examples=[0.0])  # what it was before the start; by default 0
+
+
+CourseField = Literal["constant", "linear", "polynomial"]
+DelayField = Annotated[  # of all inputs, or by name
+    Annotated[NumberField, Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
+]
+HistoriesField = Annotated[
+    Annotated[HistoryField, Tag("list")] | Annotated[dict[str, HistoryField], Tag("mapping")], Discriminator(_form)
+]
+
+
+class InputsSection(Section):
+    """The course of inputs over an interval, and their delays."""
+
+    course: CourseField = Field(default="constant", examples=["polynomial"])
+    delay: DelayField | None = Field(default=None, examples=[0.1])
+    history: HistoriesField | None = Field(default=None, examples=[0.0])
+
+
+InputsField = Annotated[
+    Annotated[CourseField, Tag("list")] | Annotated[InputsSection, Tag("mapping")], Discriminator(_form)
+]
 
 
 class UnknownForceSection(Section):
@@ -354,7 +417,7 @@ class ProblemSection(Section):
     steps: int = Field(default=Problem.steps, ge=1, le=MAX_STEPS, examples=[1])
     states: Annotated[dict[str, StateSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
-    inputs: Literal["constant", "polynomial"] = Field(default=Problem.inputs, examples=["polynomial"])
+    inputs: InputsField = Field(default=Problem.inputs, examples=["polynomial"])
     forces: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])

@@ -211,6 +211,8 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
         ("coordinate", bounds.q, manifest.positions),
         ("velocity", bounds.qd, names),
         ("input", bounds.u, [names[i] for i in manifest.actuated]),
+        ("input rate", bounds.rates, [names[i] for i in manifest.actuated][: len(bounds.rates)]),
+        ("control rate", [control.rates for control in problem.controls], problem.added.controls),
         ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
         ("state", [state.bounds for state in problem.states], problem.added.states[: len(problem.states)]),
         ("control", [control.bounds for control in problem.controls], problem.added.controls),

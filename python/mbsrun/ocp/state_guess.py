@@ -2,8 +2,9 @@
 
 A control is held at its guess. A state is held, or goes straight from a number to another; else it is integrated along
 the guessed motion from its start, s' = rate(t, q, qd, qdd, u, s), by LSODA at a loose tolerance. Where that fails, as
-with a rate that has a pole on the way, the state is held at its start. Unknown components of wrenches are held; what
-expressions give follows from all others.
+with a rate that has a pole on the way, the state is held at its start. A state that is an input itself goes through the
+guessed inputs. Unknown components of wrenches are held; what expressions give follows from all others. The guess of an
+unknown that bounds expressions is their largest value along the guessed motion.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class _TooLongError(Exception):
 
 def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
     """Return a motion with guesses of the unknowns, states and controls that it lacks; others stay as they are."""
-    if motion.unknowns.size != len(problem.unknowns):
+    is_new = motion.unknowns.size != len(problem.unknowns)
+    if is_new:
         motion = replace(motion, unknowns=np.array([unknown.guess for unknown in problem.unknowns]))
     states, controls = problem.every_state, problem.controls
     if motion.controls.shape[1] != len(controls):
@@ -40,20 +42,44 @@ def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
         motion = replace(motion, controls=np.tile(values, (len(motion.u), 1)))
     if motion.states.shape[1] != len(states):
         motion = _add_states(motion, problem, plant)
-    return _add_given(motion, problem, plant) if problem.forces or plant.manifest.wrenches else motion
+    motion = _add_given(motion, problem, plant) if problem.forces or plant.manifest.wrenches else motion
+    return guess_largest(motion, problem, plant) if is_new else motion
 
 
-def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
-    """Add what expressions give, and unknown components of wrenches; 0 where an expression has no value."""
-    (N, d), m = motion.point_t.shape, motion.u.shape[1]
+def guess_largest(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Return a motion whose unknowns that bound expressions are the largest values of these along it."""
+    unknowns = motion.unknowns.copy()
+    for i, unknown in enumerate(problem.unknowns):
+        if unknown.largest:
+            found = Values(unknown.largest, problem, plant)(_list_parts(motion, plant))
+            unknowns[i] = max(found[np.isfinite(found)], default=unknown.guess)
+    return replace(motion, unknowns=unknowns)
+
+
+def _list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:
+    """List the parts of a motion at its points, (N d, size) each."""
+    N, d = motion.point_t.shape
     u, controls = motion.spread_inputs()
-    whole = {"q": motion.point_q, "qd": motion.point_qd, "states": motion.point_states, "controls": controls, "u": u}
+    whole = {
+        "q": motion.point_q,
+        "qd": motion.point_qd,
+        "qdd": motion.point_qdd,
+        "states": motion.point_states,
+        "controls": controls,
+        "u": u,
+    }
     parts = {kind: array.reshape(N * d, array.shape[2]) for kind, array in whole.items()}
     parts |= {"t": motion.point_t.reshape(-1, 1), "T": np.full((N * d, 1), motion.t[-1])}
     if motion.point_w.shape[2] == len(name_components(plant.manifest)):
         parts["w"] = motion.point_w.reshape(N * d, -1)
     parts["unknowns"] = np.tile(motion.unknowns, (N * d, 1))
-    found = GivenValues(problem, plant)(parts)
+    return parts
+
+
+def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Add what expressions give, and unknown components of wrenches; 0 where an expression has no value."""
+    (N, d), m = motion.point_t.shape, motion.u.shape[1]
+    found = GivenValues(problem, plant)(_list_parts(motion, plant))
     point_u, point_w = (np.nan_to_num(found[kind], posinf=0, neginf=0).reshape(N, d, -1) for kind in ("u", "w"))
     if not problem.forces:
         return replace(motion, point_w=point_w)
@@ -78,7 +104,12 @@ def _guess(states: tuple[State, ...], t: Array, motion: Trajectory, problem: Pro
     ends = [_choose_ends(state) for state in states]
     straight = (pair or [_find_start(state)] * 2 for state, pair in zip(states, ends, strict=True))
     values = np.stack([np.interp(t, t[[0, -1]], pair) for pair in straight], axis=1)
-    integrated = [i for i, pair in enumerate(ends) if pair is None]
+    given = {force.expression: force.input for force in problem.forces}
+    known = [i for i, pair in enumerate(ends) if pair is None and states[i].name in given]
+    middles = (motion.t[:-1] + motion.t[1:]) / 2
+    for i in known:
+        values[:, i] = np.interp(t, middles, motion.u[:, given[states[i].name]])
+    integrated = [i for i, pair in enumerate(ends) if pair is None and i not in known]
     if integrated:
         found = _integrate(values, integrated, t, motion, problem, plant)
         if found is not None:

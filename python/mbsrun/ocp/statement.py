@@ -64,6 +64,7 @@ from mbsrun.ocp.problem import (
     find_conflicts,
 )
 from mbsrun.ocp.quantities import Added, list_quantities
+from mbsrun.ocp.restating import Rewriting
 from mbsrun.ocp.sections import (
     BoundsSection,
     ConstraintSection,
@@ -213,6 +214,7 @@ class _Reading(PartReading):
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(("constants", key), expression)
         self.add_names(section)
+        self.rewriting = Rewriting(self, section, self.inputs.known, f"{name}_" if self.is_phase else "")
         parameters, unknowns = self.parameters(section.parameters), self.unknowns(section.unknowns)
         if not self.faults:
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
@@ -235,13 +237,13 @@ class _Reading(PartReading):
         cost, end = self.cost(section.cost, horizon), self.end(section.end, bounds)
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
-        constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints))
+        constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints) if part.soft is None)
         problem = Problem(
             name=name,
             horizon=horizon,
             intervals=intervals,
             mesh=mesh,
-            inputs=section.inputs,
+            inputs=self.rewriting.course,
             family=section.scheme,
             degree=section.degree,
             representation=section.representation,
@@ -272,6 +274,7 @@ class _Reading(PartReading):
         )
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
         problem = replace(problem, constants=used, references=self.referring.references())
+        problem = self.rewriting.apply(problem)
         self.check_given(problem)
         for conflict in (
             *find_conflicts(problem),
@@ -338,11 +341,11 @@ class _Reading(PartReading):
         terminal = tuple(self.term("terminal", i, term) for i, term in enumerate(section.terminal))
         rates = self.number(("cost", "input_rates"), section.input_rates, least=0)
         if section.inputs is None:
-            inputs = 0.0 if running or terminal or rates else 1.0
+            inputs = 0.0 if running or terminal or rates or section.largest else 1.0
         else:
             inputs = self.number(("cost", "inputs"), section.inputs, least=0)
         cost = Cost(inputs, rates, running, terminal)
-        if not any(cost.weights) and not self.is_phase:
+        if not any(cost.weights) and not section.largest and not self.is_phase:
             self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
         return cost
 
@@ -487,6 +490,7 @@ class _Reading(PartReading):
             self.ranges("coordinates", section.coordinates, self.coordinates, self.limits),
             self.ranges("velocities", section.velocities, self.velocities, self.speeds),
             self.ranges("inputs", section.inputs, self.inputs, self.forces),
+            self.rates(section),
         )
         for x in list_quaternions(self.manifest):
             lower, upper = np.array([bounds.q[i] for i in x.entries]).T
@@ -495,6 +499,11 @@ class _Reading(PartReading):
                 finding = f"no quaternion of {x.joint} has length 1 within these bounds"
                 self.fault(("bounds", "coordinates"), finding, "widen them; null is no bound")
         return bounds
+
+    def rates(self, section: BoundsSection) -> tuple[Range, ...]:
+        """Read the bounds of rates; none where no input has one."""
+        found = self.ranges("input_rates", section.input_rates, self.inputs, [_both_ways(None)] * len(self.forces))
+        return found if any(limits != _both_ways(None) for limits in found) else ()
 
     def ranges(
         self, key: str, given: Limits | dict[str, Limits], among: _Names, usual: Sequence[Range]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.problem import Contact, Course, Form, Loops, Problem, Representation, Symbolic
+from mbsrun.ocp.problem import Contact, Course, Form, Loops, Problem, Range, Representation, Symbolic
 from mbsrun.ocp.schemes import Family
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
@@ -52,6 +53,9 @@ class Structure:
     contacts: tuple[Contact, ...] = ()
     contacts_hold_at_start: bool = True
     inputs: Course = "constant"
+    rated_inputs: tuple[int, ...] = ()  # whose rates have bounds
+    rated_controls: tuple[int, ...] = ()
+    priced_controls: tuple[int, ...] = ()  # whose rates have a weight
 
     @property
     def grid(self) -> Grid:
@@ -106,6 +110,9 @@ def structure(problem: Problem) -> Structure:
         mesh=problem.mesh,
         parameters=problem.parameters,
         inputs=problem.inputs,
+        rated_inputs=tuple(list_bounded(problem.bounds.rates)),
+        rated_controls=tuple(list_bounded([control.rates for control in problem.controls])),
+        priced_controls=tuple(problem.added.controls.index(name) for name, _ in cost.control_rates),
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
         rates=tuple(state.rate for state in problem.every_state),
@@ -115,6 +122,11 @@ def structure(problem: Problem) -> Structure:
         wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.every_component),
         ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
     )
+
+
+def list_bounded(ranges: Sequence[Range]) -> list[int]:
+    """List the indices of ranges that have a bound."""
+    return [i for i, limits in enumerate(ranges) if np.isfinite(limits).any()]
 
 
 def _list_known_velocities(problem: Problem) -> tuple[int, ...]:

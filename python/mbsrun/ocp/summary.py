@@ -11,6 +11,7 @@ from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.problem import Loops, Unknown
 from mbsrun.ocp.solution import Resimulation, Solution
 
+UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
 LOOPS: Mapping[Loops, str] = {
     Loops.REDUCED: "reduced: the independent coordinates are states",
     Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
@@ -37,7 +38,8 @@ def summarise(solution: Solution) -> dict[str, str]:
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
         **_describe_loops(solution),
         **_describe_grid(solution),
-        **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution)},
+        **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution) if not x.softens},
+        **dict(_list_slacks(solution)),
         **{f"d cost / d {name} ": f"{value:.8g}" for name, value in solution.sensitivities},
     }
     if check is not None and check.slip is not None:
@@ -93,6 +95,25 @@ def _describe_grid(solution: Solution) -> dict[str, str]:
 def _list_unknowns(solution: Solution) -> Iterator[tuple[Unknown, float]]:
     """List the numbers that the solver chose."""
     return zip(solution.problem.unknowns, solution.trajectory.unknowns.tolist(), strict=True)
+
+
+def _list_slacks(solution: Solution) -> Iterator[tuple[str, str]]:
+    """List the slacks, and by how much constraints are violated."""
+    trajectory = solution.trajectory
+    points = trajectory.spread_inputs()[1]
+    for i, control in enumerate(solution.problem.controls):
+        if control.softens:
+            k, j = np.unravel_index(points[:, :, i].argmax(), points.shape[:2])
+            most = float(points[k, j, i])
+            where = f", the most from {trajectory.t[k]:.4g} to {trajectory.t[k + 1]:.4g} s"
+            yield f"slack of {control.softens}", _write_slack(most, where)
+    for unknown, value in _list_unknowns(solution):
+        if unknown.softens:
+            yield f"slack of {unknown.softens}", _write_slack(value, "")
+
+
+def _write_slack(most: float, where: str) -> str:
+    return f"{most:.6g}{where}" if most > UNUSED else "not used"
 
 
 def _describe_loops(solution: Solution) -> dict[str, str]:

@@ -46,7 +46,7 @@ from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Layout, Rows, at_points, read_slopes
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, find_conflicts
+from mbsrun.ocp.problem import Delay, Problem, count_delayed, find_conflicts
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure, structure
@@ -106,6 +106,10 @@ class Transcription:
         lower[self._fixed] = upper[self._fixed] = self.fixed
         bounds = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2)
         lower[self.layout.unknowns], upper[self.layout.unknowns] = bounds.T
+        for delay in problem.delays:
+            if delay.history is not None:
+                known = self._find_delayed(delay, problem)
+                lower[known] = upper[known] = delay.history
         return lower[self.program.kept], upper[self.program.kept]
 
     def _list_given_states(self, problem: Problem) -> Indices:
@@ -137,6 +141,16 @@ class Transcription:
         if problem.inputs == "constant":
             return [given, (layout.inputs, free), (extras.controls, controls)]
         return [given, (layout.point_inputs, free), (extras.point_controls, controls)]
+
+    def _find_delayed(self, delay: Delay, problem: Problem) -> Indices:
+        """Return the variables of a delayed input before its first command acts."""
+        layout, extras = self.layout, self.layout.extras
+        count, is_constant = count_delayed(delay, problem), problem.inputs == "constant"
+        if delay.kind == "control":
+            controls = extras.controls if is_constant else extras.point_controls
+            return np.ravel(controls[:count, ..., delay.index])
+        inputs = layout.inputs if is_constant else layout.point_inputs
+        return np.ravel(inputs[:count, ..., extras.free.index(delay.index)])
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0."""
@@ -175,6 +189,9 @@ class Transcription:
             lower[row], upper[row] = problem.every_state[i].end
         for row, constraint in zip(rows.constraints, problem.constraints, strict=True):
             lower[row], upper[row] = constraint.range
+        rates = [problem.bounds.rates[i] for i in self.structure.rated_inputs]
+        rates += [problem.controls[i].rates for i in self.structure.rated_controls]
+        lower[rows.rates], upper[rows.rates] = np.array(rates).reshape(-1, 2).T
         return lower[self.program.kept_rows], upper[self.program.kept_rows]
 
     def _pick(self, values: Sequence[T]) -> tuple[T, ...]:

@@ -88,7 +88,7 @@ class Writer:
         self.blocks: list[Block] = []
         self.stages: list[Indices] = []  # of the rows
         self.size = 0
-        self.weights = 2 + len(shape.running) + len(shape.terminal)
+        self.weights = 2 + len(shape.running) + len(shape.terminal) + len(shape.priced_controls)
         self.parameters = self.weights + len(shape.constants)  # and then attitudes, where they are written
 
     def write(self) -> tuple[Rows, Program]:
@@ -126,6 +126,7 @@ class Writer:
             accelerations=self.write_accelerations(shape.accelerations),
             sensor_velocities=self.write_sensors([self.velocity(name) for name in shape.sensor_velocities]),
             constraints=self.write_constraints(),
+            rates=self.write_input_rates(),
             size=self.size,
         )
         H, costs = self.write_cost()
@@ -571,6 +572,24 @@ class Writer:
                     rows[i].append(row)
         return tuple(np.concatenate(parts) for parts in rows)
 
+    def write_input_rates(self) -> Indices:
+        """Write the differences of constant inputs over time whose ranges are bounded: between midpoints."""
+        layout, shape, N = self.layout, self.shape, self.shape.intervals
+        inputs = layout.inputs[:, [layout.extras.free.index(i) for i in shape.rated_inputs]]
+        rated = np.concatenate((inputs, layout.extras.controls[:, list(shape.rated_controls)]), axis=1)
+        count, steps = rated.shape[1], _find_steps(self.h)
+        rows = self.take(np.arange(N - 1), N - 1, count)
+        if not rows.size:
+            return rows
+        before, after = rated[:-1], rated[1:]
+        if layout.horizon is None:
+            self.A.put(rows, after, 1 / steps[:, None])
+            self.A.put(rows, before, -1 / steps[:, None])
+        else:
+            columns = (before.T, after.T, np.full((1, N - 1), layout.horizon))
+            self.blocks.append(Block(formulas.find_rates(count), columns, rows.T, np.arange(N - 1), scale=1 / steps))
+        return rows
+
     @property
     def first(self) -> Places:
         """Return the start."""
@@ -630,9 +649,15 @@ class Writer:
             blocks.append(self.apply(shape.terminal, self.last, rows, self.last.interval))
         nothing = sparse.csc_array((layout.size, layout.size))
         others = (nothing,) * (running + terminal)
+        controls = [layout.extras.controls[:, [i]] for i in shape.priced_controls]
         if layout.horizon is None:
-            return (_input_cost(layout, self.h, weights), _rate_cost(layout, self.h), *others), tuple(blocks)
-        return (nothing, nothing, *others), (*_input_costs(layout, layout.horizon, self.h, weights), *blocks)
+            inputs = (_input_cost(layout, self.h, weights), _rate_cost(layout.inputs, self.h, layout.size))
+            rates = (_rate_cost(control, self.h, layout.size) for control in controls)
+            return (*inputs, *others, *rates), tuple(blocks)
+        for row, control in enumerate(controls, 2 + running + terminal):
+            blocks += _rate_costs(control, layout.horizon, self.h, row)
+        own = _input_costs(layout, layout.horizon, self.h, weights)
+        return (nothing, nothing, *others, *(nothing for _ in controls)), (*own, *blocks)
 
 
 def order_components(shape: Structure, manifest: Manifest) -> tuple[str | None, ...]:
@@ -685,14 +710,24 @@ def _find_steps(h: Array) -> Array:
     return (h[:-1] + h[1:]) / 2
 
 
-def _rate_cost(layout: Layout, h: Array) -> Matrix:
-    """Return the Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2."""
+def _rate_cost(inputs: Indices, h: Array, size: int) -> Matrix:
+    """Return the Hessian of the sum over the N - 1 steps of h |(u_(k+1) - u_k) / h|^2; inputs are (N, m)."""
     H, step = Entries(), _find_steps(h)[:, None]
-    before, after = layout.inputs[:-1], layout.inputs[1:]
+    before, after = inputs[:-1], inputs[1:]
     for row in (before, after):
         for col in (before, after):
             H.put(row, col, 2 / step if row is col else -2 / step)
-    return H.matrix((layout.size, layout.size))
+    return H.matrix((size, size))
+
+
+def _rate_costs(inputs: Indices, horizon: int, h: Array, row: int) -> list[Block]:
+    """Return the same sum as a function of the inputs and the horizon, as the term `row` of the cost."""
+    N, m = inputs.shape
+    if N == 1 or not m:
+        return []
+    columns = (inputs[:-1].T, inputs[1:].T, np.full((1, N - 1), horizon))
+    rows, scale = np.full((1, N - 1), row), (1 / N) / _find_steps(h)
+    return [Block(formulas.square_rates(m, N), columns, rows, np.arange(N - 1), scale=scale)]
 
 
 def _input_costs(layout: Layout, horizon: int, h: Array, weights: Array) -> list[Block]:
@@ -707,9 +742,4 @@ def _input_costs(layout: Layout, horizon: int, h: Array, weights: Array) -> list
         return []
     rows, interval = np.zeros((1, N), dtype=np.int64), np.arange(N)
     inputs = Block(formulas.square_inputs(m), (layout.inputs.T,), rows, interval, scale=h, factor=horizon)
-    if N == 1:
-        return [inputs]
-    steps = (layout.inputs[:-1].T, layout.inputs[1:].T, np.full((1, N - 1), horizon))
-    scale = (1 / N) / _find_steps(h)
-    rates = Block(formulas.square_rates(m, N), steps, np.ones((1, N - 1), dtype=np.int64), interval[:-1], scale=scale)
-    return [inputs, rates]
+    return [inputs, *_rate_costs(layout.inputs, horizon, h, 1)]

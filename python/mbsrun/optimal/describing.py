@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Form, Problem, Range, WrenchComponent
+from mbsrun.ocp.problem import Delay, Form, Problem, Range, WrenchComponent
 
 LONGEST = 12  # parts of one line; more are counted
 
@@ -43,6 +43,7 @@ def _describe_additions(problem: Problem, manifest: Manifest) -> dict[str, str]:
     return {
         "states": _list(f"{x.name}' = {_name(x.rate, problem)}" for x in problem.states),
         "controls": _list(_write_range(x.name, x.bounds) for x in problem.controls),
+        "delays": _list(_describe_delay(x, inputs, problem) for x in problem.delays),
         "forces": _list(f"{inputs[x.input]} = {x.expression}" for x in problem.forces),
         "wrenches": _list(map(_describe_component, problem.wrenches)),
         "contacts": _list(x.sensor for x in problem.contacts),
@@ -51,6 +52,12 @@ def _describe_additions(problem: Problem, manifest: Manifest) -> dict[str, str]:
         "parameters": _list(f"{name} = {value:g}" for name, value in problem.parameters),
         "references": _list(x.name for x in problem.references),
     }
+
+
+def _describe_delay(delay: Delay, inputs: Sequence[str], problem: Problem) -> str:
+    name = inputs[delay.index] if delay.kind == "input" else problem.controls[delay.index].name
+    before = "free" if delay.history is None else f"{delay.history:g}"
+    return f"{name} by {delay.seconds:g} s, {before} before"
 
 
 def _list(parts: Iterable[str]) -> str:
@@ -87,9 +94,10 @@ def _name(expression: str, problem: Problem) -> str:
 
 def _list_terms(problem: Problem) -> list[str]:
     terms = zip(problem.cost.weights, problem.cost.names, strict=True)
-    at_end = 2 + len(problem.cost.running)
+    first = 2 + len(problem.cost.running)
+    at_end = range(first, first + len(problem.cost.terminal))
     return [
-        f"{weight:g} * {_name(name, problem)}{' (end)' if i >= at_end else ''}"
+        f"{weight:g} * {_name(name, problem)}{' (end)' if i in at_end else ''}"
         for i, (weight, name) in enumerate(terms)
         if weight
     ]
@@ -126,6 +134,11 @@ def _list_bounds(problem: Problem, manifest: Manifest) -> list[str]:
         *zip((f"q_{name}" for name in manifest.positions), problem.bounds.q, strict=True),
         *zip((f"qd_{name}" for name in names), problem.bounds.qd, strict=True),
         *zip((f"u_{names[i]}" for i in manifest.actuated), problem.bounds.u, strict=True),
+        *(
+            (f"rate of u_{names[i]}", limits)
+            for i, limits in zip(manifest.actuated, problem.bounds.rates, strict=False)
+        ),
+        *((f"rate of {control.name}", control.rates) for control in problem.controls),
     )
     return [_write_range(name, limits) for name, limits in every if limits != (-math.inf, math.inf)]
 

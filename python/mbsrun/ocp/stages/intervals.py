@@ -164,7 +164,7 @@ class _Division:
         matrix, entries = self.sort_matrix()
         squares = self.sort_quadratics()
         every = [*groups, matrix, *(group for _, group, _ in squares)]
-        carried = self.find_carried(groups, squares)
+        carried = self.find_carried(groups, matrix, entries, squares)
         signs = [
             (*(group.sign(k) for group in every), carried[k].tobytes(), carried[k + 1].tobytes(), len(self.others[k]))
             for k in range(self.N + 1)
@@ -324,6 +324,8 @@ class _Division:
     def find_carried(
         self,
         groups: Sequence[_Group],
+        matrix: _Group,
+        linear: Triplets,
         squares: Sequence[tuple[int, _Group, Triplets]],
     ) -> list[Indices]:
         """Find the inputs of the stage before that each stage reads; and of a stage after the last: none."""
@@ -335,9 +337,10 @@ class _Division:
                 sorted_columns = columns[group.order]
                 place, at = np.nonzero((sorted_columns >= first) & (sorted_columns < last))
                 read[stage[place], sorted_columns[place, at] - first] = True
-        for _, group, entries in squares:
+        quadratic = [(group, (entries.row, entries.col)) for _, group, entries in squares]
+        for group, parts in [(matrix, (linear.col,)), *quadratic]:
             stage = np.repeat(np.arange(self.N + 1), np.diff(group.begin))
-            for part in (entries.row, entries.col):
+            for part in parts:
                 columns = part[group.order]
                 (at,) = np.nonzero((columns >= first) & (columns < last))
                 read[stage[at], columns[at] - first] = True
