@@ -308,12 +308,12 @@ def generate_command(
     if check:
         with _progress() as tell:
             made = make(source, options, tell)
-        _check_folder(made.files, out)
+        _check_folder({**made.files, **made.packages}, out)
         return
     with _progress() as tell:
         product = generate(source, out, options, tell)
     print_report(product.report)
-    click.echo(f"wrote {len(product.files)} files to {out}", err=True)
+    click.echo(f"wrote {len(product.files) + len(product.packages)} files to {out}", err=True)
 
 
 @contextmanager
@@ -327,7 +327,7 @@ def _progress() -> Iterator[Tell]:
         yield lambda stage: status.update(escape(stage))
 
 
-def _check_folder(files: Mapping[str, str], out: Path) -> None:
+def _check_folder(files: Mapping[str, str | bytes], out: Path) -> None:
     """Print the files of a folder that differ from the generated ones; exit if there are any."""
     different = find_differences(files, out)
     for name in different:

@@ -281,6 +281,19 @@ class Manifest(_Entry):
         """Indices of the actuated coordinates: entry i of u acts on coordinate actuated[i]."""
         return tuple(i for i, c in enumerate(self.coordinates) if c.actuated)
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs: entries of u by their joints, then entries of w by wrench and component."""
+        joints = [self.coordinates[i].name for i in self.actuated]
+        parts = [
+            f"{wrench.name}.{part}.{axis}"
+            for wrench in self.wrenches
+            for part, is_input in (("force", wrench.force), ("moment", wrench.moment))
+            if is_input
+            for axis in "xyz"
+        ]
+        return (*joints, *parts)
+
 
 def write(manifest: Manifest) -> str:
     """Return the text of a manifest's file."""

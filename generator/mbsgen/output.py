@@ -16,22 +16,24 @@ from mbsgen.errors import Fault, InputError
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux: <fcntl.h>, <linux/fs.h>
 # The files that mbsgen writes for a model with prefix {0}, and files that compilers and Python add to them.
 _OWN = (
-    r"{0}(_\w+)?\.(c|h|pc|py)|mbs_\w+\.[ch]|CMakeLists\.txt|manifest\.json|report\.(json|md)|matlab|matlab/{0}_\w+\.m"
+    r"{0}(_\w+)?\.(c|h|pc|py|fmu)|mbs_\w+\.[ch]|CMakeLists\.txt|manifest\.json|report\.(json|md)|matlab|matlab/{0}_\w+\.m"
     r"|check|\w+\.o|__pycache__|__pycache__/.*"
 )
 
 
-def find_differences(files: Mapping[str, str], out: Path) -> tuple[str, ...]:
+def find_differences(files: Mapping[str, str | bytes], out: Path) -> tuple[str, ...]:
     """List the files, by path, that are missing in `out` or differ there; other files there are ignored."""
     return tuple(
-        name
-        for name, text in files.items()
-        if not (out / name).is_file() or (out / name).read_bytes() != text.encode("utf-8")
+        name for name, text in files.items() if not (out / name).is_file() or (out / name).read_bytes() != _encode(text)
     )
 
 
-def write_folder(files: Mapping[str, str], out: Path) -> None:
-    """Write files, path -> text, as a whole folder: it appears complete, in place of an earlier one, or not at all.
+def _encode(content: str | bytes) -> bytes:
+    return content if isinstance(content, bytes) else content.encode("utf-8")
+
+
+def write_folder(files: Mapping[str, str | bytes], out: Path) -> None:
+    """Write files, path -> content, as a whole folder: it appears complete, in place of an earlier one, or not at all.
 
     Raises InputError when `out` holds anything that mbsgen did not write, or cannot be written.
     """
@@ -45,7 +47,7 @@ def write_folder(files: Mapping[str, str], out: Path) -> None:
             fresh = Path(aside) / "fresh"
             for name, text in files.items():
                 (fresh / name).parent.mkdir(parents=True, exist_ok=True)
-                (fresh / name).write_text(text, encoding="utf-8", newline="\n")
+                (fresh / name).write_bytes(_encode(text))
             _replace(fresh, out)
     except OSError as error:
         raise _refuse(out, error) from None

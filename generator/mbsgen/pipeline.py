@@ -6,7 +6,7 @@ import hashlib
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,12 +53,13 @@ class Product:
     manifest: Manifest
     report: Report
     files: Mapping[str, str]  # path in the folder -> text
+    packages: Mapping[str, bytes] = field(default_factory=dict)  # path in the folder -> content
 
 
 def generate(model: Path | Model, out: Path, options: Options = DEFAULT, tell: Tell = say_nothing) -> Product:
     """Make everything from a model, and write it to the folder `out`. Where `make` raises, nothing is written."""
     product = make(model, options, tell)
-    write_folder(product.files, out)
+    write_folder({**product.files, **product.packages}, out)
     return product
 
 
@@ -92,7 +93,10 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
         evidence,
         compare=request.compare,
     )
-    return Product(described, report, _write_files(unit, sources, described, report, request))
+    files = _write_files(unit, sources, described, report, request)
+    packed = [target.pack(described, files) for target in find_targets(request.targets)]
+    packages = {path: content for found in packed for path, content in found.items()}
+    return Product(described, report, files, packages)
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
-  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 3.0)
+  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 2.0, 3.0)
   mbsrun lab                    run the cases in which methods fail, and judge
   mbsrun cache                  list generated and compiled files, or clear them
 

@@ -11,17 +11,23 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from mbsgen.manifest import Manifest
 from mbsgen.request import OptionError
 from mbsgen.targets.acados import add_acados
 from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.cpp import list_headers, write_cpp
+from mbsgen.targets.fmu import pack_source
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python import write_python
 from mbsgen.targets.unit import Unit
 
 
 def _write_nothing(_: Unit) -> Mapping[str, str]:
+    return {}
+
+
+def _pack_nothing(_manifest: Manifest, _files: Mapping[str, str]) -> Mapping[str, bytes]:
     return {}
 
 
@@ -40,6 +46,7 @@ class Target:
     name: str  # of the option --NAME
     help: str  # of that option
     write: Callable[[Unit], Mapping[str, str]] = _write_nothing  # files of the folder, path -> text
+    pack: Callable[[Manifest, Mapping[str, str]], Mapping[str, bytes]] = _pack_nothing  # of the files, name -> content
     add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
     headers: Callable[[str], tuple[str, ...]] = _list_nothing  # installed beside the model's header, by its prefix
 
@@ -53,6 +60,7 @@ TARGETS: tuple[Target, ...] = (
         headers=list_headers,
     ),
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
+    Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
     ),

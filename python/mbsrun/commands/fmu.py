@@ -1,4 +1,4 @@
-"""`mbsrun fmu`: a model -> a functional mock-up unit of FMI 3.0."""
+"""`mbsrun fmu`: a model -> a functional mock-up unit of FMI 2.0 or 3.0."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import click
 
 from mbsrun.commands.console import say
 from mbsrun.external import load
-from mbsrun.fmu.layout import DYNAMICS, OUTPUTS, RATES
-from mbsrun.fmu.package import STEP, write_fmu
+from mbsrun.fmu import write_fmu
 from mbsrun.models import Extent
 
-FMU_HELP = """Write MODEL as a functional mock-up unit of FMI 3.0, for model exchange and co-simulation.
+FMU_HELP = """Write MODEL as a functional mock-up unit of FMI, for model exchange and co-simulation.
 
 \b
   mbsrun fmu models/double_pendulum.yaml -o double_pendulum.fmu
@@ -24,9 +23,10 @@ Variables
   FRAME.x, .y, .z   outputs: places of the model's frames
   step              a parameter: the longest step of co-simulation [s]
 
-The model's run-time parameters are tunable parameters. Derivatives, directional and adjoint, are exact. Co-simulation
-takes steps of the classical Runge-Kutta method, as `mbsrun simulate --method rk4` does. The unit holds the sources, and
-a library for this machine's system. Mechanisms with closed loops are refused.
+The model's run-time parameters are tunable parameters. Derivatives, directional and in FMI 3.0 adjoint, are exact.
+Co-simulation takes steps of the classical Runge-Kutta method, as `mbsrun simulate --method rk4` does. The unit holds
+the sources, and a library for this machine's system. Closed loops are kept closed by projection. Driven joints are
+refused.
 
 \b
 Exit codes
@@ -38,16 +38,20 @@ Exit codes
 @click.command("fmu", help=FMU_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
+    "--fmi", type=click.Choice(["2.0", "3.0"]), default="3.0", show_default=True, help="The version of the standard."
+)
+@click.option(
     "--step",
     type=click.FloatRange(1e-9, 1e3),
-    default=STEP,
-    show_default=True,
-    help="The longest step of co-simulation [s].",
+    help="The longest step of co-simulation [s]; by default 1 ms.",
 )
 @click.option("--source-only", "source_only", is_flag=True, help="Leave the library out.")
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file; by default NAME.fmu.")
-def fmu_command(model: Path, step: float, source_only: bool, out: Path | None) -> None:
+def fmu_command(model: Path, fmi: str, step: float | None, source_only: bool, out: Path | None) -> None:
     """Generate, compile, write."""
-    kernels = load(model, extent=Extent((DYNAMICS, OUTPUTS), 1, optional=(RATES,)))
-    out = write_fmu(kernels, out or Path(f"{model.stem}.fmu"), step=step, compiled=not source_only)
+    from mbsgen.targets.fmu import list_functions
+
+    needed, optional = list_functions()
+    kernels = load(model, extent=Extent(needed, 1, optional=optional))
+    out = write_fmu(kernels, out or Path(f"{model.stem}.fmu"), fmi=fmi, step=step, compiled=not source_only)
     say(f"wrote {out}")

@@ -22,7 +22,7 @@ from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
 from mbsrun.simulation.closing import close_start
-from mbsrun.simulation.drive import follow_polynomials, hold_steps, input_labels
+from mbsrun.simulation.drive import follow_polynomials, hold_steps
 from mbsrun.simulation.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Keeping, Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
@@ -214,7 +214,7 @@ def _read_recording(path: Path, manifest: Manifest) -> Recording:
     """Take start and inputs of a solution; it must be one of this model."""
     found = read_solution(path)
     names = manifest.positions
-    inputs = input_labels(manifest)
+    inputs = manifest.inputs
     if (found.coordinates, found.inputs) != (names, inputs):
         told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
         raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])

@@ -28,7 +28,6 @@ from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quaternions import neutral, normalise
-from mbsrun.simulation.drive import input_labels
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -244,7 +243,7 @@ def _state(kernels: Kernels, at: Equilibrium) -> dict[str, Any]:
     given = {"q": at.q, "qd": rest, "qdd": rest, "u": at.u, "lam": at.multipliers}
     taken = {argument.name for argument in kernels.describe("impl").inputs}
     if "w" in taken:
-        given["w"] = np.zeros(len(input_labels(manifest)) - at.u.size)
+        given["w"] = np.zeros(len(manifest.inputs) - at.u.size)
     return {name: value for name, value in given.items() if name in taken}
 
 

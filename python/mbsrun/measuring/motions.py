@@ -29,7 +29,7 @@ from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.course import Course as Guide
 from mbsrun.simulation.course import is_constrained
-from mbsrun.simulation.drive import Drive, hold, input_labels
+from mbsrun.simulation.drive import Drive, hold
 from mbsrun.simulation.methods import METHODS, Family, Formulation, complete_settings, find_refusals
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
@@ -110,7 +110,7 @@ def draw_course(mechanism: Mechanism, duration: float) -> Course:
         q = Closure(mechanism).spread(pose, y, (pose + ANGLE * (q - pose))[None, y])[0]
     else:
         q = _move_within(ANGLE * q, manifest)
-    inputs = hold(np.zeros(len(input_labels(manifest))))
+    inputs = hold(np.zeros(len(manifest.inputs)))
     return Course(mechanism, q, np.zeros(len(q)), inputs, duration, "drawn")
 
 

@@ -19,7 +19,6 @@ from scipy.interpolate import BarycentricInterpolator
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import Algebra, Expression, evaluate, names
-from mbsgen.manifest import Manifest
 from mbsrun.kernel import Kernels
 from mbsrun.quantities import Quantity
 
@@ -221,19 +220,6 @@ def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array)
 def _flatten(vectors: Array) -> Array:
     """Lay the vectors of sensors, (K, 3, sensors), one after the other: (K, 3 sensors)."""
     return vectors.swapaxes(1, 2).reshape(len(vectors), -1)
-
-
-def input_labels(manifest: Manifest) -> tuple[str, ...]:
-    """Name the inputs: u by their joints, then w by wrench and component."""
-    joints = [manifest.coordinates[i].name for i in manifest.actuated]
-    parts = [
-        f"{wrench.name}.{part}.{axis}"
-        for wrench in manifest.wrenches
-        for part, is_input in (("force", wrench.force), ("moment", wrench.moment))
-        if is_input
-        for axis in "xyz"
-    ]
-    return (*joints, *parts)
 
 
 def _number(value: float) -> Array:

@@ -22,7 +22,6 @@ from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quaternions import neutral
 from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.course import Course, stand
-from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 
@@ -69,7 +68,7 @@ def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array
         states.append(_follow(kernels, joints, places, pose, *state))
         pose = states[-1][0]
     q, qd, qdd = (np.array(x) for x in zip(*states, strict=True))
-    w = np.zeros((len(times), len(input_labels(manifest)) - len(manifest.actuated)))
+    w = np.zeros((len(times), len(manifest.inputs) - len(manifest.actuated)))
     return balance(kernels, times, q, qd, qdd, w)
 
 

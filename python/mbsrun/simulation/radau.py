@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.closure import GAP
 from mbsrun.simulation.course import place_driven
-from mbsrun.simulation.drive import Piece, input_labels
+from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.memory import Memory, load_functions
 
@@ -64,7 +64,7 @@ class Stepper:
     def _lay(self) -> None:
         p, dynamics, manifest = self.plant, self.dynamics, self.manifest
         n, e, d = dynamics.size, len(manifest.owners), len(manifest.driven)
-        p.n, p.m, p.e, p.d, p.s = n, len(input_labels(manifest)), e, d, len(self.A)
+        p.n, p.m, p.e, p.d, p.s = n, len(manifest.inputs), e, d, len(self.A)
         sizes = {"q": n, "qd": n, "qdd": n, "lam": e, "v": p.m, "tau": d}
         memory = self.memory = Memory(self.ffi, dynamics.kernels, {x: np.zeros(k + 1) for x, k in sizes.items()})
         p.q, p.qd, p.qdd, p.lam, p.v = (memory.pointer(name) for name in ("q", "qd", "qdd", "lam", "v"))

@@ -24,7 +24,6 @@ from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.quaternions import find_rates
-from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.methods import METHODS
 from mbsrun.simulation.motion import ClosureRecord, Keeping, Motion, Settings
 
@@ -73,7 +72,7 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
         "settings": describe_settings(motion.settings),
         "coordinates": [c.name for c in manifest.coordinates],
         **({"configuration": list(manifest.configuration)} if manifest.configuration else {}),
-        "inputs": list(input_labels(manifest)),
+        "inputs": list(manifest.inputs),
         "effort": asdict(motion.effort),
         "energy": None
         if energy is None
@@ -103,7 +102,7 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
     """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
     names = [c.name for c in manifest.coordinates]
     header = ["t", *(f"q[{x}]" for x in manifest.positions), *(f"qd[{x}]" for x in names)]
-    header += [f"input[{x}]" for x in input_labels(manifest)]
+    header += [f"input[{x}]" for x in manifest.inputs]
     columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
     if motion.energy is not None:
         header += ["kinetic", "potential", "work"]
@@ -135,7 +134,7 @@ def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
     _plot(axes[0], motion.t, motion.q, manifest.positions, f"$q$ [{', '.join(units)}]")
     _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
     if motion.inputs.shape[1]:
-        _plot(axes[2], motion.t, motion.inputs, input_labels(manifest), "inputs [N m, N]")
+        _plot(axes[2], motion.t, motion.inputs, manifest.inputs, "inputs [N m, N]")
     _plot_energy(axes[-2], motion)
     _plot_drift(axes[-1], motion)
     axes[-1].set_xlabel("time [s]")

@@ -26,7 +26,6 @@ from mbsrun.recordings import AXES, Recording, Track, Treatment, find_column, fi
 from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.splines import count_gaps
 from mbsrun.simulation.course import Course
-from mbsrun.simulation.drive import input_labels
 from mbsrun.simulation.inverse import Forces, Report, balance, check_kernels, invert
 
 Array = NDArray[np.float64]
@@ -226,7 +225,7 @@ def _resolve(
 ) -> Array:
     """Return the inputs w (K, ...) of open wrenches."""
     manifest = kernels.manifest
-    labels = input_labels(manifest)[len(manifest.actuated) :]
+    labels = manifest.inputs[len(manifest.actuated) :]
     w = np.zeros((len(times), len(labels)))
     frames = kernels("frames", q=q) if parts else {}
     sensors = {frame.name: i for i, frame in enumerate(manifest.frames) if frame.sensor}

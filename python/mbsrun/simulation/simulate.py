@@ -16,7 +16,7 @@ from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation import adaptive
 from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
-from mbsrun.simulation.drive import Drive, DriveError, Piece, input_labels
+from mbsrun.simulation.drive import Drive, DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.energy import add_up_work
 from mbsrun.simulation.formulation import Formulation
@@ -175,7 +175,7 @@ class _Record:
     def open(self, piece: Piece) -> None:
         """Begin a piece; the inputs at its start are its own."""
         self.piece, self.steps = piece, 0
-        inputs, count = piece.at(piece.start, *self.last), len(input_labels(self.kernels.manifest))
+        inputs, count = piece.at(piece.start, *self.last), len(self.kernels.manifest.inputs)
         if inputs.shape != (count,):
             raise ValueError(f"the inputs have shape {inputs.shape}, ({count},) expected")
         self.inputs[len(self.t) - 1 :] = [inputs]
@@ -258,7 +258,7 @@ class _Record:
             try:
                 rows.append(self.piece.at(*state))
             except DriveError:
-                rows.append(np.full(len(input_labels(self.kernels.manifest)), np.nan))
+                rows.append(np.full(len(self.kernels.manifest.inputs), np.nan))
         return rows
 
     def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:

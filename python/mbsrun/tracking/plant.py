@@ -19,7 +19,7 @@ from mbsgen.expressions import Expression
 from mbsrun.closure import find_closure
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import list_quaternions, normalise
-from mbsrun.simulation.drive import Drive, control, hold, input_labels
+from mbsrun.simulation.drive import Drive, control, hold
 from mbsrun.simulation.motion import Halt
 from mbsrun.simulation.simulate import simulate
 from mbsrun.tracking.trial import Trial
@@ -49,7 +49,7 @@ class Plant:
         """Take the kernels of the true mechanism; its masses may differ from the controller's."""
         self.kernels, self.trial = kernels, trial
         self._forces = len(kernels.manifest.actuated)
-        self._wrenches = len(input_labels(kernels.manifest)) - self._forces
+        self._wrenches = len(kernels.manifest.inputs) - self._forces
 
     def measure(self, k: int, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the state as sample k measures it."""
