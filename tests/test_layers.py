@@ -105,7 +105,7 @@ MBSRUN = Package(
         "ocp.closing ocp.design",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
-        "ocp.sections ocp.clashes",
+        "ocp.sections ocp.clashes ocp.surplus",
         "ocp.referring",
         "ocp.parts",
         "ocp.restating",

@@ -5,7 +5,8 @@ forces at collocation points, and inputs that are constant over an interval. At 
 
     sum_r D_jr q_r = h qd_j,    sum_r D_jr qd_r = h qdd_j,    Phi(q_j, qd_j, qdd_j, f_j) = B u,    J(q_j) qd_j = 0
 
-where J is the Jacobian of the points that stand on the ground. Variables and rows lie interval by interval.
+where J is the Jacobian of the points p that stand on the ground; at the first point of several, p(q_d) = p(q_0)
+replaces the last, between both ends of the interval. Variables and rows lie interval by interval.
 """
 
 from __future__ import annotations
@@ -111,6 +112,8 @@ class Graph:
                 self.require(slope - h * ca.vertcat(x[n:], a))
                 f = force[j - 1] if held else ca.MX(0, 1)
                 self._move(phase, x[:n], x[n:], a, f, inputs)
+                if held:
+                    self._hold(phase, states, j)
                 if phase.speed_cost:
                     speeds = x[n:][list(phase.actuated)]
                     self.cost += phase.speed_cost * h * quadrature[j - 1] * ca.sumsqr(speeds)
@@ -168,17 +171,24 @@ class Graph:
         )
 
     def _move(self, phase: Phase, q: ca.MX, qd: ca.MX, qdd: ca.MX, force: ca.MX, inputs: ca.MX) -> None:
-        """Add the equations of motion and of contact at a point."""
+        """Add the equations of motion and the friction at a point."""
         mechanism = phase.mechanism
         spread = _spread(mechanism, phase.feet, phase.axes, force)
         drive = ca.MX(mechanism.n, 1)
         drive[list(phase.actuated)] = inputs
         self.require(mechanism.residual(q, qd, qdd, spread) - drive)
         if phase.feet:
-            self.require(_pick(mechanism, mechanism.velocities(q, qd), phase.feet, phase.axes))
             self._rub(phase.friction, force, len(phase.axes))
         for row, lower, upper in phase.rows(q, qd):
             self.require(row, lower, upper)
+
+    def _hold(self, phase: Phase, states: Sequence[ca.MX], j: int) -> None:
+        """Hold feet at point j: by their velocities, or over the interval by their places at its ends."""
+        mechanism, n = phase.mechanism, phase.mechanism.n
+        moved = mechanism.velocities(states[j][:n], states[j][n:])
+        if j == 1 < phase.degree:
+            moved = mechanism.positions(states[-1][:n]) - mechanism.positions(states[0][:n])
+        self.require(_pick(mechanism, moved, phase.feet, phase.axes))
 
     def _rub(self, friction: float, force: ca.MX, count: int) -> None:
         """Limit forces across to the friction: a cone with a rounded apex, in the plane two straight lines."""

@@ -1,15 +1,18 @@
 """Contacts: points of a mechanism that stand on the ground for the whole horizon, held by unknown forces.
 
-    v_i(q_kj, qd_kj) = 0        at every collocation point, along the axes that are held
-    f_n >= 0                    along the normal: the ground does not pull
-    mu f_n >= |f_t|             friction, one axis across: two rows
+    v_i(q_kj, qd_kj) = 0              at collocation points j = 2 .. d, along the axes that are held
+    p_i(q_kd) - p_i(q_k0) = 0         over every interval, in place of the velocity at its first point
+    f_n >= 0                          along the normal: the ground does not pull
+    mu f_n >= |f_t|                   friction, one axis across: two rows
     mu f_n + e - sqrt(f_x^2 + f_y^2 + e^2) >= 0        two axes across
 
-The forces are the multipliers of the first, of index 2, so the collocation is Radau's, which includes the mesh points
-(Hairer, Wanner, "Solving ordinary differential equations II", VII.4). The last row is the friction cone with its apex
+The forces are the multipliers of the velocities, of index 2, so the collocation is Radau's, which includes the mesh
+points (Hairer, Wanner, "Solving ordinary differential equations II", VII.4). With v = 0 at all points, a point p would
+creep over an interval by the error of Radau's quadrature of its velocity, O(h^(2d)). With p held at both ends, its
+velocity at the first point is that error, divided by h and the weight of that point; so the order remains, and a place
+does not drift. With d = 1 there is one velocity, which is held. The last row is the friction cone with its apex
 rounded. It is convex, and its gradient does not vanish where the force does, as the gradient of mu^2 f_n^2 - |f_t|^2
-would; the force across is at most e = 1 mN beyond the cone. A point stays where it is at the start, to the error of the
-collocation.
+would; the force across is at most e = 1 mN beyond the cone.
 """
 
 from __future__ import annotations
@@ -164,9 +167,15 @@ def measure_slip(problem: Problem, plant: Plant, q: Array) -> float | None:
     """Return how far contacts move along the axes that are held, in states q (K, nq); None without contacts."""
     if not problem.contacts:
         return None
-    places = plant("sensors", q=q)["position"].swapaxes(1, 2).reshape(len(q), -1)
     entries = [i for contact in problem.contacts for i in list_entries(contact, plant.manifest)]
-    return float(np.abs(places[:, entries] - places[0, entries]).max(initial=0.0))
+    places = locate(plant, q, entries)
+    return float(np.abs(places - places[0]).max(initial=0.0))
+
+
+def locate(plant: Plant, q: Array, entries: Sequence[int]) -> Array:
+    """Return entries of the positions of all sensors, in poses q (..., nq)."""
+    places = plant("sensors", q=q)["position"].swapaxes(-1, -2)
+    return np.asarray(places.reshape(*q.shape[:-1], -1)[..., list(entries)])
 
 
 def _list(names: Sequence[str]) -> str:

@@ -31,6 +31,7 @@ from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violati
 from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
+from mbsrun.ocp.surplus import leave_out_surplus
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
 from mbsrun.quaternions import measure_lengths
@@ -268,11 +269,14 @@ def describe_unreachable(pose: Pose) -> tuple[str, str]:
 
 
 def settle(problem: Problem, plant: Plant, guess: Trajectory | None = None) -> Problem:
-    """Choose how loops become variables, where a problem leaves that open: reduced where that is sure to work.
+    """Choose how loops become variables, where a problem leaves that open, and leave out conditions of the end.
 
-    It is where the independent coordinates determine the others along the guess, or at the start without one, and where
-    the representation has a reduced form.
+    Loops are reduced where that is sure to work: where the independent coordinates determine the others along the
+    guess, or at the start without one, and where the representation has a reduced form. Conditions that contacts imply
+    are left out where a guess gives the pose. Raises ProblemError for values that contradict the contacts.
     """
+    if guess is not None:
+        problem = leave_out_surplus(problem, plant, guess.q[-1])
     closure = find_closure(plant)
     if closure is None or problem.loops is not None:
         return problem

@@ -237,7 +237,7 @@ class Writer:
             self.write_integrals(continuity[:, :carried])
         self.write_added_states(rates, continuity[:, carried:])
         self.write_given(given)
-        self.write_contacts(self.points, held.reshape(N * S, len(self.held)).T, self.points.interval)
+        self.hold_contacts(held)
         self.write_dynamics(dynamics.reshape(N * S, n).T)
         self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
         self.write_corrections(states)
@@ -367,6 +367,33 @@ class Writer:
         extras = self.layout.extras
         chosen = [i for i, text in enumerate(self.components) if text is not None]
         return np.concatenate((extras.forces, extras.wrenches[:, :, chosen]), axis=2)
+
+    def hold_contacts(self, rows: Indices) -> None:
+        """Hold contacts at the points of all intervals, rows (N, S, held axes): by velocities, and at the end by place.
+
+        The displacement over an interval takes the place of the velocity at the first point, where there are two.
+        """
+        N, S, held = rows.shape
+        if not held:
+            return
+        first = 1 if S > 1 else 0
+        q, qd = (part[:, first:].reshape(-1, part.shape[2]).T for part in self.layout.split(self.layout.points))
+        places, interval = replace(self.points, q=q, qd=qd), np.repeat(np.arange(N), S - first)
+        self.write_contacts(places, rows[:, first:].reshape(-1, held).T, interval)
+        if S > 1:
+            self.write_displacements(rows[:, 0].T)
+
+    def write_displacements(self, rows: Indices) -> None:
+        """Write how far contacts move over each interval, divided by its length: rows are (held axes, N)."""
+        layout, first = self.layout, 0
+        start, end = (layout.split(part)[0].T for part in (layout.mesh[:-1], layout.points[:, -1]))
+        for contact in self.shape.contacts:
+            entries = contacts.list_entries(contact, self.manifest)
+            function = KernelResult("sensors", ("q",), "position", entries)
+            own = rows[first : first + len(entries)]
+            for q, sign in ((end, 1.0), (start, -1.0)):
+                self.blocks.append(Block(function, (q,), own, np.arange(len(self.h)), scale=sign / self.h))
+            first += len(entries)
 
     def write_contacts(self, places: Places, rows: Indices, stages: Indices) -> None:
         """Hold contacts at some places: rows are (held axes, places)."""

@@ -16,7 +16,7 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.clashes import name_rows
 from mbsrun.ocp.contacts import find_held
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import End, Problem
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
@@ -222,11 +222,15 @@ cost: {inputs: 1}
 """
 
 
+def read_leg(folder: Path, text: str = SQUAT) -> tuple[Problem, Plant]:
+    (folder / "leg.yaml").write_text(LEG)
+    (folder / "squat.ocp.yaml").write_text(text)
+    return read_problem(folder / "squat.ocp.yaml", load)
+
+
 def test_a_foot_is_held_in_the_re_simulation(tmp_path: Path) -> None:
     """The forces that hold it follow from the motion, so the defect is the error of the collocation, of its order."""
-    (tmp_path / "leg.yaml").write_text(LEG)
-    (tmp_path / "squat.ocp.yaml").write_text(SQUAT)
-    problem, plant = read_problem(tmp_path / "squat.ocp.yaml", load)
+    problem, plant = read_leg(tmp_path)
     coarse, fine = (found(replace(problem, intervals=N), plant).resimulation for N in (6, 12))
     assert coarse is not None
     assert fine is not None
@@ -240,11 +244,50 @@ def test_a_foot_is_held_in_the_re_simulation(tmp_path: Path) -> None:
     assert fine.open_loop_error < 1e-4
 
 
+def test_a_foot_stays_where_it_is_at_all_mesh_points(tmp_path: Path) -> None:
+    """Its place is held there to rounding, on any mesh, and its velocity vanishes there."""
+    problem, plant = read_leg(tmp_path)
+    for N, degree in ((3, 2), (4, 3)):
+        motion = found(replace(problem, intervals=N, degree=degree), plant).trajectory
+        feet = plant("sensors", q=motion.q)["position"][:, :, 0]
+        assert feet == pytest.approx(np.tile(feet[0], (N + 1, 1)), abs=1e-12)
+        assert np.abs(plant("motion", q=motion.q, qd=motion.qd)["v"]).max() < 1e-9
+
+
+@pytest.mark.parametrize("method", ["ipopt", "mbs"])
+def test_conditions_that_contacts_imply_are_left_out(tmp_path: Path, method: str) -> None:
+    """A whole end at rest has two velocities and two coordinates too many: the motion is that without them."""
+    problem, plant = read_leg(tmp_path, SQUAT.replace("velocity: zero", "velocity: {hip: 0, knee: 0}"))
+    problem = replace(problem, intervals=10).with_solver(method)
+    least = found(problem, plant)
+    pose = tuple(enumerate(least.trajectory.q[-1].tolist()))
+    for end in (
+        End(coordinates=problem.end.coordinates, velocity_zero=True),
+        End(coordinates=pose, velocity_zero=True),
+    ):
+        whole = found(replace(problem, end=end), plant)
+        assert len(whole.problem.end.velocities) == 2
+        assert len(whole.problem.end.coordinates) == 2
+        assert whole.trajectory.q[-1] == pytest.approx(np.array([value for _, value in pose]), abs=1e-8)
+        assert whole.trajectory.qd[-1] == pytest.approx(np.zeros(4), abs=1e-8)
+        assert whole.cost.total == pytest.approx(least.cost.total, rel=1e-8)
+        assert whole.run.iterations <= least.run.iterations + 3
+
+
+def test_an_end_that_contradicts_contacts_is_refused(tmp_path: Path) -> None:
+    """A hip and a knee that move, and a trunk that does not; a trunk at a height that the leg does not have there."""
+    problem, plant = read_leg(tmp_path)
+    fast = End(coordinates=problem.end.coordinates, velocities=((0, 0.0), (1, 0.0), (2, 1.0), (3, 0.0)))
+    with pytest.raises(ProblemError, match=r"end.velocities: the contacts imply values that differ .* by 0\.\d+ 1/s"):
+        solve(replace(problem, end=fast), plant)
+    high = End(coordinates=((0, 0.1), (1, 0.2), (2, 0.8), (3, -1.6)), velocity_zero=True)
+    with pytest.raises(ProblemError, match=r"end.coordinates: the contacts imply values that differ"):
+        solve(replace(problem, end=high), plant)
+
+
 def test_velocities_of_contacts_are_differentiated(tmp_path: Path) -> None:
     """J_c qdd + dJ_c/dt qd is the derivative of the velocities along a motion, by differences."""
-    (tmp_path / "leg.yaml").write_text(LEG)
-    (tmp_path / "squat.ocp.yaml").write_text(SQUAT)
-    problem, plant = read_problem(tmp_path / "squat.ocp.yaml", load)
+    problem, plant = read_leg(tmp_path)
     held = find_held(problem, plant.manifest)
     assert held is not None
     q, qd, qdd = np.random.default_rng(3).normal(size=(3, 4))

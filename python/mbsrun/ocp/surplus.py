@@ -1,0 +1,122 @@
+"""Conditions on the end of a motion that its contacts imply: they are left out, if they agree.
+
+With contacts, J_c qd = 0 at the end, and J_h qd = 0 with closed loops. If N spans the velocities that remain, a
+condition on qd_i has the gradient N_i (row i of N). Of all conditions, as many as N has columns are kept, so that their
+rows are as independent as possible (QR with pivots); the others follow from them. The same holds for accelerations, and
+for coordinates, if the whole start is given: then contacts stay where they are at the start. A condition that follows
+would make the program's Jacobian lose rank, and an interior-point method then takes hundreds of iterations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import null_space, qr
+
+from mbsrun.closure import find_closure
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.contacts import Held, find_held, locate
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
+
+RANK = 1e-8  # of rows and columns, relative to the largest
+AGREES = 1e-6  # the difference from an implied value that counts as rounding [rad, m, 1/s]
+ITERATIONS = 30  # of Newton's method
+
+Values = Mapping[int, float]
+
+
+def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
+    """Leave out the conditions on the end that contacts imply, for an end near the pose q.
+
+    Raises ProblemError for values that contradict the contacts.
+    """
+    held, end, manifest = find_held(problem, plant.manifest), problem.end, plant.manifest
+    if held is None:
+        return problem
+    independent = manifest.independent or range(len(manifest.coordinates))
+    speeds = dict(end.velocities) | (dict.fromkeys(independent, 0.0) if end.velocity_zero else {})
+    changes = dict(end.accelerations) | (dict.fromkeys(independent, 0.0) if end.acceleration_zero else {})
+    free = null_space(_constrain(plant, held, q), rcond=RANK)
+    kept = _choose(free, list(speeds))
+    if len(kept) < len(speeds):
+        _check_velocities(problem, free, speeds, kept)
+        values = tuple((i, speeds[i]) for i in kept)
+        end = replace(end, velocity_zero=False, velocities=values)
+    kept = _choose(free, list(changes))
+    if len(kept) < len(changes):
+        values = tuple((i, changes[i]) for i in kept)
+        end = replace(end, acceleration_zero=False, accelerations=values)
+    nq = len(manifest.positions)
+    if not manifest.quaternions and not any(i < nq for i in problem.free_start):
+        places = dict(end.coordinates)
+        kept = _choose(free, list(places))
+        if len(kept) < len(places):
+            _check_pose(problem, plant, held, q, places, kept)
+            end = replace(end, coordinates=tuple((i, places[i]) for i in kept))
+    return replace(problem, end=end)
+
+
+def _constrain(plant: Plant, held: Held, q: Array) -> Array:
+    """Return J_c, and J_h below it, in one pose."""
+    J = held.differentiate(plant, q[None], np.zeros((1, len(plant.manifest.coordinates))))[0][0]
+    closure = find_closure(plant)
+    return J if closure is None else np.concatenate((J, closure.jacobian(q)))
+
+
+def _choose(free: Array, given: Sequence[int]) -> list[int]:
+    """Choose entries that are independent of each other, in the order in which they are given."""
+    if not given or not free.shape[1]:
+        return []
+    _, R, order = qr(free[list(given)].T, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(R))
+    chosen = {given[i] for i in order[: int((sizes > RANK).sum())]}
+    return [i for i in given if i in chosen]
+
+
+def _check_velocities(problem: Problem, free: Array, given: Values, kept: Sequence[int]) -> None:
+    """Raise ProblemError for velocities that differ from the ones that the others imply."""
+    found = free @ np.linalg.lstsq(free[kept], np.array([given[i] for i in kept]), rcond=None)[0]
+    _compare(problem, "end.velocities", given, found, "1/s")
+
+
+def _check_pose(problem: Problem, plant: Plant, held: Held, q: Array, given: Values, kept: Sequence[int]) -> None:
+    """Raise ProblemError for coordinates that differ from the ones that the others imply."""
+    closure, start = find_closure(plant), locate(plant, np.array(problem.start_q), held.entries)
+    values = np.array([given[i] for i in kept])
+
+    def measure(pose: Array) -> Array:
+        parts = [locate(plant, pose, held.entries) - start, pose[kept] - values]
+        return np.concatenate(parts if closure is None else [*parts, closure.gaps(pose)])
+
+    found = _solve(measure, lambda pose: _join(plant, held, pose, kept), q)
+    if np.abs(measure(found)).max(initial=0.0) > AGREES:
+        named = ", ".join(plant.manifest.positions[i] for i in kept)
+        finding = f"no pose with these values of {named} keeps the contacts where they are at the start"
+        raise ProblemError(problem.name, [("end.coordinates", finding, "give values at which they stand, or fewer")])
+    _compare(problem, "end.coordinates", given, found, "rad or m")
+
+
+def _join(plant: Plant, held: Held, pose: Array, kept: Sequence[int]) -> Array:
+    """Return the Jacobian of the equations in `_check_pose`."""
+    J = _constrain(plant, held, pose)
+    count = len(held.entries)
+    return np.concatenate((J[:count], np.eye(pose.size)[list(kept)], J[count:]))
+
+
+def _solve(measure: Callable[[Array], Array], slope: Callable[[Array], Array], q: Array) -> Array:
+    """Take steps of Newton's method from q."""
+    for _ in range(ITERATIONS):
+        step = np.linalg.lstsq(slope(q), -measure(q), rcond=None)[0]
+        q = q + step * min(1.0, 0.5 / max(float(np.abs(step).max(initial=0.0)), 1e-300))
+    return q
+
+
+def _compare(problem: Problem, place: str, given: Values, found: Array, unit: str) -> None:
+    apart = max(abs(found[i] - value) for i, value in given.items())
+    if apart > AGREES:
+        finding = f"the contacts imply values that differ from the given ones by {apart:.3g} {unit}"
+        raise ProblemError(problem.name, [(place, finding, "give values at which the contacts stand, or fewer")])
