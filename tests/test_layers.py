@@ -112,7 +112,7 @@ MBSRUN = Package(
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
         "ocp.solution ocp.starts",
         "ocp.solve ocp.table ocp.recorded",
-        "ocp.resimulation ocp.sensitivity",
+        "ocp.certificate ocp.resimulation ocp.sensitivity",
         "ocp.refinement",
         "ocp.search",
         "ocp.executor",
