@@ -198,7 +198,7 @@ MBSRUN = Package(
 DOCQUIER = Package(
     source=ROOT / "studies" / "docquier",
     layers=(
-        "growth spread export published",
+        "growth spread export published optima markdown",
         "results differentiated",
         "judges",
         "claims",

@@ -40,9 +40,10 @@ from mbsrun.ocp.statement import read_problem
 from studies.docquier import questions, spread
 from studies.docquier.differentiated import WAYS, Differentiated
 from studies.docquier.export import Row, list_rows
-from studies.docquier.figures import draw_figures
+from studies.docquier.figures import draw_figures, name_set
 from studies.docquier.growth import Growth, count_growth
 from studies.docquier.judgement import SHOWN, judge_all
+from studies.docquier.optima import Optimum, list_optima
 from studies.docquier.questions import GridPoint, System, TaskList, name_transcription
 from studies.docquier.results import Effort, Results, find_shown_task
 from studies.docquier.robustness import find_state, report_robust
@@ -306,8 +307,36 @@ def gather(
                 shots.setdefault(name_transcription(each.problem), []).append(a)
     shooting = tuple((name, tuple(found)) for name, found in shots.items())
     repeats = [a for _, rows in own for a, _ in rows if a.part == "repeats"]
-    spreads = spread.measure((a for a in attempts if a.protocol == "paper"), repeats, SHOWN)
+    compared = [a for a in attempts if a.protocol == "paper"]
+    repeats = repeats or spread.pair_mirrored(compared, study.targets)
+    spreads = spread.measure(compared, repeats, SHOWN)
     return Results(study, attempts, tuple(motions), efforts, growth, shooting, spreads)
+
+
+def list_lowest(campaign: Campaign, out: Path) -> list[Optimum]:
+    """List the lowest optimum of every target and cost in the record, with certificates; minutes for all targets."""
+    with _open(campaign, out) as record:
+        return list(list_optima(campaign.study, record, campaign.subject.plant))
+
+
+def describe_extent(campaign: Campaign, out: Path) -> list[str]:
+    """Describe the part of the paper's protocol that the record holds, with its solver; one sentence for each cost."""
+    study, texts = campaign.study, []
+    with _open(campaign, out) as record:
+        rows = [(a, text) for a, text in record.list_all() if a.protocol == "paper"]
+    names = len(study.representations)
+    for weights in study.costs:
+        own = [a for a, _ in rows if a.task.weights == weights and _is_part(a, study)]
+        whole = Counter(a.task.place for a in own)
+        full, targets = sum(count == names for count in whole.values()), len(study.targets.places)
+        state = "complete" if full == targets else "not complete"
+        texts.append(
+            f"With {name_set(weights)} the record is {state}: {len(own)} of {names * targets} solves, "
+            f"{full} of {targets} targets in all {names} representations."
+        )
+    solvers = Counter(json.loads(text).get("linear_solver") for _, text in rows if text)
+    used = ", ".join(f"{name} in {count} solves" for name, count in sorted(solvers.items(), key=str))
+    return [*texts, f"The linear solver of IPOPT was {used}." if used else "It holds no solve."]
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +24,9 @@ from rich.progress import (
 
 from mbsgen.errors import MbsError
 from mbsrun.measuring.page import render_page
-from mbsrun.measuring.sections import distinguish, read_folders, write_section
+from mbsrun.measuring.sections import Section, distinguish, read_folders, write_csv, write_section
 from mbsrun.ocp.cluster import open_workers
+from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS
 from mbsrun.ocp.problem import Representation, find_conflicts
 from mbsrun.ocp.search import ProtocolName, Study, Targets, Weights
 from mbsrun.ocp.starts import list_turning
@@ -36,9 +37,11 @@ from studies.docquier.campaign import (
     Step,
     Watch,
     carry_out,
+    describe_extent,
     find_sensor,
     hold,
     list_attempts,
+    list_lowest,
     read_subject,
     report,
     restrict,
@@ -46,10 +49,12 @@ from studies.docquier.campaign import (
 from studies.docquier.export import Form, export
 from studies.docquier.judgement import INSIDE, TURNS
 from studies.docquier.judges import CONFIRMED, REFUTED
+from studies.docquier.markdown import ARCHIVE, write_archive, write_page
+from studies.docquier.optima import describe_optima, tabulate_optima
 
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
 STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}  # of verdicts on the page
-PAGE, DATA, ATTEMPTS = "study.html", "data", "attempts"
+PAGE, DATA, ATTEMPTS, OPTIMA = "study.html", "data", "attempts", "optima.csv"
 SPEED = 1800.0  # s; the pace over this time gives the remaining time
 
 STUDY_HELP = """Carry out the study of Docquier, Bruls, Fisette on PROBLEM, and write a report.
@@ -122,9 +127,22 @@ Exit codes
     "--workers", type=click.IntRange(0), help="Processes, by default one per core; 0: this one, without Dask."
 )
 @click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, instead of processes on this machine.")
+@click.option(
+    "--linear-solver",
+    "linear",
+    type=click.Choice(LINEAR_SOLVERS),
+    default=MUMPS,
+    help="Of IPOPT, for all parts except the robust protocol; mumps. With mbs a solve takes a third of the time.",
+)
 @click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin no attempt after this time.")
 @click.option("--quick", is_flag=True, help="Solve a small part of the questions.")
 @click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Also write all attempts as one table.")
+@click.option(
+    "--page",
+    "place",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Also write the report to this folder as Markdown, and the lowest optima with certificates of optimality.",
+)
 @click.option(
     "--with",
     "folders",
@@ -149,9 +167,11 @@ def study_command(
     heights: tuple[float, float, int],
     workers: int | None,
     scheduler: str | None,
+    linear: str,
     minutes: float,
     quick: bool,
     form: Form | None,
+    place: Path | None,
     folders: tuple[Path, ...],
 ) -> None:
     """Read the problem, solve, and write the report."""
@@ -167,7 +187,7 @@ def study_command(
             raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
     bumped = tuple(subject.plant.manifest.actuated)
     turning = list_turning(problem, subject.plant.manifest)
-    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped, turning)
+    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped, turning, linear)
     chosen = bool(protocols or asked)
     campaign = Campaign(
         subject=subject,
@@ -189,6 +209,8 @@ def study_command(
             write_section(section, out / DATA)
         if form is not None:
             export(list_attempts(campaign, out), out / DATA / ATTEMPTS, form)
+        if place is not None:
+            _write_markdown(campaign, out, sections, place)
         page = render_page(
             f"Formulations of multibody dynamics in optimal control: {problem.name}", _INTRODUCTION, sections, STYLES
         )
@@ -199,6 +221,26 @@ def study_command(
     context.exit(0 if is_through else NOT_THROUGH)
 
 
+def _write_markdown(campaign: Campaign, out: Path, sections: Sequence[Section], place: Path) -> None:
+    """Write README.md with pictures, tables.tar.xz with all tables and attempts, and optima.csv."""
+    optima = list_lowest(campaign, out)
+    place.mkdir(parents=True, exist_ok=True)
+    write_csv(tabulate_optima(campaign.study, optima), place / OPTIMA)
+    shown = [*sections, describe_optima(campaign.study, optima, OPTIMA)]
+    attempts = export(list_attempts(campaign, out), out / DATA / ATTEMPTS, "csv")
+    write_archive(shown, [attempts], place / ARCHIVE, out / DATA)
+    extent = (" ".join(describe_extent(campaign, out)), _ABOUT)
+    write_page("The study of formulations: results", (*_INTRODUCTION[:1], *extent), shown, place)
+    click.echo(f"wrote {place}", err=True)
+
+
+_ABOUT = (
+    "`mbsrun study models/arm_reach.ocp.yaml --page DIR` wrote this page from its record; [the study of formulations]"
+    f"(../reproduction.md) describes its parts. All tables are in [{ARCHIVE}]({ARCHIVE}) as CSV, with a row for each "
+    f"solve in `{ATTEMPTS}.csv`. The lowest optimum of every target is in [{OPTIMA}]({OPTIMA}). Iterations and optima "
+    "do not depend on the load of the machine. CPU times do: other programs on the machine lengthen them, for all "
+    "representations alike, because these take turns."
+)
 _INTRODUCTION = (
     "Q. Docquier, O. Brüls and P. Fisette compare four formulations of the equations of motion of a multibody system, "
     "in six representations, by solving optimal control problems (“Comparison and Analysis of Multibody Dynamics "

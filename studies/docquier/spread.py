@@ -1,5 +1,8 @@
 """Scatter of the iterations of one task, by repeats with data that differ by rounding alone.
 
+Where a record has no repeats, targets at opposite azimuths take their place, if the mechanism is its own mirror image:
+their programs are mirror images, and differ by rounding alone. Where rounding is mirrored too, they show no scatter.
+
 Interior-point iterations depend on every bit: two targets 1e-16 apart may take 87 and 104. So a difference of two
 medians has a meaning only beyond this scatter.
 """
@@ -8,12 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.search import Weights
+from mbsrun.ocp.search import Targets, Weights
+
+MIRRORED = 1e-6  # relative difference of costs up to which a pair of optima is one optimum and its mirror image
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,30 @@ def measure(first: Iterable[Attempt], repeats: Iterable[Attempt], same: float) -
         if len(found) > 1:
             groups.setdefault((task.weights, task.representation), []).append(found)
     return tuple(_pool(*key, tasks, same) for key, tasks in groups.items())
+
+
+def pair_mirrored(attempts: Sequence[Attempt], targets: Targets) -> list[Attempt]:
+    """Return the attempts at the lower azimuths, named as their mirror images, for costs in which some pair differs.
+
+    There are none where the costs of pairs differ by more than rounding: the mechanism is not its own mirror image.
+    """
+    azimuths = np.array(targets.azimuths)
+    if not np.allclose(azimuths, -azimuths[::-1], atol=1e-12):
+        return []
+    known = {a.task: a for a in attempts}
+    images: list[Attempt] = []
+    gaps: list[float] = []
+    scattered: set[Weights] = set()
+    for a in attempts:
+        i, j = a.task.place
+        task = replace(a.task, place=(azimuths.size - 1 - i, j))
+        image = known.get(task)
+        if azimuths[i] < -1e-12 and image is not None and a.cost is not None and image.cost is not None:
+            images.append(replace(a, task=task))
+            gaps.append(abs(a.cost - image.cost) / abs(image.cost))
+            scattered |= {task.weights} if a.iterations != image.iterations else set()
+    is_mirrored = bool(gaps) and float(np.median(gaps)) < MIRRORED
+    return [a for a in images if is_mirrored and a.task.weights in scattered]
 
 
 def _pool(weights: Weights, representation: str, tasks: Sequence[Sequence[Attempt]], same: float) -> Spread:

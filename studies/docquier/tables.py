@@ -62,7 +62,10 @@ def tabulate_spreads(spreads: Sequence[Spread]) -> Table | None:
     )
     columns: tuple[str, ...] = ("cost", "representation", "tasks", "solves", "deviation of ln(iterations)")
     columns += ("most by fewest, at worst", "tasks that end in different minima")
-    note = "Each task was solved again for targets that differ by rounding alone, from the same guess."
+    note = (
+        "Solves from the same guess that differ by rounding alone: repeats of a task for targets a few units in the "
+        "last place apart; in a record without them, targets at opposite azimuths, which are mirror images."
+    )
     return Table("Scatter of iterations", columns, rows, note)
 
 

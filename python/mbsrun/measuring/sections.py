@@ -66,7 +66,7 @@ def write_section(section: Section, folder: Path) -> None:
             suffix = next(suffix for suffix, kind in KINDS.items() if kind == item.kind)
             (folder / f"{name}{suffix}").write_bytes(item.content)
         else:
-            _write_csv(item, folder / f"{name}.csv")
+            write_csv(item, folder / f"{name}.csv")
 
 
 def distinguish(sections: Sequence[Section]) -> list[Section]:
@@ -84,7 +84,7 @@ def write_table(table: Table, folder: Path, name: str) -> list[Path]:
     """Write a table as NAME.csv, and as NAME.json for `read_folders`; return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     plain, whole = folder / f"{name}.csv", folder / f"{name}.json"
-    _write_csv(table, plain)
+    write_csv(table, plain)
     facts = {"title": table.title, "columns": table.columns, "note": table.note}
     head = "".join(f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)},\n" for key, value in facts.items())
     rows = ",\n".join(f"  {json.dumps([*map(_drop_infinite, row)], ensure_ascii=False)}" for row in table.rows)
@@ -92,7 +92,8 @@ def write_table(table: Table, folder: Path, name: str) -> list[Path]:
     return [plain, whole]
 
 
-def _write_csv(table: Table, path: Path) -> None:
+def write_csv(table: Table, path: Path) -> None:
+    """Write the columns and rows of a table."""
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([table.columns, *table.rows])
 

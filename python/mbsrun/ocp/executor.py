@@ -38,20 +38,26 @@ DIGITS = 12  # of the hash of the generated code, as outcomes keep it
 SOLVERS = 12  # kept for the next trial: the representations, with the standard form and others
 
 
-def choose_options(problem: Problem, trial: Trial) -> Problem:
+def choose_options(problem: Problem, trial: Trial, linear_solver: str = MUMPS) -> Problem:
     """Add the options of IPOPT that a trial requires and the problem does not state: linear solver, staying near.
 
     Searches for optima use the fastest linear solver. The other protocols compare times with the paper's, so they use
-    MUMPS, as does a problem that states an option of MUMPS.
+    the given one, by default MUMPS. A problem that states an option of MUMPS takes MUMPS.
     """
     solver = problem.solver
     if solver.method != "ipopt":
         return problem
-    is_free = trial.protocol in ("robust", MULTISTART) and not any(name.startswith(MUMPS) for name, _ in solver.options)
-    told: dict[str, float | int | str] = {LINEAR_SOLVER: choose(OWN if is_free else MUMPS)}
+    wanted = OWN if trial.protocol in ("robust", MULTISTART) else linear_solver
+    is_bound = any(name.startswith(MUMPS) for name, _ in solver.options)
+    told: dict[str, float | int | str] = {LINEAR_SOLVER: MUMPS if is_bound else choose(wanted)}
     if isinstance(trial.start, Found) and trial.start.is_held:
         told |= HOLD
     return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
+
+
+def state(order: Order) -> Problem:
+    """State the problem of an order, with the options of its solver."""
+    return choose_options(order.study.state(order.trial.task), order.trial, order.study.linear_solver)
 
 
 class Worker:
@@ -65,7 +71,7 @@ class Worker:
 
     def carry_out(self, order: Order) -> Outcome:
         """Solve the problem of a trial from its start, and return the attempt for the record."""
-        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
+        trial, problem = order.trial, state(order)
         found = self.solve(order)
         if isinstance(found, Failure) or found.is_only_acceptable:
             return self._tell(trial, problem, found.run, None)
@@ -73,7 +79,7 @@ class Worker:
 
     def solve(self, order: Order) -> Solution | Failure:
         """Solve the problem of a trial from its start; the processor time includes a coarse solve."""
-        trial, problem = order.trial, choose_options(order.study.state(order.trial.task), order.trial)
+        trial, problem = order.trial, state(order)
         guess = self.make_guess(order, problem)
         if guess is None:
             run = solution.Run(UNREACHABLE, 0, 0.0, 0.0)

@@ -39,6 +39,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.linear import MUMPS
 from mbsrun.ocp.problem import Inputs, Point, Problem, Representation, cylindrical
 from mbsrun.ocp.record import SAME, Attempt, Best, Key, Record, Task
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns
@@ -108,6 +109,7 @@ class Study:
     representations: tuple[Representation, ...]
     bumped: tuple[int, ...]  # coordinates that bumps move
     turning: tuple[int, ...] = ()  # entries of q to which the robust protocol adds whole turns
+    linear_solver: str = MUMPS  # of IPOPT, for all protocols except the robust one, which takes the fastest
 
     def state(self, task: Task) -> Problem:
         """State the problem of a task."""

@@ -357,3 +357,20 @@ def test_outliers_are_the_paper_s() -> None:
     lower, upper = np.percentile(values, (25, 75))
     assert find_outliers(values).tolist() == [v for v in values if abs(v - (lower + upper) / 2) > 2 * (upper - lower)]
     assert find_outliers(np.array([])).size == 0
+
+
+@pytest.mark.parametrize(
+    ("cost", "iterations", "expected"),
+    [
+        (lambda *_: 5.0, lambda w, _, place: 20 + place * (w == ROUGH), {ROUGH}),  # rounding is mirrored with SMOOTH
+        (lambda *_: 5.0, lambda *_: 20, set()),
+        (lambda _w, _name, place: 5.0 + place, lambda _w, _name, place: 20 + place, set()),  # no mirror images
+    ],
+)
+def test_mirror_images_take_the_place_of_repeats_where_they_differ_by_rounding(
+    cost: Number, iterations: Number, expected: set[tuple[float, float]]
+) -> None:
+    images = spread.pair_mirrored(make(cost, iterations).attempts, TARGETS)
+    assert {a.task.weights for a in images} == expected
+    assert {a.task.place[0] for a in images} <= set(range(CENTRE + 1, PLACES))
+    assert len(images) == CENTRE * len(NAMES) * len(expected)

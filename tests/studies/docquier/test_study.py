@@ -35,7 +35,7 @@ from mbsrun.measuring.sections import (
 from mbsrun.ocp.cluster import ClusterError, open_workers
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
-from mbsrun.ocp.search import Progress, Study, Targets, identify
+from mbsrun.ocp.search import Progress, Study, Targets, find_lowest, identify
 from studies.docquier.campaign import (
     STORE,
     Campaign,
@@ -43,15 +43,18 @@ from studies.docquier.campaign import (
     Subject,
     carry_out,
     choose_steps,
+    describe_extent,
     gather,
     hold,
     list_attempts,
+    list_lowest,
     read_subject,
     report,
 )
 from studies.docquier.differentiated import Differentiated
 from studies.docquier.export import export
 from studies.docquier.figures import name_set
+from studies.docquier.markdown import write_archive, write_page
 from studies.docquier.robustness import State, describe_outcome, find_state, list_slices, report_robust
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -203,6 +206,23 @@ def test_a_study_is_asked_reported_and_exported(
     assert isinstance(success, Table)
     assert [row[2:4] for row in success.rows] == [(3, 3)] * 4
     assert "Fig. 9: cost at the optimum" in [item.title for item in sections["figures"].items]
+    check_lowest(asked, tmp_path)
+    text = write_page("Title", describe_extent(asked, tmp_path), list(sections.values()), tmp_path / "page").read_text()
+    assert "With k1 = 1, k2 = 10 the record is complete: 6 of 6 solves, 3 of 3 targets in all 2 representations" in text
+    assert "| k1 = 1, k2 = 0 | EXP2-O | 3 | 3 | 100 |" in text
+    assert "![Fig. 9: cost at the optimum](figures_" in text
+    names = [write_archive([*sections.values()], [], tmp_path / f"{k}.tar.xz", tmp_path / k) for k in ("a", "b")]
+    assert names[0].read_bytes() == names[1].read_bytes()
+
+
+def check_lowest(asked: Campaign, out: Path) -> None:
+    """Every target and cost has one lowest optimum, which is certified; it is the least cost of the record."""
+    optima = list_lowest(asked, out)
+    assert len(optima) == 6
+    assert all(optimum.is_certified and 1 <= optimum.found <= optimum.tried == 2 for optimum in optima)
+    with open_record(out / STORE, identify(asked.study, asked.subject.plant.manifest)) as record:
+        lowest = find_lowest(list(record.attempts()))
+    assert {(o.task.place, o.task.weights): o.cost for o in optima} == lowest
 
 
 def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
