@@ -241,4 +241,5 @@ def _describe_link(link: Link) -> str:
         contacts = ", ".join(contact.sensor for contact in link.impact.contacts)
         parts.append(f"impact of {contacts}, restitution {link.impact.restitution:g}")
     parts += [condition.expression for condition in link.conditions]
+    parts += [f"cost {term.weight:g} * {term.expression}" for term in link.cost]
     return "; ".join(parts) or "the state goes on"

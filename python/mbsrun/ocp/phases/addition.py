@@ -3,7 +3,7 @@
     x = (x_1, x_2, ...),    g(x) = (g_1(x_1), g_2(x_2), ...),    f(x) = f_1(x_1) + f_2(x_2) + ...
 
 Variables and rows of program k are moved behind the ones of program k - 1. The weights of all programs come first among
-the parameters, then all constants. Rows that link the programs are added at the end.
+the parameters, then all constants. Rows and costs that link the programs are added at the end.
 """
 
 from __future__ import annotations
@@ -44,11 +44,13 @@ class Further:
     constants: int
     A: Matrix  # (rows, all variables)
     blocks: tuple[Block, ...]  # in variables, rows and parameters of the sum
+    weights: int = 0  # terms of the cost
+    costs: tuple[Block, ...] = ()
 
 
-def place_summands(programs: Sequence[Program]) -> tuple[Offsets, ...]:
-    """Return where each program begins, and last where further parts do."""
-    weights = sum(len(program.H) for program in programs)
+def place_summands(programs: Sequence[Program], further: int = 0) -> tuple[Offsets, ...]:
+    """Return where each program begins, and last where further parts do, which have some weights."""
+    weights = sum(len(program.H) for program in programs) + further
     found = [Offsets(0, 0, 0, weights)]
     for program in programs:
         last = found[-1]
@@ -66,7 +68,7 @@ def place_summands(programs: Sequence[Program]) -> tuple[Offsets, ...]:
 def add(summands: Sequence[Summand], further: Further) -> Program:
     """Write the sum as one program, without stages."""
     programs = [summand.program for summand in summands]
-    offsets = place_summands(programs)
+    offsets = place_summands(programs, further.weights)
     size = offsets[-1].variables + further.variables
     own = sparse.block_diag([program.A for program in programs], format="csc")
     wide = sparse.hstack([own, sparse.csc_array((own.shape[0], further.variables))])
@@ -82,14 +84,17 @@ def add(summands: Sequence[Summand], further: Further) -> Program:
             _spread(H, offset.variables, size)
             for program, offset in zip(programs, offsets, strict=False)
             for H in program.H
-        ),
+        )
+        + (sparse.csc_array((size, size)),) * further.weights,
         blocks=(*blocks, *further.blocks),
-        costs=tuple(costs),
+        costs=(*costs, *further.costs),
         constants=sum(program.constants for program in programs) + further.constants,
     )
 
 
-def add_parameters(offsets: Sequence[Offsets], parts: Sequence[Array], further: Sequence[float]) -> Array:
+def add_parameters(
+    offsets: Sequence[Offsets], parts: Sequence[Array], further: Sequence[float], weights_of_links: Sequence[float] = ()
+) -> Array:
     """Put the parameters of all programs in the order of the sum."""
 
     def split() -> Iterator[tuple[Array, Array]]:
@@ -98,7 +103,8 @@ def add_parameters(offsets: Sequence[Offsets], parts: Sequence[Array], further: 
             yield part[:weights], part[weights:]
 
     weights, constants = zip(*split(), strict=True)
-    return np.concatenate([*weights, *constants, np.asarray(further, dtype=np.float64)])
+    links, own = (np.asarray(numbers, dtype=np.float64) for numbers in (weights_of_links, further))
+    return np.concatenate([*weights, links, *constants, own])
 
 
 def _move(block: Block, offset: Offsets, row: int, weights: int, plant: int) -> Block:

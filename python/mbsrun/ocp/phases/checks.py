@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,15 @@ from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
-from mbsrun.ocp.phases.sides import END, START, list_plain, list_readable, spell_coordinates, spell_velocities
+from mbsrun.ocp.phases.sides import (
+    END,
+    START,
+    list_plain,
+    list_readable,
+    name_impulses,
+    spell_coordinates,
+    spell_velocities,
+)
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Form, Loops, Problem
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
@@ -137,6 +146,12 @@ class _Link:
             for name in list_readable(plant.manifest, part)
         ]
         known += self.free
+        if link.impact is not None:
+            known += [name for name, _, _ in name_impulses(link.impact.contacts)]
+        for i, term in enumerate(link.cost):
+            yield from _check_expression((*self.place, "cost", i, "expression"), term.expression, known)
+            if not math.isfinite(term.weight):
+                yield PhaseFault((*self.place, "cost", i, "weight"), f"found {term.weight:g}", "give a finite number")
         for i, condition in enumerate(link.conditions):
             place = (*self.place, "conditions", i)
             yield from _check_expression((*place, "expression"), condition.expression, known)

@@ -1,7 +1,7 @@
 """The rows and variables of links, behind the direct sum of the phases' programs.
 
     q_to - map(q_from) = 0,    qd_to - d/dt map(q_from) = 0          states of equal names where `map` has no entry
-    condition(x_from(T), x_to(0)) within its range
+    condition(x_from(T), x_to(0)) within its range,    cost += weight * expression(x_from(T), x_to(0))
 
 With an impact, q and qd of the phase before are replaced by q, and by the velocities after it: see `impacts`. Unknowns
 that phases share are variables of links; each phase's own copy is tied to them. Sensors that conditions read are
@@ -26,10 +26,12 @@ from mbsrun.ocp.phases.problem import Condition, Map
 from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_velocities
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Term
 from mbsrun.ocp.program import Block, Column, Matrix
 from mbsrun.quantities import Quantity
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
+Impulses = Mapping[str, int]  # the variables of an impact's impulses, by name
 Places = tuple[str, int]  # kind and index of a name in a formula
 _KERNELS: Mapping[str, KernelResult] = {
     "position": KernelResult("sensors", ("q",), "position"),
@@ -56,6 +58,8 @@ class Rows:
         self.constants = list(constants)
         self.A = Entries()
         self.blocks: list[Block] = []
+        self.costs: list[Block] = []
+        self.first_weight = self.weights = begin.weights
         self.texts: list[tuple[Indices, str]] = []
         self.defined: list[Defined] = []
         self.variable_bounds: list[tuple[Indices, float, float]] = []
@@ -85,19 +89,33 @@ class Rows:
         self.texts.append((found, text))
         return found
 
+    def add_weights(self, count: int) -> Indices:
+        """Number some terms of the cost."""
+        found = np.arange(self.weights, self.weights + count, dtype=np.int64)
+        self.weights += count
+        return found
+
     def matrix(self) -> Matrix:
         """Return the linear part of the rows, (rows of links, all variables)."""
         shape = (self.rows, self.variables)
         whole = self.A.matrix(shape) if self.A.parts else sparse.csc_array(shape)
         return sparse.csc_array(sparse.csr_array(whole)[self.first_row :])
 
-    def apply(self, function: Formula | KernelResult, columns: Sequence[Column], rows: Indices, **more: object) -> None:
-        """Apply a function once."""
+    def apply(
+        self,
+        function: Formula | KernelResult,
+        columns: Sequence[Column],
+        rows: Indices,
+        *,
+        is_cost: bool = False,
+        **more: object,
+    ) -> None:
+        """Apply a function once; the rows of a cost are weights."""
         none = np.zeros(1, dtype=np.int64)
         block = Block(function, tuple(columns), rows[:, None], none, **more)  # type: ignore[arg-type]
         if isinstance(function, KernelResult):
             block = read_design(block, self.designs[block.plant], self.plants[block.plant])
-        self.blocks.append(block)
+        (self.costs if is_cost else self.blocks).append(block)
 
     def write_expressions(
         self,
@@ -106,8 +124,10 @@ class Rows:
         parts: Mapping[str, Column],
         rows: Indices,
         scale: float = 1.0,
+        *,
+        is_cost: bool = False,
     ) -> None:
-        """Write expressions of variables, of unknowns and of constants into rows."""
+        """Write expressions of variables, of unknowns and of constants into rows, or as terms of the cost."""
         known = {
             **{name: ("constants", i) for i, name in enumerate(self.constants)},
             **{name: ("unknowns", i) for i, name in enumerate(self.unknowns)},
@@ -127,7 +147,8 @@ class Rows:
             parameters=Input("constants", len(self.constants)) if has_constants else None,
         )
         parameters = self.first_parameter + np.arange(len(self.constants) if has_constants else 0)
-        self.apply(formula, [parts[kind] for kind in chosen], rows, parameters=parameters, scale=scale)
+        columns = [parts[kind] for kind in chosen]
+        self.apply(formula, columns, rows, is_cost=is_cost, parameters=parameters, scale=scale)
 
 
 def _count(part: Column) -> int:
@@ -196,9 +217,39 @@ def _copy_attitudes(rows: Rows, source: State, target: State, text: str) -> None
             rows.apply(formulas.compare_two_attitudes(), [part[:, None] for part in parts], found)
 
 
-def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], before: Side, after: Side) -> Indices:
+def write_conditions(
+    rows: Rows, text: str, conditions: Sequence[Condition], before: Side, after: Side, impulses: Impulses
+) -> Indices:
     """Write the conditions of a link; return their rows."""
-    expressions = [parse(condition.expression) for condition in conditions]
+    found = np.concatenate(
+        [rows.add_rows(1, f"{text}: {condition.expression}") for condition in conditions] or [np.zeros(0, np.int64)]
+    )
+    _write_both_sides(rows, [condition.expression for condition in conditions], before, after, impulses, found)
+    return found
+
+
+def write_costs(rows: Rows, terms: Sequence[Term], before: Side, after: Side, impulses: Impulses) -> Indices:
+    """Write the terms of the cost of a link; return their weights' numbers."""
+    found = rows.add_weights(len(terms))
+    texts = [term.expression for term in terms]
+    _write_both_sides(rows, texts, before, after, impulses, found, is_cost=True)
+    return found
+
+
+def _write_both_sides(
+    rows: Rows,
+    texts: Sequence[str],
+    before: Side,
+    after: Side,
+    impulses: Impulses,
+    found: Indices,
+    *,
+    is_cost: bool = False,
+) -> None:
+    """Write expressions of both sides of a link, and of its impulses."""
+    if not texts:
+        return
+    expressions = [parse(text) for text in texts]
     read = sorted(set().union(*(names(expression) for expression in expressions)))
     known: dict[str, Places] = {}
     parts: dict[str, Column] = {}
@@ -208,12 +259,11 @@ def write_conditions(rows: Rows, text: str, conditions: Sequence[Condition], bef
         if side.prefix + "T" in wanted and isinstance(side.horizon, float):
             numbers[side.prefix + "T"] = Number(side.horizon)
         _place(rows, side, wanted, known, parts)
-    found = np.concatenate(
-        [rows.add_rows(1, f"{text}: {condition.expression}") for condition in conditions] or [np.zeros(0, np.int64)]
-    )
-    if conditions:
-        rows.write_expressions([substitute(e, numbers) for e in expressions], known, parts, found)
-    return found
+    hit = [name for name in read if name in impulses]
+    if hit:
+        known |= {name: ("impulses", i) for i, name in enumerate(hit)}
+        parts["impulses"] = np.array([[impulses[name]] for name in hit], dtype=np.int64)
+    rows.write_expressions([substitute(e, numbers) for e in expressions], known, parts, found, is_cost=is_cost)
 
 
 def _place(

@@ -1,6 +1,6 @@
 """A problem of several phases, as a value; `statement` reads it from a file.
 
-    minimise    the sum of the phases' costs
+    minimise    the sum of the phases' costs + w cost(x_from(T), x_to(0)) for every link
     subject to  the constraints of every phase,
                 x_to(0) = map(x_from(T)), where an impact may change the velocities first, and
                 lower <= condition(x_from(T), x_to(0)) <= upper            for every link
@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Problem, Range, SolverOptions, Unknown
+from mbsrun.ocp.problem import Contact, Problem, Range, SolverOptions, Term, Unknown
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ class Link:
     velocities: Map = ()  # velocities, where they are not the time derivatives of `map`
     impact: Impact | None = None
     conditions: tuple[Condition, ...] = ()
+    cost: tuple[Term, ...] = ()  # expressions of both sides
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ class PhasedProblem:
     @property
     def weight(self) -> float:
         """Return the largest weight of the costs."""
-        return max((abs(w) for phase in self.phases for w in phase.problem.cost.weights), default=0.0)
+        own = (abs(w) for phase in self.phases for w in phase.problem.cost.weights)
+        return max((*own, *(abs(term.weight) for link in self.links for term in link.cost)), default=0.0)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import Number
-from mbsrun.ocp.sections import FormulaField, NumberField, ProblemSection, RangeField, check_axes
+from mbsrun.ocp.sections import FormulaField, NumberField, ProblemSection, RangeField, TermSection, check_axes
 
 MAX_PHASES = 100
 
@@ -71,6 +71,7 @@ class LinkSection(Section):
     velocities: MapField = Field(default={}, examples=[{}])
     impact: ImpactSection | None = Field(default=None, examples=[{"contacts": ["foot"]}])
     conditions: Annotated[tuple[ConditionSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    cost: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
 
 
 class PhaseSection(ProblemSection):

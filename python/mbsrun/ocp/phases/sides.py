@@ -2,25 +2,28 @@
 
     end_NAME, start_NAME      a quantity at the end of the phase before, at the start of the phase after
 
-NAME is as in a problem: q_NAME, qd_NAME, u_NAME, x_SENSOR, vx_SENSOR, T. Maps read coordinates by their plain names.
+NAME is as in a problem: q_NAME, qd_NAME, u_NAME, x_SENSOR, vx_SENSOR, T. Impulses of an impact are jx_SENSOR to
+jz_SENSOR. Maps read coordinates by their plain names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Indices
 from mbsrun.ocp.layout import at_mesh
 from mbsrun.ocp.phases.addition import move_part
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Contact, Problem
 from mbsrun.ocp.program import Column
 from mbsrun.ocp.transcription import Transcription
 from mbsrun.quantities import Added, Quantity, list_quantities
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 END, START = "end_", "start_"
+IMPULSE = "j"  # before the axis and the name of a contact's sensor
 READ = (
     "q",
     "qd",
@@ -51,6 +54,17 @@ def list_readable(manifest: Manifest, problem: Problem) -> dict[str, Quantity]:
     has_accelerations = not (problem.representation.is_ode or manifest.loops)
     kinds = [kind for kind in READ if kind != "qdd" or has_accelerations]
     return {name: x for name, x in list_quantities(manifest, own).items() if x.kind in kinds}
+
+
+def name_impulses(contacts: Sequence[Contact]) -> list[tuple[str, int, int]]:
+    """Name the impulses of contacts: name, number of the contact, number among its axes."""
+    spelled = spell([contact.sensor for contact in contacts])
+    return [
+        (f"{IMPULSE}{'xyz'[axis]}_{name}", i, k)
+        for i, (name, contact) in enumerate(zip(spelled, contacts, strict=True))
+        for k, axis in enumerate(contact.axes)
+        if name is not None
+    ]
 
 
 def list_plain(manifest: Manifest) -> list[str]:

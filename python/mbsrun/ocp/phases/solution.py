@@ -41,6 +41,7 @@ class LinkValues:
     impulses: tuple[Impulse, ...] = ()
     changes: tuple[float, ...] = ()  # of the velocities, at an impact
     multipliers: tuple[float, ...] = ()  # the impulses of closed loops
+    terms: tuple[tuple[str, float], ...] = ()  # of the cost: name, value times weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +68,9 @@ class PhasedSolution:
 
     @property
     def cost(self) -> float:
-        """Sum the costs of the phases."""
-        return sum(phase.cost.total for phase in self.phases)
+        """Sum the costs of the phases and links."""
+        links = sum(value for link in self.values for _, value in link.terms)
+        return sum(phase.cost.total for phase in self.phases) + links
 
     @property
     def durations(self) -> tuple[float, ...]:

@@ -39,7 +39,7 @@ from mbsrun.ocp.solve import (
     search,
     settle,
 )
-from mbsrun.ocp.state_guess import complete
+from mbsrun.ocp.state_guess import complete, guess_largest
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 
 VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
@@ -85,13 +85,18 @@ class PhasedSolver:
 
     def _complete(self, guess: Guess) -> Guess:
         """Guess the states, controls and unknowns that phases add."""
-        known = dict(guess.unknowns)
+        known, largest = dict(guess.unknowns), dict[str, float]()
         given = zip(guess.trajectories, self.problem.phases, self.plants.phases, strict=True)
         completed = []
         for motion, phase, plant in given:
             values = [known.get(unknown.name, unknown.guess) for unknown in phase.problem.unknowns]
-            completed.append(complete(replace(motion, unknowns=np.array(values)), phase.problem, plant))
-        return replace(guess, trajectories=tuple(completed))
+            motion = complete(replace(motion, unknowns=np.array(values)), phase.problem, plant)
+            completed.append(motion)
+            found = guess_largest(motion, phase.problem, plant).unknowns.tolist()
+            for unknown, value in zip(phase.problem.unknowns, found, strict=True):
+                if unknown.largest and unknown.name not in known:  # of phases that share it, the largest of all
+                    largest[unknown.name] = max(value, largest.get(unknown.name, value))
+        return Guess(tuple(completed), (*guess.unknowns, *largest.items()))
 
     def _evaluate(self, x: Array) -> Array:
         parameters = self.transcription.parameters(self.problem)
@@ -151,7 +156,7 @@ class PhasedSolver:
             names=tuple(phase.name for phase in problem.phases),
             phases=tuple(solutions),
             links=problem.links,
-            values=tuple(self._read_link(i, x, *links) for i in range(len(problem.links))),
+            values=tuple(self._read_link(i, x, terms, *links) for i in range(len(problem.links))),
             run=run,
             size=measure_size(functions),
             constants=problem.constants,
@@ -160,14 +165,16 @@ class PhasedSolver:
             solver=problem.solver,
         )
 
-    def _read_link(self, i: int, x: Array, g: Array, lower: Array, upper: Array) -> LinkValues:
+    def _read_link(self, i: int, x: Array, terms: Array, g: Array, lower: Array, upper: Array) -> LinkValues:
         link, rows = self.problem.links[i], self.transcription.links[i]
         first, last = rows.extent
         begin = self.transcription.offsets[-1].rows
         own = slice(first - begin, last - begin)
         violation = measure_excess(g[own], lower[own], upper[own])
+        priced = zip(link.cost, terms[rows.costs].tolist(), strict=True)
+        cost = tuple((term.title, term.weight * value) for term, value in priced)
         if link.impact is None or rows.impact is None:
-            return LinkValues(link.source, link.target, violation)
+            return LinkValues(link.source, link.target, violation, terms=cost)
         impulses = []
         for contact, variables in zip(link.impact.contacts, rows.impact.impulses, strict=True):
             along = dict(zip(contact.axes, x[variables].tolist(), strict=True))
@@ -179,6 +186,7 @@ class PhasedSolver:
             tuple(impulses),
             tuple(x[rows.impact.changes].tolist()),
             tuple(x[rows.impact.multipliers].tolist()),
+            cost,
         )
 
 

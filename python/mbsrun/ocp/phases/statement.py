@@ -21,7 +21,7 @@ from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Problem, Range
+from mbsrun.ocp.problem import Contact, Problem, Range, Term
 from mbsrun.ocp.statement import PHASED, name_problem, read_phase
 from mbsrun.reading import Reading, overlay
 
@@ -252,12 +252,17 @@ class _Links(Reading):
             Condition(part.expression, self.range((*place, "conditions", k, "range"), part.range))
             for k, part in enumerate(section.conditions)
         )
+        cost = tuple(
+            Term(part.expression, self.number((*place, "cost", k, "weight"), part.weight))
+            for k, part in enumerate(section.cost)
+        )
         return replace(
             named,
             map=tuple(section.map.items()),
             velocities=tuple(section.velocities.items()),
             impact=None if given is None else self.impact((*place, "impact"), given, model or source, held),
             conditions=conditions,
+            cost=cost,
         )
 
     def impact(self, place: Place, section: ImpactSection, plant: Plant | None, held: Sequence[Contact]) -> Impact:

@@ -31,6 +31,7 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
         rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if _is_kept(key.strip())}
     for values in solution.values:
         rows[f"link {values.source} to {values.target}"] = f"violation {values.violation:.1e}"
+        rows |= {f"  {name} ": f"{value:.10g}" for name, value in values.terms if value}
         rows |= _list_impulses(values)
     return rows
 

@@ -14,9 +14,9 @@ import numpy as np
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.phases.addition import Further, Offsets, Summand, add, add_parameters, place_summands
 from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
-from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_transfer
+from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_costs, write_transfer
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
-from mbsrun.ocp.phases.sides import Side, read_side
+from mbsrun.ocp.phases.sides import Side, name_impulses, read_side
 from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.standing import find_standing
 from mbsrun.ocp.program import Program
@@ -31,6 +31,7 @@ class LinkRows:
     link: Link
     conditions: Indices
     impact: ImpactRows | None
+    costs: Indices  # among the weights
     extent: tuple[int, int]  # the first row, and the one after the last
 
 
@@ -52,7 +53,8 @@ class PhasedTranscription:
     def parameters(self, problem: PhasedProblem) -> Array:
         """Return the parameters of the program."""
         parts = [own.parameters(phase.problem) for own, phase in zip(self.phases, problem.phases, strict=True)]
-        return add_parameters(self.offsets, parts, [value for _, value in problem.constants])
+        weights = [term.weight for link in problem.links for term in link.cost]
+        return add_parameters(self.offsets, parts, [value for _, value in problem.constants], weights)
 
     def variable_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
         """Bound all variables."""
@@ -106,7 +108,8 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
     """Write the program of a problem of phases. Raises ValueError where parts of a phase do not go together."""
     phases = tuple(transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True))
     numbers = [plants.number(plant) for plant in plants.phases]
-    offsets = place_summands([phase.program for phase in phases])
+    terms = sum(len(link.cost) for link in problem.links)
+    offsets = place_summands([phase.program for phase in phases], terms)
     unknowns = [unknown.name for unknown in problem.every_unknown]
     rows = Rows(offsets[-1], unknowns, [name for name, _ in problem.constants], plants.every)
     for phase, part, offset in zip(problem.phases, phases, offsets, strict=False):
@@ -138,13 +141,20 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
                 _find_given_contacts(problem, plants, i, phases[target]),
             )
         )
-        conditions = write_conditions(rows, text, link.conditions, before, after)
-        links.append(LinkRows(link, conditions, impact, (first, rows.rows)))
+        impulses: dict[str, int] = {}
+        if link.impact is not None and impact is not None:
+            named = name_impulses(link.impact.contacts)
+            impulses = {name: int(impact.impulses[contact][k]) for name, contact, k in named}
+        conditions = write_conditions(rows, text, link.conditions, before, after, impulses)
+        costs = write_costs(rows, link.cost, before, after, impulses)
+        links.append(LinkRows(link, conditions, impact, costs, (first, rows.rows)))
     further = Further(
         rows.variables - rows.first_variable,
         len(problem.constants),
         rows.matrix(),
         tuple(rows.blocks),
+        terms,
+        tuple(rows.costs),
     )
     summands = [Summand(phase.program, number) for phase, number in zip(phases, numbers, strict=True)]
     return PhasedTranscription(

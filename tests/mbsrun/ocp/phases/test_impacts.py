@@ -44,7 +44,9 @@ phases:
   - name: rise
     end: {velocity: {height: 0}}
 links:
-  - {from: fall, to: rise, impact: {model: ball_hit.yaml, contacts: [CONTACT], restitution: 0.8}}
+  - from: fall
+    to: rise
+    impact: {model: ball_hit.yaml, contacts: [CONTACT], restitution: 0.8}
 """
 BALL = """
 name: ball
@@ -88,6 +90,16 @@ def test_a_ball_bounces(drop: Callable[[str, str], PhasedSolution]) -> None:
     (link,) = found.values
     assert link.impulses[0].components == pytest.approx([-0.25, 0.0, 0.5 * 1.8 * speed], rel=1e-8, abs=1e-12)
     assert link.violation < 1e-12
+
+
+def test_an_impulse_has_a_price(drop: Callable[..., PhasedSolution]) -> None:
+    """Expressions of a link read impulses: the price of both, and a condition that holds anyway."""
+    more = "    cost: [{expression: jx_tip**2 + jz_tip**2, weight: 2}]\n"
+    more += "    conditions: [{expression: jz_tip + jx_tip, range: [0, null]}]\n"
+    found = drop("0.5", "tip", more)
+    (link,) = found.values
+    assert dict(link.terms) == pytest.approx({"jx_tip**2 + jz_tip**2": 2 * (0.25**2 + 0.9**2 * 2 * G)}, rel=1e-8)
+    assert found.cost == pytest.approx(sum(phase.cost.total for phase in found.phases) + link.terms[0][1], rel=1e-12)
 
 
 def test_a_ball_slides_where_a_contact_holds_its_normal_alone(drop: Callable[[str, str], PhasedSolution]) -> None:

@@ -14,6 +14,7 @@ from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Pla
 from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
+from mbsrun.ocp.phases.summary import summarise_phases
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.problem import Cost, End, Refinement, Representation, State, Term, Unknown
 from mbsrun.ocp.solution import Solution
@@ -48,6 +49,27 @@ def test_two_halves_of_a_motion_cost_what_the_whole_does(cart: Peer, whole: Solu
     assert terms == pytest.approx([value for _, value in whole.cost.terms], rel=1e-6)
     assert found.phases[1].trajectory.q[0] == pytest.approx(found.phases[0].trajectory.q[-1], abs=1e-9)
     assert found.starts == (0.0, 1.0)
+
+
+def test_a_link_s_cost_is_a_terminal_cost_of_the_phase_before(cart: Peer, whole: Solution) -> None:
+    """The same expression of the same state, with a constant; and a price of the change between both sides."""
+    problem = replace(split(swing_up()), constants=(("a", 0.4),))
+    guess = Guess(cut(whole.trajectory))
+    (first, second), (link,) = problem.phases, problem.links
+    cost = replace(first.problem.cost, terminal=(Term("a*qd_pole**2", 3.0),))
+    ended = replace(problem, phases=(replace(first, problem=replace(first.problem, cost=cost)), second))
+    linked = replace(problem, links=(replace(link, cost=(Term("a*end_qd_pole**2", 3.0, "speed"),)),))
+    one, other = optimum(ended, cart, cart, guess=guess), optimum(linked, cart, cart, guess=guess)
+    assert other.cost == pytest.approx(one.cost, rel=1e-8)
+    assert other.values[0].terms == (
+        ("speed", pytest.approx(dict(one.phases[0].cost.terms)["a*qd_pole**2"], rel=1e-5)),
+    )
+    assert summarise_phases(other)["  speed "] == f"{other.values[0].terms[0][1]:.10g}"
+    jump = Term("(start_u_cart - end_u_cart)**2", 100.0)
+    smooth = optimum(replace(problem, links=(replace(link, cost=(jump,)),)), cart, cart, guess=guess)
+    before, after = (phase.trajectory.u for phase in smooth.phases)
+    assert abs(after[0, 0] - before[-1, 0]) < 0.1
+    assert smooth.cost > whole.cost.total
 
 
 def test_phases_have_grids_and_representations_of_their_own(cart: Peer, whole: Solution) -> None:

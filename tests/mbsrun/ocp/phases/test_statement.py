@@ -80,6 +80,17 @@ def test_phases_take_the_defaults_of_the_file(read: Callable[[str], PhasedProble
     assert link.conditions[0].range == (0.0, float("inf"))
 
 
+def test_slacks_and_largest_values_are_of_one_phase_unless_they_have_a_name(
+    read: Callable[[str], PhasedProblem],
+) -> None:
+    own = "cost: {inputs: 1, largest: [{expression: u_cart}, {expression: q_cart, name: far}]}\n"
+    own += "constraints: [{expression: q_cart, range: [0, 1], at: end, soft: 3}]"
+    problem = read(GOOD.replace("cost: {inputs: 1}", own))
+    assert [unknown.name for unknown in problem.every_unknown] == [
+        "stride", *(f"first_{x}" for x in ("slack_0", "largest_0")), "far", "second_slack_0", "second_largest_0"
+    ]  # fmt: skip
+
+
 def test_a_file_with_links_alone_has_one_phase(read: Callable[[str], PhasedProblem], tmp_path: Path) -> None:
     own = GOOD.split("phases:")[0] + "start: {pose: {pole: null}}\nlinks: [{}]\n"
     problem = read(own)
@@ -186,6 +197,39 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
         "phases[1].unknowns: unknowns belongs to the whole problem",
     ),
     "unknown guess": ("guess: 0.5", "guess: 5", "unknowns.stride.guess: 5 is out of [0, 1]; guess within the range"),
+    "name of a cost": (
+        "    map: {",
+        "    cost: [{expression: q_pole}]\n    map: {",
+        'links[0].cost[0].expression: unknown name "q_pole"; did you mean "end_q_pole"?',
+    ),
+    "syntax of a cost": ("    map: {", "    cost: [{expression: 2*}]\n    map: {", "links[0].cost[0].expression: "),
+    "weight of a cost": (
+        "    map: {",
+        "    cost: [{expression: end_T, weight: b}]\n    map: {",
+        "links[0].cost[0].weight: unknown name",
+    ),
+    "a cost that is no list": ("    map: {", "    cost: {inputs: 1}\n    map: {", "links[0].cost: found"),
+    "impulse without an impact": (
+        "    map: {",
+        "    cost: [{expression: jz_place}]\n    map: {",
+        'links[0].cost[0].expression: unknown name "jz_place"',
+    ),
+    "delay without a history": (
+        "    intervals: 4",
+        "    intervals: 4\n    inputs: {delay: 0.25}",
+        "phases[1].inputs.delay: the phase before gave the inputs that act first, and the file does not say which; "
+        "give history: a number, or free",
+    ),
+    "price of a slack": (
+        "    intervals: 4",
+        "    constraints: [{expression: q_cart, range: [0, 1], soft: -1}]\n    intervals: 4",
+        "phases[1].constraints[0].soft: found -1; give a number that is not negative",
+    ),
+    "name that phases share with an unknown": (
+        "    cost: {input_rates: 0.5}",
+        "    cost: {largest: [{expression: q_cart, name: stride}]}",
+        'phases[1].cost.largest[0].name: no name for a largest value: "stride"',
+    ),
     "model of an impact": (
         "    map: {",
         "    impact: {contacts: [place], model: push.C}\n    map: {",
