@@ -25,6 +25,7 @@ from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Form, Refinement
+from mbsrun.ocp.search import COUNTS
 from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.status import ACCEPTABLE
@@ -284,6 +285,14 @@ def test_an_acceptable_solution_is_written_with_a_warning(quick: Run, monkeypatc
 SWEEP = ("sweep", "task.ocp.yaml", "--radius", "0.64", "--azimuths", "0", "0.02", "2", "--heights", "0", "0", "1")
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search from few random starts."""
+    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", {kind: (int(kind == "bumps"),) * 2 for kind in COUNTS})
+    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (1, 1))
+
+
+@pytest.mark.usefixtures("few")
 def test_a_sweep_solves_all_targets_and_goes_on(run: Run) -> None:
     """The command prints a line for each part and one for all parts; the same command again prints the same.
 
