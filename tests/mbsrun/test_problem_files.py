@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsrun import Mechanism, load
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
@@ -20,18 +21,18 @@ MODELS = Path(__file__).parents[2] / "models"
 
 
 @pytest.fixture
-def read(requires: Callable[[str], str]) -> Callable[[str], tuple[Problem, Mechanism]]:
+def read(requires: Callable[[str], str]) -> Callable[[str], tuple[Problem, Plant]]:
     requires("cc")
-    return lambda name: read_problem(MODELS / f"{name}.ocp.yaml", load)
+    return lambda name: read_problem(MODELS / f"{name}.ocp.yaml", load_on_demand)
 
 
-def optimum(problem: Problem, plant: Mechanism) -> Solution:
+def optimum(problem: Problem, plant: Plant) -> Solution:
     outcome = solve(problem, plant)
     assert isinstance(outcome, Solution)
     return outcome
 
 
-def test_swing_up(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
+def test_swing_up(read: Callable[[str], tuple[Problem, Plant]]) -> None:
     """The published optimum, 58.88 to 1e-3 (Dymos, its test of Kelly's problem): the grid of inputs alone is between.
 
     Its error falls with 1/N^2, and is extrapolated from N = 40 and 80; 58.8077 is what Radau of degree 5 found on 80
@@ -47,7 +48,7 @@ NAMES = ["cart_pole_balance", "planar_arm_reach", "planar_arm_fastest", "cart_po
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_all_representations_have_one_optimum(read: Callable[[str], tuple[Problem, Mechanism]], name: str) -> None:
+def test_all_representations_have_one_optimum(read: Callable[[str], tuple[Problem, Plant]], name: str) -> None:
     """The equations are the same, however they are written."""
     problem, plant = read(name)
     costs = [optimum(replace(problem, representation=r), plant).cost.total for r in Representation]
@@ -55,7 +56,7 @@ def test_all_representations_have_one_optimum(read: Callable[[str], tuple[Proble
 
 
 @pytest.mark.parametrize("name", ["six_axis_reach", "leg_step"])
-def test_another_method_integrates_the_same_motion(read: Callable[[str], tuple[Problem, Mechanism]], name: str) -> None:
+def test_another_method_integrates_the_same_motion(read: Callable[[str], tuple[Problem, Plant]], name: str) -> None:
     """Re-simulated under the inputs alone, a solution ends where it says, to the accuracy that its file asks for."""
     problem, plant = read(name)
     solution = resimulate(optimum(problem, plant), plant)
@@ -63,7 +64,7 @@ def test_another_method_integrates_the_same_motion(read: Callable[[str], tuple[P
     assert solution.resimulation.is_accurate
 
 
-def test_a_post_is_passed_by(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
+def test_a_post_is_passed_by(read: Callable[[str], tuple[Problem, Plant]]) -> None:
     """The hand touches the circle about the post and never enters it."""
     problem, plant = read("planar_arm_reach")
     constants = dict(problem.constants)
@@ -73,7 +74,7 @@ def test_a_post_is_passed_by(read: Callable[[str], tuple[Problem, Mechanism]]) -
     assert distance.min() == pytest.approx(constants["clearance"], abs=1e-6)
 
 
-def test_the_fastest_reach_is_at_its_limits(read: Callable[[str], tuple[Problem, Mechanism]]) -> None:
+def test_the_fastest_reach_is_at_its_limits(read: Callable[[str], tuple[Problem, Plant]]) -> None:
     """Minimum time of a two-link arm: at almost all times some motor gives all it can."""
     problem, plant = read("planar_arm_fastest")
     solution = resimulate(optimum(problem, plant), plant)
@@ -91,5 +92,5 @@ def test_the_page_on_problem_files_opens_with_one(requires: Callable[[str], str]
     requires("cc")
     page = (MODELS.parent / "docs" / "problem.md").read_text("utf-8")
     (tmp_path / "page.ocp.yaml").write_text(page.split("```yaml\n")[1].split("```")[0], "utf-8")
-    problem, plant = read_problem(tmp_path / "page.ocp.yaml", lambda path: load(MODELS / path.name))
+    problem, plant = read_problem(tmp_path / "page.ocp.yaml", lambda path: load_on_demand(MODELS / path.name))
     assert optimum(problem, plant).cost.total == pytest.approx(58.8, rel=0.01)
