@@ -109,6 +109,9 @@ schema: $(VENV)/installed-dev
 	@mkdir -p build
 	$(BIN)/python -m mbsgen.model.schema > build/model.schema.json
 	mv build/model.schema.json models/model.schema.json
+	for kind in problem simulation trial; do \
+		$(BIN)/python -m mbsrun.schemas $$kind > build/$$kind.schema.json && \
+		mv build/$$kind.schema.json models/$$kind.schema.json || exit 1; done
 
 # The environment stays; remove $(VENV) by hand to start from nothing.
 clean:

@@ -146,7 +146,7 @@ MBSRUN = Package(
         "tracking.analysis",
         "tracking.pictures",
         "tracking.record",
-        "tracking",
+        "tracking schemas",
         "measuring.points measuring.functions measuring.mechanisms measuring.reference measuring.sections "
         "measuring.store",
         "measuring.timing measuring.captions measuring.fronts measuring.page",

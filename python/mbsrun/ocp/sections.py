@@ -101,8 +101,12 @@ def _form_of_end(value: Any) -> str:
     return "list" if isinstance(value, list | tuple) else "number"
 
 
-NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
-LimitField = Annotated[Expression | None, PlainValidator(lambda v: None if v is None else read_number(v))]
+Written = float | str  # a number, or an expression
+NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written), Field(examples=[1.0])]
+LimitField = Annotated[
+    Expression | None,
+    PlainValidator(lambda v: None if v is None else read_number(v), json_schema_input_type=Written | None),
+]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
 StartField = Annotated[  # one for each coordinate, or by name; null: not given
     Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
@@ -114,7 +118,9 @@ RestField = Annotated[  # of all coordinates, or of some, by name
 NamesField = Annotated[  # of some, or by name
     Annotated[tuple[str, ...], Tag("list")] | Annotated[dict[str, str], Tag("mapping")], Discriminator(_form)
 ]
-FormulaField = Annotated[str, PlainValidator(_read_formula), Field(examples=["q_NAME**2"])]
+FormulaField = Annotated[
+    str, PlainValidator(_read_formula, json_schema_input_type=Written), Field(examples=["q_NAME**2"])
+]
 RangesField = Annotated[  # the same for all, or by name
     Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
 ]

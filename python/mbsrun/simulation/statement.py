@@ -74,7 +74,7 @@ def read_statement(
     document = read_settings(file, options)
     if file is not None:
         expect(document, "settings")
-    examination = examine(document, _SettingsSection)
+    examination = examine(document, SettingsSection)
     reading = _Reading(document, manifest, examination.stand_ins, recording)
     faults = list(examination.faults)
     if examination.value is not None:
@@ -94,7 +94,9 @@ def _check_method(name: str) -> str:
     return name
 
 
-NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
+NumberField = Annotated[
+    Expression, PlainValidator(read_number, json_schema_input_type=float | str), Field(examples=[1.0])
+]
 VectorField = tuple[NumberField, NumberField, NumberField]
 
 
@@ -108,7 +110,7 @@ class _WrenchSection(Section):
     moment: VectorField | None = Field(default=None, examples=[[0.0, 0.0, 1.0]])
 
 
-class _SettingsSection(Section):
+class SettingsSection(Section):
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     parameters: dict[str, NumberField] = Field(default={}, examples=[{}])
     duration: NumberField | None = Field(default=None, examples=[10.0])
@@ -147,7 +149,7 @@ class _Reading(Reading):
         self.known = (TIME, *self.quantities)  # names that expressions of inputs may use
         self.coordinates = [c.name for c in manifest.coordinates]
 
-    def statement(self, section: _SettingsSection) -> Statement:
+    def statement(self, section: SettingsSection) -> Statement:
         """Make the statement, which is valid only if there are no faults."""
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in (TIME, *self.quantities):
@@ -163,7 +165,7 @@ class _Reading(Reading):
                 parameters[name] = self.number(("parameters", name), expression)
         return Statement(settings, start, drive, parameters, course)
 
-    def settings(self, section: _SettingsSection) -> Settings:
+    def settings(self, section: SettingsSection) -> Settings:
         """Read how to integrate."""
         positive = math.ulp(0)
         settings = Settings(
@@ -256,7 +258,7 @@ class _Reading(Reading):
             self.fault(("start", "velocity", name), "this joint is driven", "give its motion under driven")
         return follow(expressions, driven, {k: v for k, v in self.constants.items() if math.isfinite(v)})
 
-    def drive(self, section: _SettingsSection) -> Drive:
+    def drive(self, section: SettingsSection) -> Drive:
         """Read the inputs over time; inputs that are not named are 0."""
         actuated = [self.coordinates[i] for i in self.manifest.actuated]
         expressions: list[Expression] = [Number(0.0)] * len(actuated)

@@ -76,7 +76,9 @@ def _form(value: Any) -> str:
     return "mapping" if isinstance(value, dict) else "number"
 
 
-NumberField = Annotated[Expression, PlainValidator(read_number), Field(examples=[1.0])]
+NumberField = Annotated[
+    Expression, PlainValidator(read_number, json_schema_input_type=float | str), Field(examples=[1.0])
+]
 VectorField = tuple[NumberField, NumberField, NumberField]
 SpreadField = Annotated[  # of all entries, or by name
     Annotated[NumberField, Tag("number")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
@@ -132,7 +134,7 @@ class _MeasureSection(Section):
     most: NumberField | None = Field(default=None, examples=[0.01])
 
 
-class _TrialSection(Section):
+class TrialSection(Section):
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     duration: NumberField = Field(examples=[5.0])
     rate: NumberField = Field(examples=[20.0])
@@ -159,7 +161,7 @@ class TrialStatement:
         self._document = read_settings(file, options)
         if file is not None:
             expect(self._document, "trial")
-        examination = examine(self._document, _TrialSection)
+        examination = examine(self._document, TrialSection)
         if examination.value is None or examination.faults:
             raise refuse(attribute(list(examination.faults), options, file))
         self._section = examination.value
@@ -191,7 +193,7 @@ class _Reading(Reading):
         self.velocities = [c.name for c in manifest.coordinates]
         self.inputs = [self.velocities[i] for i in manifest.actuated]
 
-    def trial(self, section: _TrialSection) -> Trial:
+    def trial(self, section: TrialSection) -> Trial:
         """Make the trial, which is valid only if there are no faults."""
         for key, expression in section.constants.items():
             place: Place = ("constants", key)
