@@ -154,6 +154,7 @@ MBSRUN = Package(
         "measuring.fidelity measuring.kernels measuring.motions measuring.solves",
         "measuring.optima",
         "measuring.advice measuring.pictures",
+        "measuring.overview measuring.surveys",
         "measuring",
         "lab.case lab.mechanisms",
         "lab.digits lab.integration lab.optimisation lab.runs",

@@ -1,7 +1,7 @@
 """The lowest optimum of every target and cost in a record, with a certificate of its optimality.
 
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
-motion, with multipliers of its own: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist.
+motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist.
 """
 
 from __future__ import annotations

@@ -11,13 +11,12 @@ from rich.table import Table
 from rich.text import Text
 
 from mbsgen.errors import Fault, InputError
-from mbsrun.commands.console import Report, keep_grid, open_console, show_progress
-from mbsrun.external import load
-from mbsrun.measuring import kernels, motions, solves
-from mbsrun.measuring.advice import Advice, Option, advise_control, advise_optimisation, advise_simulation
-from mbsrun.measuring.mechanisms import Subject
-from mbsrun.measuring.points import Cost, KernelPoint, MotionPoint, SolvePoint, write_points
-from mbsrun.measuring.store import Store
+from mbsrun.commands.console import keep_grid, open_console, show_progress
+from mbsrun.external import Mechanism, load
+from mbsrun.measuring import motions, solves
+from mbsrun.measuring.advice import Advice, Option
+from mbsrun.measuring.points import Cost
+from mbsrun.measuring.surveys import survey_control, survey_optimisation, survey_simulation
 from mbsrun.ocp.statement import read_problem
 
 ADVISE_HELP = """Find the fastest way to compute with MODEL, with errors of at most --accuracy.
@@ -68,55 +67,26 @@ def advise_command(
     out = out or Path(f"{model.stem}.advice")
     with show_progress() as report:
         if task == "simulate":
-            advice = _measure_simulation(motions.read_course(model, settings, None), out, accuracy, quick, report)
+            advice = survey_simulation(motions.read_course(model, settings, None), out, accuracy, quick, report)
         elif task == "optimise":
-            advice = _measure_optimisation(model, problem, out, accuracy, quick, report)
+            mechanism = load(model)
+            case = None if problem is None else _read_case(mechanism, problem)
+            told = "a reach from rest to rest in 1 s, stated for any model" if problem is None else str(problem)
+            case = case or solves.state_reach(mechanism)
+            advice = survey_optimisation(case, told, out, accuracy, quick, report)
         else:
-            advice = _measure_control(model, out, accuracy, quick, report)
+            advice = survey_control(model, out, accuracy, quick, report)
     _print_advice(advice)
     context.exit(0 if advice.is_complete else NOTHING_GOOD)
 
 
-def _measure_simulation(course: motions.Course, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
-    report("reference", 0, 1)
-    standard = motions.find_standard(course)
-    scope = motions.QUICK if quick else motions.MotionScope()
-    store = Store(out / "simulation.jsonl", MotionPoint)
-    points = motions.measure_motions(course, standard, scope, store, report)
-    write_points(points, out, "simulation")
-    return advise_simulation(course, standard, points, accuracy)
-
-
-def _measure_optimisation(
-    model: Path, problem: Path | None, out: Path, accuracy: float, quick: bool, report: Report
-) -> Advice:
-    mechanism = load(model)
-    case = solves.state_reach(mechanism)
-    told = "a reach from rest to rest in 1 s, stated for any model"
-    if problem is not None:
-        found, plant = read_problem(problem, load)
-        if plant.manifest.model_hash != mechanism.manifest.model_hash:
-            fault = f"its model is {plant.manifest.model}, which is not {model}"
-            raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
-        case, told = solves.Case(keep_grid(found), mechanism), str(problem)
-    scope = solves.QUICK if quick else solves.SolveScope()
-    store = Store(out / "problem.jsonl", SolvePoint)
-    points = solves.measure_solves(case, accuracy, scope, store, report)
-    write_points(points, out, "problem")
-    return advise_optimisation(mechanism.manifest.model, told, points, accuracy)
-
-
-def _measure_control(model: Path, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
-    subject = Subject(model, kernels.DERIVATIVES)
-    scope = kernels.KernelScope((), (kernels.USUAL, kernels.SINGLE), 3 if quick else 40, 4 if quick else 16)
-    store = Store(out / "control.jsonl", KernelPoint)
-    points: list[KernelPoint] = []
-    tasks = kernels.list_tasks(subject.manifest, derivatives=True)
-    for done, task in enumerate(tasks):
-        report(task, done, len(tasks))
-        points += kernels.measure_task(subject, task, scope, store)
-    write_points(points, out, "control")
-    return advise_control(subject.manifest.model, points, accuracy, scope.judged)
+def _read_case(mechanism: Mechanism, problem: Path) -> solves.Case:
+    """Read the problem to measure on. Raises InputError for a problem of another model."""
+    found, plant = read_problem(problem, load)
+    if plant.manifest.model_hash != mechanism.manifest.model_hash:
+        fault = f"its model is {plant.manifest.model}, not {mechanism.manifest.model} as given"
+        raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
+    return solves.Case(keep_grid(found), mechanism)
 
 
 def _print_advice(advice: Advice) -> None:

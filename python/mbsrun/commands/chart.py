@@ -1,4 +1,7 @@
-"""The command `mbsrun chart`: measure kernels, simulation, optimisation or fidelity; draw time against error."""
+"""The command `mbsrun chart`: measure kernels, simulation, optimisation or fidelity; draw time against error.
+
+The chart of fronts shows all formulations and tasks in one picture.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import keep_grid, show_progress
+from mbsrun.commands.console import keep_grid, say, show_progress
 from mbsrun.external import load
-from mbsrun.measuring import fidelity, kernels, motions, optima, solves
+from mbsrun.measuring import fidelity, kernels, motions, optima, solves, surveys
 from mbsrun.measuring.captions import write_captions
+from mbsrun.measuring.overview import draw_overview
 from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
 from mbsrun.measuring.points import MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
@@ -73,6 +77,18 @@ The output folder gets
   fidelity.png
   fidelity.csv, fidelity.json   flops, times, and errors: at states that agree with the reduction, and anywhere
   fidelity.jsonl                all measurements
+"""
+
+FRONTS_HELP = """Chart the fronts of all formulations of MODEL, for every task, in one picture, with the advice marked.
+
+Kernels, simulation and optimal control are measured as by `mbsrun advise`; with --quick in a minute. Each formulation
+has its own front of time against error. A ring marks the choice of `mbsrun advise` for errors of --accuracy.
+
+\b
+The output folder gets
+  fronts.png
+  fronts.csv, fronts.json   the options on the fronts, and the advised one
+  *.jsonl                   all measurements
 """
 
 
@@ -180,6 +196,28 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
         points = fidelity.measure_fidelity(whole, reductions, out, scope, report)
     _print_written([*write_points(points, out, "fidelity"), *draw_fidelity(points, out)])
     write_captions("fidelity", points[0].mechanism, out)
+
+
+@chart.command("fronts", help=FRONTS_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+def chart_fronts_command(model: Path, out: Path | None, accuracy: float, quick: bool) -> None:
+    """Measure, write, draw."""
+    out = out or Path(f"{model.stem}.chart")
+    mechanism = load(model)
+    with show_progress() as report:
+        advice = [surveys.survey_control(model, out, accuracy, quick, report)]
+        course = motions.read_course(model, None, None)
+        advice.append(surveys.survey_simulation(course, out, accuracy, quick, report))
+        if mechanism.manifest.actuated:
+            case, title = solves.state_reach(mechanism), "a reach from rest to rest in 1 s, stated for any model"
+            advice.append(surveys.survey_optimisation(case, title, out, accuracy, quick, report))
+    if not mechanism.manifest.actuated:
+        say("note: nothing is actuated, so there is no panel of optimal control")
+    _print_written(draw_overview(advice, out))
+    write_captions("fronts", mechanism.manifest.model, out)
 
 
 def _print_written(paths: list[Path]) -> None:

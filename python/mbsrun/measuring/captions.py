@@ -22,6 +22,22 @@ OUTLINES: Mapping[str, Outline] = {
     outline.name: outline
     for outline in (
         Outline(
+            "fronts",
+            0,
+            "Speed against accuracy: all formulations",
+            "Every task of the model in one picture: kernels, simulation, and optimal control, with all formulations.",
+            (
+                Caption(
+                    "fronts.png",
+                    "Fronts of all formulations",
+                    "A panel for each need. A line is the front of a formulation: no option of this formulation is "
+                    "both faster and more accurate than one on it. A ring marks the option that `mbsrun advise` "
+                    "chooses for errors up to the dashed line.",
+                ),
+                Caption("fronts.json", "Options on the fronts", "Times are the shortest of the rounds."),
+            ),
+        ),
+        Outline(
             "kernels",
             1,
             "Speed against accuracy: kernels",

@@ -81,7 +81,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
     right.set_ylabel("largest drift of energy, by the energy that is exchanged")
     right.set_title(f"labels: step [s] or tolerance; x: failed, or beyond {WORST:g}", fontsize=9)
-    figure.suptitle(f"{_plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
+    figure.suptitle(f"{plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
     path = folder / "simulation.png"
@@ -109,7 +109,7 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     rows[1, 0].set_ylabel("largest defect of an interval [rad, m; rad/s, m/s]")
     handles, labels = rows[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
-    mechanism = _plain(points[0].mechanism)
+    mechanism = plain(points[0].mechanism)
     text = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
     figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({text})", fontsize=10)
     path = folder / "optimisation.png"
@@ -135,7 +135,7 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
             axes.set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
         row[0].set_ylabel("largest error, by the whole model's largest result")
     figure.suptitle(
-        f"{_plain(points[0].mechanism)}: the reduction, and the share of the flops that it saves; x: failed",
+        f"{plain(points[0].mechanism)}: the reduction, and the share of the flops that it saves; x: failed",
         fontsize=10,
     )
     handles, labels = rows[0, 0].get_legend_handles_labels()
@@ -175,7 +175,7 @@ def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
         "grey: below it, the limit of fine grids is uncertain" if accuracies else "the limit depends on two grids alone"
     )
     axes.set_title(
-        f"{_plain(points[0].mechanism)}: errors of the control grid, and of collocation on it; {text}", fontsize=9
+        f"{plain(points[0].mechanism)}: errors of the control grid, and of collocation on it; {text}", fontsize=9
     )
     path = folder / "control_grid.png"
     save_picture(figure, path, 90)
@@ -195,7 +195,7 @@ def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
     )
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
     """Escape a name, so that it is not read as a formula."""
     return name.replace("$", r"\$")
 
@@ -218,7 +218,7 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
                 if any(p.precision == precision for p in own):
                     grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
             joints = own[0].joints if own else 0
-            grid[r, c].set_title(f"{_plain(mechanism)}, {joints} joints: {task}", fontsize=9)
+            grid[r, c].set_title(f"{plain(mechanism)}, {joints} joints: {task}", fontsize=9)
             grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
@@ -240,7 +240,7 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
 
     A mark without a time or without an error stands at the right or the upper edge.
     """
-    _prepare(axes)
+    prepare(axes)
     last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
     worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
 
@@ -268,7 +268,8 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
     return describe_front(marks, unit)
 
 
-def _prepare(axes: Axes) -> None:
+def prepare(axes: Axes) -> None:
+    """Make both axes logarithmic, with a light grid."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))

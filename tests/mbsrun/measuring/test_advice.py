@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import sys
 from pathlib import Path
 
@@ -147,3 +148,26 @@ def test_charts_are_written_with_their_numbers(rod: Path, monkeypatch: pytest.Mo
     assert run(monkeypatch, "chart", "simulation", str(rod), "--quick", "-o", "chart") in (0, None)
     names = {path.name for path in Path("chart").iterdir()}
     assert names == {f"simulation.{kind}" for kind in ("png", "csv", "json", "jsonl", "section.json")}
+
+
+def test_the_picture_of_fronts_shows_every_need_and_the_advice(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A front for each formulation, all steps of differences in one; the advised option is listed on a front or not."""
+    options = (
+        *(option(f"impl, central differences, {step}", time, error) for step, time, error in STEPS),
+        option("impl", 3.0, 1e-12),
+        option("impl", 4.0, 1e-3),  # slower and less accurate
+        option("exp1", 0.5, 1e-12, "failed in one state of 256"),
+    )
+    control = Advice("rod", "control", 1e-6, "", options, ())
+    monkeypatch.setattr("mbsrun.measuring.surveys.survey_control", lambda *_: control)
+    assert run(monkeypatch, "chart", "fronts", str(rod), "--quick", "-o", "chart") in (0, None)
+    with Path("chart/fronts.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["formulation"], row["time"], row["advised"]) for row in rows if row["task"] == "control"] == [
+        ("impl, central differences", "1.0", ""),
+        ("impl, central differences", "1.05", "yes"),
+        ("impl", "3.0", ""),
+    ]
+    assert {row["formulation"] for row in rows if row["task"] == "simulate"} == {"impl", "exp2"}
+    assert {row["formulation"] for row in rows if row["task"] == "optimise"} >= {"IMPL"}
+    assert Path("chart/fronts.png").stat().st_size > 1000
