@@ -213,6 +213,9 @@ class Loop(_Entry):
     redundant: tuple[str, ...] = ()  # its equations that follow from others, and are no entries of h
 
 
+FIRST_LENGTH = 100_000  # the status of the first force element; joints and loops have the numbers below
+
+
 class Manifest(_Entry):
     """A generated folder, described."""
 
@@ -232,6 +235,7 @@ class Manifest(_Entry):
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
+    lengths: tuple[str, ...] = ()  # force elements that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
     independent: tuple[int, ...] = ()  # entries of qd that determine all others; empty without loops
     dependent: tuple[int, ...] = ()  # the other ones, as many as entries of h
@@ -304,7 +308,7 @@ def write(manifest: Manifest) -> str:
         unsaid["tolerance"] = True
     unsaid |= {
         name: True
-        for name in ("appearance", "contacts", "loops", "independent", "dependent", "pose", "driven")
+        for name in ("appearance", "contacts", "lengths", "loops", "independent", "dependent", "pose", "driven")
         if not getattr(manifest, name)
     }
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"

@@ -303,6 +303,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model) -> Manife
             if x.force is None or x.moment is None
         ),
         contacts=tuple(x.name for x in tree.distances),
+        lengths=tuple(x.length.name for x in tree.definitions if x.length is not None),
         loops=_describe_loops(tree),
         independent=tree.closure.independent if tree.closure else (),
         dependent=tree.closure.dependent if tree.closure else (),

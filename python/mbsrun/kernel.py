@@ -19,7 +19,7 @@ from scipy import sparse as scipy_sparse
 from mbsgen import manifest as manifests
 from mbsgen import resources
 from mbsgen.errors import MbsError
-from mbsgen.manifest import Kernel, Manifest
+from mbsgen.manifest import FIRST_LENGTH, Kernel, Manifest
 from mbsgen.roles import FAMILY, Order, Role, name_kernel
 from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
@@ -28,7 +28,7 @@ __all__ = ["ArgumentError", "Array", "KernelError", "Kernels", "Place", "find_pl
 
 
 class KernelError(MbsError):
-    """A kernel that returned a nonzero status: it failed at a joint, or at a loop."""
+    """A kernel that returned a nonzero status: it failed at a joint, a loop, or a force element without a direction."""
 
     def __init__(self, kernel: str, place: Place, state: int) -> None:
         self.kernel, self.joint, self.loop, self.state = kernel, place.joint, place.loop, state
@@ -37,19 +37,28 @@ class KernelError(MbsError):
 
 @dataclass(frozen=True)
 class Place:
-    """The joint, or the loop, that a status names; neither where it names none."""
+    """The joint, the loop, or the force element that a status names; none where it names none."""
 
     joint: str | None
     loop: str | None
     status: int
+    length: str | None = None  # a force element whose points meet
 
     def __str__(self) -> str:
+        if self.length is not None:
+            return f"force element {self.length}, whose points meet: it has no direction there"
         named = (("joint", self.joint), ("loop", self.loop))
         return next((f"{kind} {name}" for kind, name in named if name is not None), f"number {self.status}")
 
 
 def find_place(manifest: Manifest, status: int) -> Place:
-    """Return what a kernel's status names: k the joint number k, and n + k the loop number k, of n joints, from 1."""
+    """Find the entry that a kernel's status names.
+
+    It is joint number k for k, loop number k for n + k, of n joints, from 1; and force element k for FIRST_LENGTH + k.
+    """
+    if status >= FIRST_LENGTH:
+        lengths = manifest.lengths[status - FIRST_LENGTH :]
+        return Place(None, None, status, lengths[0] if lengths else None)
     joints, loops = ([x.name for x in entries] for entries in (manifest.coordinates, manifest.loops))
     n = len(joints)
     joint = joints[status - 1] if 0 < status <= n else None

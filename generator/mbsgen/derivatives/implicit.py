@@ -32,6 +32,7 @@ from mbsgen.derivatives.kernels import Derivatives
 from mbsgen.formulations import multipliers, ports
 from mbsgen.formulations.multipliers import Bordered, Owner
 from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, factorise
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.procedure import solve as systems
 from mbsgen.procedure.patterns import LANES, Tree
 from mbsgen.procedure.procedure import Procedure, straight
@@ -41,7 +42,7 @@ from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
-from mbsgen.tape.replay import declare_inputs, replay, replay_guards
+from mbsgen.tape.replay import declare_inputs, replay, replay_guards, replay_lengths
 from mbsgen.tape.types import Input, Sparsity, Tape
 
 ACCELERATIONS, RESIDUAL = ports.ACCELERATIONS.name, ports.RESIDUAL.name
@@ -308,7 +309,8 @@ class _State:
         of_joints = self.constraints.unrestrained if self.constraints else self.tape
         values = replay(of_joints, self.builder, {i.name: self.inputs[i.name] for i in of_joints.inputs})
         replay_guards(of_joints, self.builder, values, only_early=True)
-        for guard in (g for g in of_joints.guards if not g.early):
+        replay_lengths(of_joints, self.builder, values)
+        for guard in (g for g in of_joints.guards if not g.early and g.joint < FIRST_LENGTH):
             pivot = self.factors.D[guard.joint]
             self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
         if self.constraints:
@@ -372,6 +374,7 @@ def _replay(builder: Builder, tape: Tape, inputs: Inputs) -> dict[str, _Found]:
     """Replay a tape, and give its outputs by place."""
     values = replay(tape, builder, {i.name: _nonzeros(i, inputs) for i in tape.inputs})
     replay_guards(tape, builder, values, only_early=True)
+    replay_lengths(tape, builder, values)
     return {
         o.name: _Found({place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)})
         for o in tape.outputs

@@ -28,7 +28,7 @@ from mbsgen.roles import Order
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
-from mbsgen.tape.replay import replay
+from mbsgen.tape.replay import replay, replay_lengths
 from mbsgen.tape.types import Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
@@ -138,6 +138,7 @@ class _Writer:
     def write_blocks(self, blocks: Mapping[Port, Block], forces: Tape) -> None:
         """Declare the outputs of `forces`, each with its inertial block added."""
         values = replay(forces, self.builder, self.given)
+        replay_lengths(forces, self.builder, values)
         for output in forces.outputs:
             block = dict(blocks.get(output.port, {}))
             for place, value in zip(output.sparsity.entries, output.values, strict=True):

@@ -22,13 +22,14 @@ from mbsgen.formulations.parsimony.elimination import Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
 from mbsgen.roles import Axis, Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Port
-from mbsgen.tape.replay import replay, replay_guards
+from mbsgen.tape.replay import replay, replay_guards, replay_lengths
 from mbsgen.tape.types import Input, Op, Tape
 
 Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
@@ -114,7 +115,9 @@ class Map:
         return Map(builder, targets, ratios, offsets)
 
     def joint(self, number: int) -> int:
-        """Number the joint, from 1, that a joint of the uncoupled tree is or follows."""
+        """Number the joint, from 1, that a joint of the uncoupled tree is or follows; other statuses stay."""
+        if number >= FIRST_LENGTH:
+            return number
         return self.targets[Axis.VELOCITIES][number - 1] + 1
 
     def list_rows(self, tree: Tree) -> list[dict[int, Scalar]]:
@@ -444,6 +447,7 @@ def _along(row: Mapping[int, Scalar], column: Sequence[Scalar]) -> Scalar:
 def _results(tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> dict[str, Block]:
     """Replay a tape; return its results by position."""
     values = replay(tape, builder, {i.name: given[i.name] for i in tape.inputs})
+    replay_lengths(tape, builder, values)
     return {
         o.name: {place: values[v] for place, v in zip(o.sparsity.entries, o.values, strict=True)} for o in tape.outputs
     }

@@ -24,6 +24,7 @@ from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.errors import TapeError
 from mbsgen.formulations import ports
 from mbsgen.formulations.points import Points
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.model.tree import (
     COORDINATE,
     RATE,
@@ -40,6 +41,8 @@ from mbsgen.model.tree import (
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.ports import Port
+
+LENGTH_TOLERANCE = 1.0  # of a squared length beside the squares of both places: a length in doubles of 1.5e-8
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,8 @@ class Chain:
         """The external wrenches; what the model leaves open is taken from the input w."""
         given = iter(self.state.w)
 
+        self._guard_lengths()
+
         def components(wrench: Wrench, vector: Sequence[Expr] | None) -> Vector[Scalar]:
             written = Vector.of(islice(given, 3)) if vector is None else self.components(vector)
             return written if wrench.in_base else self.matrix(wrench.orientation).apply(written)
@@ -136,6 +141,16 @@ class Chain:
             AppliedWrench(x.body, self.vector(x.position), x.in_base, components(x, x.force), components(x, x.moment))
             for x in self.tree.wrenches
         )
+
+    def _guard_lengths(self) -> None:
+        """Make the kernel fail where the points of a force element meet: it has no direction there."""
+        lengths = [(x.symbol, x.length) for x in self.tree.definitions if x.length is not None]
+        present = {wrench.name for wrench in self.tree.wrenches}
+        for number, (symbol, length) in enumerate(lengths, FIRST_LENGTH):
+            if length.name not in present:
+                continue
+            scale = lower(length.scale, self.builder, self.known)
+            self.builder.guard(self.known[symbol], scale, LENGTH_TOLERANCE, number)
 
     @cached_property
     def known(self) -> dict[Expr, Scalar]:

@@ -5,6 +5,9 @@ the opposite. A spring and damper has
 
     T = stiffness (length - rest) + damping rate + force.
 
+Its direction d/length does not exist where the points meet: kernels then fail, with a status of the element. A spring
+of length 0 at rest, without anything else, has the force stiffness d, which needs no direction.
+
 A cable cannot push. With e = softplus(length - rest, width), which is length - rest where that is well above 0,
 
     T = stiffness e phi(dissipation rate) + force,    phi(x) = softplus(1 + x, 1/10)/softplus(1, 1/10).
@@ -35,7 +38,7 @@ from sympy import Expr, Symbol, sqrt
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement
-from mbsgen.model.tree import ZERO, Definition, Distance, Probe, Reading, Vector, Wrench
+from mbsgen.model.tree import ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -78,7 +81,8 @@ class Loads:
             pull = self._read(element.stiffness, {})  # a spring of length 0 at rest has no division by its length
         else:
             v, w = (self._probe(name, k, Reading.VELOCITY, end) for k, end in (("a", first), ("b", second)))
-            length = self._define(name, "length", sqrt(_dot(d, d)))
+            square = self._define(name, "square", _dot(d, d), Length(name, _dot(a, a) + _dot(b, b)))
+            length = self._define(name, "length", sqrt(square))
             rate = self._define(name, "rate", _dot(d, _subtract(w, v)) / length)
             pull = self._define(name, "pull", self._tension(element, length, rate) / length)
         F = self._define_vector(name, "F", _scale(pull, d))
@@ -145,9 +149,9 @@ class Loads:
         self.probes.append(Probe((x, y, z), reading, anchor.body, anchor.point))
         return x, y, z
 
-    def _define(self, name: str, key: str, value: Expr) -> Symbol:
+    def _define(self, name: str, key: str, value: Expr, length: Length | None = None) -> Symbol:
         symbol = Symbol(f"force[{name}] {key}", real=True)
-        self.definitions.append(Definition(symbol, value))
+        self.definitions.append(Definition(symbol, value, length))
         return symbol
 
     def _define_vector(self, name: str, key: str, vector: Vector) -> Vector:

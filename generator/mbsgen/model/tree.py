@@ -191,11 +191,20 @@ class Probe:
 
 
 @dataclass(frozen=True)
+class Length:
+    """A length by which a force element is divided, so that it must not vanish."""
+
+    name: str  # of the force element
+    scale: Expr  # the squares of the places of both ends [m2]
+
+
+@dataclass(frozen=True)
 class Definition:
     """A number that forces have in common, by its symbol."""
 
     symbol: Symbol
     value: Expr  # over parameters, coordinates, velocities, probes and earlier definitions
+    length: Length | None = None  # it is the square of the length of this force element
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Op, Tape
 
@@ -44,6 +45,14 @@ def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
             return a / b
         case _:
             return builder.apply(op, a, b)
+
+
+def replay_lengths(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:
+    """Guard the same lengths of force elements, where pivots are the caller's."""
+    for guard in tape.guards:
+        if guard.joint >= FIRST_LENGTH:
+            length = -values[guard.value] if guard.negated else values[guard.value]
+            builder.guard(length, values[guard.scale], guard.tolerance, guard.joint)
 
 
 def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar], *, only_early: bool = False) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mbsgen.formulations.closure import kept_equations
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.targets.names import escape, mangle
 
@@ -47,6 +48,11 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
         _group("yd", "Entries of yd and ydd: the independent joints", _list_independent(tree)),
         _group(
             "loop", "Loops: a function that fails at entry k returns the number of joints + 1 + k", name_loops(tree)
+        ),
+        _group(
+            "length",
+            f"Force elements: a function that finds no direction of entry k returns {FIRST_LENGTH} + k",
+            (x.length.name for x in tree.definitions if x.length is not None),
         ),
         _group("w", "Entries of w: components of the wrenches that are inputs", _list_components(tree)),
         _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
 from mbsgen.formulations import catalogue, exp2, impl, poses
 from mbsgen.formulations.reductions import ALL
+from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.model.construction import body, cable, contact, end, frame, make_model, plane, prismatic, spring, wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
@@ -20,7 +22,9 @@ from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
-from mbsgen.tape.interpreter import evaluate
+from mbsgen.procedure.procedure import straight
+from mbsgen.tape import reverse
+from mbsgen.tape.interpreter import evaluate, find_failure
 from tests.fuzz import mechanisms
 
 MASS, GRAVITY = 2.0, 9.81
@@ -178,6 +182,35 @@ def test_springs_and_cables_have_the_tension_of_their_equations() -> None:
     assert pull(taut, [0, 1], rope) == pytest.approx(40 * 1.2, rel=1e-5)
     assert 0 <= pull(taut, [0, -100], rope) < 1e-80
     assert 0 <= pull(slack, [0, 5], rope) < 1e-80
+
+
+MEETING = """\
+name: rig
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: sled, joint: {name: s, type: prismatic, axis: x}, mass: 2}
+  - {name: mast, parent: sled, joint: {name: m, type: revolute, axis: y}, mass: 1, com: [0, 0, 0.2]}
+MORE
+forces:
+  - {name: soft, from: {body: sled}, to: {body: base, position: [1, 0, 0]}, stiffness: 10}
+  - {name: strut, from: {body: sled}, to: {body: base}, stiffness: 100, rest: 0.2, damping: 1}
+  - {name: link, from: {body: mast, position: [0, 0, 0.4]}, to: {body: base, position: [0.5, 0, 0.4]}, force: 3}
+"""
+FOLLOWED = "  - {name: twin, joint: {name: t, type: prismatic, axis: x, follows: {joint: s, ratio: -1}}, mass: 1}"
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # values behind a guard that fails
+@pytest.mark.parametrize("more", ["", FOLLOWED, "constraints:\n  - {name: cam, equation: s - 0.3*m**2}"])
+def test_a_force_element_whose_points_meet_is_a_status(more: str, tmp_path: Path) -> None:
+    """All functions of forces fail there, and at no other place; a spring of length 0 at rest has a limit."""
+    tree = assemble(build_tree(read(MEETING.replace("MORE", more), tmp_path)))
+    names = ["impl", "semi_res", "exp1", "exp2", "power"]
+    tapes = [straight(catalogue.FUNCTIONS[name].build(tree, ALL)) for name in names]
+    tapes += [reverse.jacobian(tape, ["q"]) for tape in tapes[:1]]
+    for q, status in (([1.0, 0.3], 0), ([0.0, 0.3], FIRST_LENGTH), ([0.5, 0.0], FIRST_LENGTH + 1)):
+        for tape in tapes:
+            given = {i.name: [0.1] * i.sparsity.nnz for i in tape.inputs} | {"q": q}
+            assert find_failure(tape, given) == status, tape.name
 
 
 def test_wrenches_read_the_state(tmp_path: Path) -> None:
