@@ -81,6 +81,7 @@ MBSRUN = Package(
         "trust limits forms reading stack style",
         "cache",
         "library models bare",
+        "webassembly",
         "binding environment",
         "kernel",
         "external",
@@ -140,6 +141,9 @@ MBSRUN = Package(
         "controllers.report controllers.writing",
         "controllers.making",
         "controllers",
+        "playground.machine playground.scene",
+        "playground.page",
+        "playground",
         "tracking.trial tracking.controller",
         "tracking.compiled tracking.plant tracking.solving tracking.statement",
         "tracking.loop tracking.mechanisms",
@@ -165,8 +169,8 @@ MBSRUN = Package(
         "commands.console",
         "commands.phases commands.recorded",
         "commands.advise commands.cache commands.chart commands.controller commands.fit_motion commands.fmu "
-        "commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.simulate "
-        "commands.solve commands.study commands.sweep commands.track",
+        "commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
+        "commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
         "__main__",

@@ -31,7 +31,7 @@ NAVIGATION: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     {
         "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
     },
-    {"Simulate": ["simulation.md", "fmu.md"]},
+    {"Simulate": ["simulation.md", "playground.md", "fmu.md"]},
     {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
     {"Control": ["controller.md", "cpp.md", "track.md", "microcontroller.md", "acados.md"]},
     {
@@ -145,6 +145,7 @@ and second derivatives. Simulation, optimal control and controllers are built on
 | see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
 | describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
+| play with it | [A playground](playground.md): one page that computes by its C, as in [the gallery](gallery/index.md) |
 | call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |
 | find an optimal motion | [The problem file](problem.md) |
 | control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |

@@ -97,7 +97,7 @@ def find_or_make(name: PurePath, make: Callable[[Path], Path]) -> Path:
 
 def list_entries(cache: Path) -> tuple[Entry, ...]:
     """List the entries of a cache, by path."""
-    kinds: dict[str, Kind] = {".o": "object", ".so": "library"}
+    kinds: dict[str, Kind] = {".o": "object", ".so": "library", ".wasm": "library"}
     compiled = [
         _describe(path, kinds[path.suffix], path.parent.name)
         for path in cache.glob(f"{COMPILED}/*/*")

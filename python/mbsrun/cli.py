@@ -22,6 +22,7 @@ from mbsrun.commands.inverse import inverse_command
 from mbsrun.commands.inverse_dynamics import inverse_dynamics_command
 from mbsrun.commands.lab import lab_command
 from mbsrun.commands.linearise import linearise_command
+from mbsrun.commands.playground import playground_command
 from mbsrun.commands.simulate import simulate_command
 from mbsrun.commands.solve import solve_command
 from mbsrun.commands.study import study_command
@@ -45,6 +46,8 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
   mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
   mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 2.0, 3.0)
+  mbsrun playground MODEL -o FILE  write a page on which the model moves, computed by its own C
+  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 3.0)
   mbsrun lab                    run the cases in which methods fail, and judge
   mbsrun cache                  list generated and compiled files, or clear them
 
@@ -66,6 +69,7 @@ COMMANDS = (
     chart,
     advise_command,
     lab_command,
+    playground_command,
     fmu_command,
     cache_command,
 )

@@ -80,7 +80,7 @@ def compile_library(
         raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
     place, given = PurePath(COMPILED, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
     wanted = dict.fromkeys((*names, *given))
-    objects = [_plan(_read_source((folder, *beside), name, given), place, compiler) for name in wanted]
+    objects = [_plan(read_source((folder, *beside), name, given), place, compiler) for name in wanted]
     return _link(objects, place / prefix, compiler)
 
 
@@ -101,7 +101,7 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
             f"CC and CFLAGS: {' '.join(refused)} is not accepted; optimisation (-O3), the processor (-march=), "
             "-ffp-contract=, -g and warnings are; fast-math is not, since kernels must keep IEEE arithmetic"
         )
-    macros = _run([*command, *flags, "-dM", "-E", "-x", "c", "-"])
+    macros = run_compiler([*command, *flags, "-dM", "-E", "-x", "c", "-"])
     if _FAST_MATH.search(macros):
         raise CompileError(f"{' '.join(command)} compiles with fast-math; kernels must keep IEEE arithmetic")
     return Compiler(tuple(command), flags, macros)
@@ -145,7 +145,7 @@ def _split(environment: Mapping[str, str], name: str) -> list[str]:
         raise CompileError(f"{name}: {error}; mend its quotes") from None
 
 
-def _read_source(folders: Sequence[Path], name: str, given: Mapping[str, bytes]) -> dict[str, bytes]:
+def read_source(folders: Sequence[Path], name: str, given: Mapping[str, bytes]) -> dict[str, bytes]:
     """Read a C file, which comes first, and the headers that it includes; names are not trusted."""
     files: dict[str, bytes] = {}
     wanted = [name]
@@ -180,7 +180,7 @@ def _compile(item: _Object) -> Path:
         for name, text in item.files.items():
             (building / name).write_bytes(text)
         made = building / f"{source}.o"
-        _run([*item.command, "-c", str(building / source), "-o", str(made)])
+        run_compiler([*item.command, "-c", str(building / source), "-o", str(made)])
         return made
 
     return find_or_make(item.name, make)
@@ -193,7 +193,7 @@ def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Pat
         with ThreadPoolExecutor(count_cores()) as pool:
             compiled = [str(path) for path in pool.map(_compile, objects)]
         made = building / "library.so"
-        _run([*compiler.command, *compiler.flags, "-shared", *compiled, "-o", str(made), "-lm"])
+        run_compiler([*compiler.command, *compiler.flags, "-shared", *compiled, "-o", str(made), "-lm"])
         return made
 
     name = _name([item.name.name.encode() for item in objects])
@@ -207,10 +207,17 @@ def _name(parts: Iterable[bytes]) -> str:
     return digest.hexdigest()[:40]
 
 
-def _run(command: Sequence[str]) -> str:
+def run_compiler(command: Sequence[str], place: Path | None = None) -> str:
+    """Run a compiler in a folder, and return its output. Raises CompileError with its message."""
     try:
         done = subprocess.run(
-            command, input="", capture_output=True, text=True, errors="replace", env={**os.environ, "LC_ALL": "C"}
+            command,
+            cwd=place,
+            input="",
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env={**os.environ, "LC_ALL": "C"},
         )
     except OSError as error:
         raise CompileError(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ def write_page(film: Film) -> str:
         "scene": describe_scene(film),
         "courses": [_describe_track(track) for track in film.tracks],
     }
-    return _fill_page(json.dumps(content, ensure_ascii=False, allow_nan=False).translate(_ESCAPES))
+    return fill_page("animation.html", SCRIPTS, content)
 
 
 def describe_scene(film: Film) -> dict[str, Any]:
@@ -108,10 +109,12 @@ def _encode(values: NDArray[Any], number: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values).astype(number).tobytes()).decode("ascii")
 
 
-def _fill_page(motion: str) -> str:
+def fill_page(template: str, scripts: Sequence[str], content: Mapping[str, Any]) -> str:
+    """Return a page with its scripts and its content, as JSON; its policy admits these scripts and nothing else."""
     folder = resources.folder("templates") / "html"
-    script = "".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    script = "".join((folder / name).read_text(encoding="utf-8") for name in scripts)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    page = (folder / "animation.html").read_text(encoding="utf-8")
+    page = (folder / template).read_text(encoding="utf-8")
     page = page.replace("@SCRIPT_HASH@", f"sha256-{digest}").replace("@SCRIPT@", script)
-    return page.replace("@MOTION@", motion)  # last: its text may contain the other marks
+    data = json.dumps(content, ensure_ascii=False, allow_nan=False).translate(_ESCAPES)
+    return page.replace("@CONTENT@", data)  # last: its text may contain the other marks

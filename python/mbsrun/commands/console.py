@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -74,6 +74,21 @@ def output_folder(kind: str) -> Callable[[F], F]:
     """Return the option for the folder that a command on a problem file writes to."""
     told = f"The folder to write to; by default NAME.{kind} here, for a problem file NAME.ocp.yaml."
     return click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help=told)
+
+
+def read_numbers(pairs: Sequence[str], known: Collection[str], option: str) -> dict[str, float]:
+    """Read the values NAME=NUMBER of an option, once each."""
+    found: dict[str, float] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign or name.strip() not in known or name.strip() in found:
+            told = f"found {pair!r}; give NAME=NUMBER once for some of {', '.join(known)}"
+            raise click.BadParameter(told, param_hint=option)
+        try:
+            found[name.strip()] = evaluate(parse(text), {}, FLOATS)
+        except ExpressionError as error:
+            raise click.BadParameter(f"{name}: {error}", param_hint=option) from None
+    return found
 
 
 def find_sensor(problem: Problem, argument: str) -> str:

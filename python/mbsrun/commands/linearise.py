@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
-from mbsrun.commands.console import print_table, say
+from mbsrun.commands.console import print_table, read_numbers, say
 from mbsrun.external import load
 from mbsrun.linearisation import Equilibrium, Linearisation, balance, find_pose, linearise, settle
 from mbsrun.linearisation.equations import LOST
@@ -66,8 +65,8 @@ def linearise_command(
     kernels = load(model, extent=INTEGRATED)
     manifest = kernels.manifest
     names = [manifest.coordinates[i].name for i in manifest.actuated]
-    pose = find_pose(kernels, _read_numbers(poses, manifest.positions, "--pose"))
-    given = {names.index(name): value for name, value in _read_numbers(inputs, names, "--input").items()}
+    pose = find_pose(kernels, read_numbers(poses, manifest.positions, "--pose"))
+    given = {names.index(name): value for name, value in read_numbers(inputs, names, "--input").items()}
     if settles:
         u = np.zeros(len(names))
         u[list(given)] = list(given.values())
@@ -85,21 +84,6 @@ def linearise_command(
         plot_responses(found, out / "responses.png")
     _show(found, equilibrium, manifest.positions, gains)
     say(f"wrote {out}")
-
-
-def _read_numbers(pairs: Sequence[str], known: Collection[str], option: str) -> dict[str, float]:
-    """Read NAME=NUMBER, once each."""
-    found: dict[str, float] = {}
-    for pair in pairs:
-        name, sign, text = pair.partition("=")
-        if not sign or name.strip() not in known or name.strip() in found:
-            told = f"found {pair!r}; give NAME=NUMBER once for some of {', '.join(known)}"
-            raise click.BadParameter(told, param_hint=option)
-        try:
-            found[name.strip()] = evaluate(parse(text), {}, FLOATS)
-        except ExpressionError as error:
-            raise click.BadParameter(f"{name}: {error}", param_hint=option) from None
-    return found
 
 
 def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains: NDArray[np.float64] | None) -> None:

@@ -1,0 +1,159 @@
+"""The mechanism as the page's script calls it: the module, the functions with their arguments, the joints.
+
+Arguments are passed by their roles: the script keeps one array for each role, and every function reads the same ones.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import Argument, Coordinate, Kernel, Manifest
+from mbsgen.roles import Order, Role
+from mbsrun.controllers.folder import read as read_controller
+from mbsrun.kernel import Kernels
+from mbsrun.linearisation import Linearisation
+from mbsrun.quaternions import neutral
+from mbsrun.webassembly import compile_module
+
+FUNCTIONS = ("impl", "semi", "exp1", "exp2", "frames", "energy")  # the page calls these
+OPTIONAL = ("rates",)  # of quaternions
+CONTROLLER = ("bytes", "create", "get_data", "solve", "prepare", "feedback", "get_plan", "get_period", "explain")
+
+
+class PlaygroundError(MbsError):
+    """A mechanism, or a controller, that the page cannot show."""
+
+
+def describe_machine(kernels: Kernels) -> dict[str, Any]:
+    """Return the mechanism for the script. Raises PlaygroundError for closed loops and missing functions."""
+    manifest = kernels.manifest
+    used = list(_select(manifest))
+    sources = [source for kernel in used for source in kernel.sources]
+    module = compile_module(kernels.folder, manifest.prefix, sources, [kernel.symbol for kernel in used])
+    pose = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+    return {
+        "name": manifest.model,
+        "module": _encode(module),
+        "bytes": len(module),
+        "sizes": _count(used),
+        "functions": {kernel.name: _describe(kernel) for kernel in used},
+        "positions": [_describe_position(manifest, i) for i in range(len(manifest.positions))],
+        "joints": [_describe_joint(joint) for joint in manifest.coordinates],
+        "quaternions": list(manifest.quaternions),
+        "start": [float(x) for x in pose],
+        "parameters": [{"name": p.name, "value": kernels.parameters[p.name]} for p in manifest.parameters],
+        "design": [{"name": p.name, "value": kernels.parameters[p.name]} for p in manifest.design],
+    }
+
+
+def describe_regulator(found: Linearisation, gains: NDArray[np.float64], weight: float) -> dict[str, Any]:
+    """Return linear feedback about an equilibrium, u = u0 - gains (q - q0, qd)."""
+    return {
+        "kind": "regulator",
+        "name": f"linear-quadratic regulator, weight {weight:g}",
+        "pose": found.equilibrium.q.tolist(),
+        "inputs": found.equilibrium.u.tolist(),
+        "gains": gains.tolist(),
+    }
+
+
+def describe_controller(folder: Path, manifest: Manifest) -> dict[str, Any]:
+    """Return a generated controller, compiled. Raises PlaygroundError where it controls another model."""
+    found = read_controller(folder)
+    joints = [joint.name for joint in manifest.coordinates]
+    names = [*manifest.positions, *(f"{name}'" for name in joints)]
+    inputs = [joints[i] for i in manifest.actuated]
+    if (found.model, [s.name for s in found.states], [u.name for u in found.inputs]) != (manifest.model, names, inputs):
+        raise PlaygroundError(
+            f"{folder}: controls {found.model} with other states or inputs than {manifest.model} has; write it for the "
+            "same model"
+        )
+    module = compile_module(
+        folder, found.prefix, found.sources, [f"{found.prefix}_{function}" for function in CONTROLLER]
+    )
+    return {
+        "kind": "controller",
+        "name": f"predictive controller {found.problem}",
+        "prefix": found.prefix,
+        "module": _encode(module),
+        "bytes": len(module),
+        "fields": [field.name for field in found.data],
+        "intervals": found.intervals,
+        "states": len(found.states),
+        "inputs": len(found.inputs),
+    }
+
+
+def _select(manifest: Manifest) -> Iterator[Kernel]:
+    """Yield the functions that the page calls; the set-up of parameters comes first."""
+    if manifest.loops or manifest.driven:
+        raise PlaygroundError(
+            f"{manifest.model} has closed loops or driven joints, which the page cannot keep closed; "
+            "simulate it with mbsrun simulate"
+        )
+    if manifest.setup is not None:
+        yield manifest.setup
+    for name in (*FUNCTIONS, *(OPTIONAL if manifest.configuration else ())):
+        kernel = manifest.find(name, Order.VALUE)
+        if kernel is None:
+            raise PlaygroundError(f"{manifest.model} was generated without {name}; give the model file, or generate it")
+        yield kernel
+
+
+def _count(kernels: Sequence[Kernel]) -> Mapping[str, int]:
+    """Return the size of each role's array."""
+    return {argument.role.value: argument.nnz for kernel in kernels for argument in kernel.inputs}
+
+
+def _describe(kernel: Kernel) -> dict[str, Any]:
+    totals = kernel.flops.model_dump()
+    return {
+        "symbol": kernel.symbol,
+        "arguments": [argument.role.value for argument in kernel.inputs],
+        "results": [_describe_result(argument) for argument in kernel.outputs],
+        "flops": {name: totals[name] for name in ("add", "mul", "div", "neg", "sqrt", "trig", "other", "paper")},
+    }
+
+
+def _describe_result(argument: Argument) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": argument.name, "rows": argument.rows, "cols": argument.cols}
+    if argument.role is Role.SETUP:
+        found["role"] = argument.role.value
+    if argument.row is None or argument.colind is None:
+        return found
+    columns = np.repeat(np.arange(argument.cols), np.diff(argument.colind))
+    return found | {"places": [int(r + argument.rows * c) for r, c in zip(argument.row, columns, strict=True)]}
+
+
+def _describe_position(manifest: Manifest, index: int) -> dict[str, Any]:
+    name = manifest.positions[index]
+    joint = next((joint for joint in manifest.coordinates if joint.name == name), None)
+    if joint is None:  # of a quaternion
+        return {"name": name, "unit": "", "lower": -1.0, "upper": 1.0, "turns": False}
+    turns = joint.motion == "revolute"
+    reach = np.pi if turns else 1.0
+    lower = -reach if joint.lower is None else joint.lower
+    upper = reach if joint.upper is None else joint.upper
+    return {"name": name, "unit": joint.unit, "lower": float(lower), "upper": float(upper), "turns": turns}
+
+
+def _describe_joint(joint: Coordinate) -> dict[str, Any]:
+    return {
+        "name": joint.name,
+        "unit": joint.unit,
+        "force": joint.force_unit,
+        "actuated": joint.actuated,
+        "speed": joint.max_speed,
+        "strength": joint.max_force,
+    }
+
+
+def _encode(module: bytes) -> str:
+    return base64.b64encode(module).decode("ascii")

@@ -1,0 +1,147 @@
+"use strict";
+// Calls C that was compiled to WebAssembly: the kernels of a model, and a generated controller.
+//
+//   const model = await loadModel(data);
+//   model.set("coordinate", [0.1, 0.2]);          // one array for each role, which all functions read
+//   const { M, c } = model.call("semi");          // results by name, full matrices column by column
+//   model.step("exp2", 0.001);                    // the classical Runge-Kutta method, on coordinates and velocities
+//
+// Numbers lie in the module's own memory, behind everything that it uses itself. Results are those of the C in double
+// precision, without fused multiply-add; nothing is computed by the browser's own functions.
+
+const decode = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+
+class Memory { // of a module: places for numbers, handed out once
+  constructor(instance) {
+    this.memory = instance.exports.memory;
+    this.next = Math.ceil(instance.exports.__heap_base.value / 16) * 16;
+  }
+
+  take(bytes) {
+    const place = this.next;
+    this.next = Math.ceil((place + bytes) / 16) * 16;
+    const missing = this.next - this.memory.buffer.byteLength;
+    if (missing > 0) this.memory.grow(Math.ceil(missing / 65536));
+    return place;
+  }
+
+  numbers(place, count) { return new Float64Array(this.memory.buffer, place, count); } // valid until memory grows
+
+  words(place, count) { return new Int32Array(this.memory.buffer, place, count); }
+}
+
+async function loadModel(data) {
+  const { instance } = await WebAssembly.instantiate(decode(data.module), {});
+  const memory = new Memory(instance), places = {}, functions = {};
+  for (const [role, size] of Object.entries(data.sizes)) places[role] = memory.take(8 * Math.max(size, 1));
+  for (const [name, told] of Object.entries(data.functions)) {
+    const results = told.results.map((result) => {
+      const count = result.places ? result.places.length : result.rows * result.cols;
+      return { ...result, count, at: result.role ? places[result.role] : memory.take(8 * Math.max(count, 1)) };
+    });
+    functions[name] = { ...told, results, args: memory.take(4 * told.arguments.length), outs: memory.take(4 * results.length) };
+  }
+  for (const { arguments: roles, results, args, outs } of Object.values(functions)) {
+    memory.words(args, roles.length).set(roles.map((role) => places[role]));
+    memory.words(outs, results.length).set(results.map((result) => result.at));
+  }
+  const view = (role) => (role in places ? memory.numbers(places[role], data.sizes[role]) : new Float64Array(0));
+
+  function run(name) { // returns the status: 0, or the joint at which the function fails
+    const { symbol, args, outs } = functions[name];
+    return instance.exports[symbol](args, outs, 0, 0, 0);
+  }
+
+  function read({ rows, cols, places: entries, count, at }) {
+    const found = memory.numbers(at, count);
+    if (!entries) return found.slice();
+    const full = new Float64Array(rows * cols);
+    entries.forEach((entry, k) => { full[entry] = found[k]; });
+    return full;
+  }
+
+  function call(name) { // null where the function fails
+    if (run(name)) return null;
+    return Object.fromEntries(functions[name].results.map((result) => [result.name, read(result)]));
+  }
+
+  function set(role, values) {
+    view(role).set(values);
+    if (role === "parameter" && "setup" in functions) run("setup");
+  }
+
+  function slope(form) { // rates of coordinates and velocities, or null
+    const status = run(form), rated = "rates" in functions && run("rates");
+    if (status || rated) return null;
+    const qt = "rates" in functions ? read(functions.rates.results[0]) : view("velocity").slice();
+    return [qt, read(functions[form].results[0])];
+  }
+
+  function step(form, h) { // returns whether it could be made; else the state stays
+    const q = view("coordinate"), v = view("velocity"), q0 = q.slice(), v0 = v.slice();
+    const move = (length, rates) => {
+      for (let i = 0; i < q.length; i++) q[i] = q0[i] + length * rates[0][i];
+      for (let i = 0; i < v.length; i++) v[i] = v0[i] + length * rates[1][i];
+    };
+    const stay = () => { q.set(q0); v.set(v0); return false; };
+    const mean = [new Float64Array(q.length), new Float64Array(v.length)];
+    let rates = mean;
+    for (const [place, weight] of [[0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1, 1 / 6]]) {
+      move(h * place, rates);
+      rates = slope(form);
+      if (!rates) return stay();
+      rates.forEach((part, k) => part.forEach((x, i) => { mean[k][i] += weight * x; }));
+    }
+    move(h, mean);
+    return [...q, ...v].every(Number.isFinite) || stay();
+  }
+
+  set("coordinate", data.start);
+  set("parameter", data.parameters.map((p) => p.value));
+  set("design", data.design.map((p) => p.value));
+  return { data, set, get: (role) => view(role).slice(), run, call, step };
+}
+
+async function loadController(data) {
+  const { instance } = await WebAssembly.instantiate(decode(data.module), {});
+  const memory = new Memory(instance);
+  const use = (name, ...given) => instance.exports[`${data.prefix}_${name}`](...given);
+  const bytes = use("bytes"), controller = use("create", memory.take(bytes), bytes);
+  const state = memory.take(8 * data.states), inputs = memory.take(8 * data.inputs), fields = memory.take(4 * data.fields.length);
+  const times = memory.take(8 * (data.intervals + 1)), plan = memory.take(8 * (data.intervals + 1) * data.states);
+  const explain = (status) => {
+    const at = use("explain", status), all = new Uint8Array(memory.memory.buffer);
+    return new TextDecoder().decode(all.slice(at, all.indexOf(0, at)));
+  };
+
+  function field(name, count) { // the run-time data of a name
+    use("get_data", fields, controller); // a structure of pointers, returned where the first argument points
+    return memory.numbers(memory.words(fields, data.fields.length)[data.fields.indexOf(name)], count);
+  }
+
+  return {
+    data,
+    explain,
+    period: () => use("get_period", controller),
+    solve(q, v) { // a first plan from a state; returns the status
+      field("start_q", q.length).set(q);
+      field("start_qd", v.length).set(v);
+      return use("solve", controller, 0);
+    },
+    control(q, v, shift) { // one sampling period: the status, and the inputs to apply
+      use("prepare", controller, shift ? 1 : 0);
+      memory.numbers(state, data.states).set([...q, ...v]);
+      const status = use("feedback", controller, state, inputs);
+      return { status, inputs: memory.numbers(inputs, data.inputs).slice() };
+    },
+    plan() { // times, and states at them, row by row
+      use("get_plan", controller, times, plan, 0);
+      return {
+        times: memory.numbers(times, data.intervals + 1).slice(),
+        states: memory.numbers(plan, (data.intervals + 1) * data.states).slice(),
+      };
+    },
+  };
+}
+
+if (typeof module !== "undefined") module.exports = { loadModel, loadController };

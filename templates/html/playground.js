@@ -1,0 +1,301 @@
+// Moves the mechanism of the page's block #content: sliders, tables, simulation and controllers around `kernels.js`.
+// Names are only ever set as text.
+(async () => {
+  const { machine, controllers, scene, added } = JSON.parse(document.getElementById("content").textContent);
+  const byId = (id) => document.getElementById(id);
+  const n = machine.joints.length, actuated = machine.joints.map((_, i) => i).filter((i) => machine.joints[i].actuated);
+  const model = await loadModel(machine);
+  for (const mesh of scene.meshes) {
+    mesh.vertices = new Float32Array(decode(mesh.vertices).buffer);
+    mesh.faces = new Uint32Array(decode(mesh.faces).buffer);
+  }
+  const view = createRenderer(byId("scene"), scene);
+  const say = (text) => { byId("note").textContent = text; };
+  const show = (x) => (!Number.isFinite(x) ? "–" : Math.abs(x) >= 1e5 || (x && Math.abs(x) < 1e-4) ? x.toExponential(3) : x.toFixed(4));
+
+  // --- rows of sliders ----------------------------------------------------------------------------------------------
+
+  function addRow(place, { name, unit, lower, upper, value }, changed) { // a slider beside a number; returns its setter
+    const row = document.createElement("div"), [label, suffix] = ["span", "span"].map((tag) => document.createElement(tag));
+    const slider = document.createElement("input"), number = document.createElement("input");
+    row.className = "row";
+    label.textContent = name;
+    suffix.textContent = unit;
+    Object.assign(slider, { type: "range", min: lower, max: upper, step: (upper - lower) / 1000 || 1e-3 });
+    Object.assign(number, { type: "number", step: "any" });
+    for (const input of [slider, number]) input.setAttribute("aria-label", `${place} of ${name}`);
+    const put = (x) => {
+      if (x < Number(slider.min)) slider.min = x;
+      if (x > Number(slider.max)) slider.max = x;
+      slider.value = x;
+      if (document.activeElement !== number) number.value = String(Number(x.toPrecision(5)));
+    };
+    slider.addEventListener("input", () => { number.value = slider.value; changed(Number(slider.value)); });
+    number.addEventListener("change", () => {
+      const x = Number(number.value);
+      if (number.value !== "" && Number.isFinite(x)) { number.blur(); put(x); changed(x); }
+    });
+    row.append(label, slider, number, suffix);
+    byId(place).append(row);
+    put(value);
+    return put;
+  }
+
+  const change = (role, index) => (x) => {
+    const values = model.get(role);
+    values[index] = x;
+    if (role === "coordinate") normalise(values);
+    model.set(role, values);
+    if (role === "coordinate" || role === "velocity") began = null;
+    refresh();
+  };
+
+  function normalise(q) { // quaternions, each of four entries
+    for (const first of machine.quaternions) {
+      const length = Math.hypot(...q.subarray(first, first + 4));
+      if (length > 0) for (let k = 0; k < 4; k++) q[first + k] /= length;
+      else q[first + 3] = 1;
+    }
+  }
+
+  function nice(x) { // the next larger number of 1, 2, 5, 10, ...
+    const power = 10 ** Math.floor(Math.log10(x || 1));
+    return power * [1, 2, 5, 10].find((k) => k * power >= x * 0.999);
+  }
+
+  function findReach() { // of inputs: twice the forces at rest in some poses, and a few accelerations
+    const q = model.get("coordinate"), most = new Float64Array(n);
+    for (let k = 0; k < 12; k++) {
+      const spread = machine.positions.map((p, i) => p.lower + (p.upper - p.lower) * ((0.618034 * (k + 1) * (i + 1)) % 1));
+      normalise(Object.assign(spread, { subarray: Array.prototype.slice }));
+      model.set("coordinate", spread);
+      const rest = model.call("impl"), mass = model.call("semi");
+      if (rest && mass) for (let i = 0; i < n; i++) most[i] = Math.max(most[i], 2 * Math.abs(rest.Phi[i]) + 5 * mass.M[i * n + i]);
+    }
+    model.set("coordinate", q);
+    return [...most].map(nice);
+  }
+
+  const rows = { coordinate: [], velocity: [], acceleration: [], force: [] };
+  const reach = findReach();
+  machine.positions.forEach((p, i) => rows.coordinate.push(
+    addRow("coordinates", { ...p, value: machine.start[i] }, change("coordinate", i))));
+  machine.joints.forEach((joint, i) => {
+    const speed = joint.speed || 5;
+    const { name, unit } = joint;
+    rows.velocity.push(addRow("velocities", { name, unit: `${unit}/s`, lower: -speed, upper: speed, value: 0 }, change("velocity", i)));
+    rows.acceleration.push(
+      addRow("accelerations", { name, unit: `${unit}/s²`, lower: -10, upper: 10, value: 0 }, change("acceleration", i)));
+  });
+  actuated.forEach((i, k) => {
+    const { name, force: unit, strength } = machine.joints[i], most = strength || reach[i];
+    rows.force.push(addRow("inputs", { name, unit, lower: -most, upper: most, value: 0 }, change("force", k)));
+  });
+  for (const [role, listed] of [["parameter", machine.parameters], ["design", machine.design]]) {
+    listed.forEach(({ name, value }, i) => addRow("parameters",
+      { name, unit: "", lower: Math.min(0, 2 * value), upper: Math.max(2 * value, value ? 0 : 1), value }, change(role, i)));
+  }
+  byId("inputs-part").hidden = !actuated.length;
+  byId("parameters-part").hidden = !(machine.parameters.length + machine.design.length);
+
+  // --- tables -------------------------------------------------------------------------------------------------------
+
+  function fill(id, heads, lines) {
+    const table = byId(id), rowsOf = [heads, ...lines];
+    while (table.rows.length > rowsOf.length) table.deleteRow(-1);
+    rowsOf.forEach((cells, r) => {
+      const row = table.rows[r] || table.insertRow();
+      cells.forEach((text, c) => {
+        const cell = row.cells[c] || row.appendChild(document.createElement(r ? "td" : "th"));
+        if (cell.textContent !== text) cell.textContent = text;
+      });
+    });
+  }
+
+  function inverse() {
+    const kept = model.get("force"), qdd = model.get("acceleration");
+    model.set("force", new Float64Array(kept.length));
+    const impl = model.call("impl"), semi = model.call("semi");
+    model.set("force", kept);
+    const sum = semi && machine.joints.map((_, i) => machine.joints.reduce((s, _, j) => s + semi.M[j * n + i] * qdd[j], semi.c[i]));
+    return [impl && impl.Phi, sum, semi && semi.M];
+  }
+
+  function tables() {
+    const [impl, semi, M] = inverse(), [exp1, exp2] = ["exp1", "exp2"].map((name) => model.call(name));
+    const at = (values, i) => (values ? show(values[i]) : "fails");
+    fill("inverse", ["joint", "IMPL", "SEMI", ""], machine.joints.map((joint, i) => [joint.name, at(impl, i), at(semi, i), joint.force]));
+    fill("forward", ["joint", "EXP1", "EXP2", ""], machine.joints.map((joint, i) =>
+      [joint.name, at(exp1 && exp1.qdd, i), at(exp2 && exp2.qdd, i), `${joint.unit}/s²`]));
+    fill("mass", ["", ...machine.joints.map((joint) => joint.name)], machine.joints.map((joint, i) =>
+      [joint.name, ...machine.joints.map((_, j) => (M ? show(M[j * n + i]) : "fails"))]));
+    const found = energies();
+    const lines = [["kinetic", show(found.T)], ["potential", show(found.V)], ["sum", show(found.T + found.V)]];
+    lines.push(["change since the start", began === null ? "–" : (found.T + found.V - began).toExponential(2)]);
+    fill("energy", ["energy", "J"], lines);
+  }
+
+  function energies() {
+    const found = model.call("energy");
+    const [T, V] = machine.functions.energy.results.map((result) => result.name).slice(0, 2).map((name) => found[name][0]);
+    return { T, V };
+  }
+
+  const kinds = ["add", "mul", "div", "sqrt", "trig"];
+  const rates = {};
+  function costs() {
+    const listed = Object.entries(machine.functions);
+    fill("costs", ["function", "all", ...kinds, "calls/s"], listed.map(([name, { flops }]) =>
+      [name, String(flops.paper), ...kinds.map((kind) => String(flops[kind])), rates[name] ? show(rates[name]) : "–"]));
+  }
+
+  function measure() {
+    for (const name of Object.keys(machine.functions)) {
+      let count = 0;
+      const begin = performance.now();
+      while (performance.now() - begin < 60) for (let k = 0; k < 50; k++, count++) model.run(name);
+      rates[name] = Math.round(1000 * count / (performance.now() - begin));
+    }
+    costs();
+  }
+
+  // --- picture ------------------------------------------------------------------------------------------------------
+
+  function draw() {
+    if (!view) return;
+    const { p, R } = model.call("frames"), origins = [...p], axes = [...R];
+    for (const { frame, at } of added) { // fixed in a frame; -1 is the base
+      const turn = frame < 0 ? [1, 0, 0, 0, 1, 0, 0, 0, 1] : axes.slice(9 * frame, 9 * frame + 9);
+      for (let c = 0; c < 3; c++) {
+        origins.push((frame < 0 ? 0 : origins[3 * frame + c]) + turn[c] * at[0] + turn[3 + c] * at[1] + turn[6 + c] * at[2]);
+      }
+      axes.push(...turn);
+    }
+    view.setPose(0, Float64Array.from(origins), Float64Array.from(axes));
+  }
+
+  function refresh() {
+    for (const role of ["coordinate", "velocity", "force"]) model.get(role).forEach((x, i) => rows[role][i](x));
+    byId("clock").textContent = `${seconds.toFixed(2)} s`;
+    tables();
+    draw();
+  }
+
+  // --- controllers --------------------------------------------------------------------------------------------------
+
+  const loaded = new Map(); // the generated controllers that were chosen
+  let due = 0, isPlanned = false; // time of the next sampling, and whether there is a plan
+
+  const wrap = (x, turns) => (turns ? x - 2 * Math.PI * Math.round(x / (2 * Math.PI)) : x);
+  const drives = [
+    ["sliders", () => null],
+    ["hold against gravity", () => { // inverse dynamics at rest
+      const [kept, v, a] = ["force", "velocity", "acceleration"].map((role) => [role, model.get(role)]);
+      for (const [role, values] of [kept, v, a]) model.set(role, new Float64Array(values.length));
+      const found = model.call("impl");
+      for (const [role, values] of [kept, v, a]) model.set(role, values);
+      return found && actuated.map((i) => found.Phi[i]);
+    }],
+    ...controllers.map((each) => [each.name, each.kind === "regulator" ? () => regulate(each) : () => predict(each)]),
+  ];
+  drives.forEach(([name], i) => byId("drive").append(new Option(name, String(i))));
+
+  function regulate({ pose, inputs, gains }) {
+    const x = [...model.get("coordinate")].map((q, i) => wrap(q - pose[i], machine.positions[i].turns)).concat([...model.get("velocity")]);
+    return inputs.map((u, k) => u - gains[k].reduce((sum, gain, i) => sum + gain * x[i], 0));
+  }
+
+  function predict(told) { // new inputs once in each sampling period
+    const controller = loaded.get(told);
+    if (!controller || seconds < due - 1e-9) return null;
+    const q = model.get("coordinate"), v = model.get("velocity");
+    if (!isPlanned) {
+      const status = controller.solve(q, v);
+      if (status > 1) say(`no plan: ${controller.explain(status)}`);
+    }
+    const { status, inputs } = controller.control(q, v, isPlanned);
+    if (status !== 10) say(`the kept plan is applied: ${controller.explain(status)}`);
+    isPlanned = true;
+    due = seconds + controller.period();
+    return inputs;
+  }
+
+  byId("drive").addEventListener("change", async () => {
+    const told = controllers[Number(byId("drive").value) - 2];
+    say("");
+    isPlanned = false;
+    due = seconds;
+    if (told && told.kind === "controller" && !loaded.has(told)) loaded.set(told, await loadController(told));
+  });
+
+  // --- simulation ---------------------------------------------------------------------------------------------------
+
+  let seconds = 0, running = false, before = 0, began = null, owed = 0;
+
+  function advance(duration) { // simulate; returns whether it can go on
+    const h = Number(byId("step").value), form = byId("form").value;
+    for (owed += duration; owed >= h; owed -= h) {
+      const u = drives[Number(byId("drive").value)][1]();
+      if (u) model.set("force", u);
+      if (!model.step(form, h)) {
+        say("no accelerations here, or numbers beyond all bounds: reset, or take a shorter step");
+        owed = 0;
+        return false;
+      }
+      seconds += h;
+    }
+    return true;
+  }
+
+  function tick(at) {
+    if (!running) return;
+    const real = Math.min(Math.max(at - before, 0), 50) / 1000;
+    before = at;
+    if (!advance(real * Number(byId("speed").value))) setRunning(false);
+    refresh();
+    requestAnimationFrame(tick);
+  }
+
+  function setRunning(wanted) {
+    running = wanted;
+    byId("run").textContent = running ? "Pause" : "Run";
+    if (!running) return;
+    say("");
+    if (began === null) { const { T, V } = energies(); began = T + V; }
+    before = performance.now();
+    requestAnimationFrame(tick);
+  }
+
+  function reset() {
+    setRunning(false);
+    model.set("coordinate", machine.start);
+    for (const role of ["velocity", "force"]) model.set(role, new Float64Array(model.get(role).length));
+    [seconds, due, owed, began, isPlanned] = [0, 0, 0, null, false];
+    say("");
+    refresh();
+  }
+
+  byId("run").addEventListener("click", () => setRunning(!running));
+  byId("reset").addEventListener("click", reset);
+  byId("measure").addEventListener("click", measure);
+  byId("push").addEventListener("click", () => {
+    const v = model.get("velocity");
+    v[n - 1] += 1;
+    model.set("velocity", v);
+    began = null;
+    refresh();
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== " " || event.target !== document.body) return;
+    event.preventDefault();
+    setRunning(!running);
+  });
+
+  document.title = machine.name;
+  byId("title").textContent = machine.name;
+  if (!view) say("This browser draws no picture (WebGL 2 is missing); everything else works.");
+  costs();
+  refresh();
+  document.documentElement.dataset.ready = "yes";
+  globalThis.playground = { model, advance, refresh, drives }; // for the console
+})();
