@@ -165,12 +165,22 @@ def interpret(
 
 
 def read_phase(
-    document: Document, examination: Examination[SomeSection], plant: Plant, name: str, *, is_linked: bool
+    document: Document,
+    examination: Examination[SomeSection],
+    plant: Plant,
+    name: str,
+    *,
+    is_linked: bool,
+    reads: Collection[str] = (),
 ) -> tuple[Problem | None, list[Fault]]:
-    """Read a phase of a problem, and its faults; what a linked one does not give of its start is free."""
+    """Read a phase of a problem, and its faults; what a linked one does not give of its start is free.
+
+    Constants of `reads` are kept, beside the ones that expressions read.
+    """
     if examination.value is None:
         return None, []
     reading = _Reading(document, plant, examination.stand_ins, is_phase=True, is_linked=is_linked)
+    reading.used.update(reads)
     return reading.problem(name, examination.value), reading.faults
 
 

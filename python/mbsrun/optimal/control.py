@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, overload
 
 import casadi as ca
-import numpy as np
 
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
@@ -21,7 +20,7 @@ from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
+from mbsrun.ocp.problem import Problem, Symbolic
 from mbsrun.ocp.recorded import find_guess, recall
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
@@ -30,11 +29,12 @@ from mbsrun.ocp.solve import Watch, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
+from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.phases import PhasedControl, load
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
-from mbsrun.optimal.quantities import Quantities, make_functions
+from mbsrun.optimal.quantities import Quantities
 from mbsrun.optimal.recalling import make_recording
 from mbsrun.optimal.result import Solved, Unsolved
 from mbsrun.quantities import list_quantities
@@ -49,26 +49,7 @@ DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these i
 }
 
 
-Stretch = Literal["path", "end"]
 GuessLike = Solved | Trajectory | Mapping[str, Any] | str | Path | None  # or a frame
-
-
-@dataclass(frozen=True)
-class PricedExpression:
-    """A term of the cost in CasADi."""
-
-    function: Symbolic
-    weight: float
-    at: Stretch
-
-
-@dataclass(frozen=True)
-class LimitedExpression:
-    """A constraint in CasADi."""
-
-    function: Symbolic
-    range: Range
-    at: Literal["start", "path", "end"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,13 +66,12 @@ class OptimalControl:
     folder: Path  # that files of the problem are relative to
     programs: Programs
     model: Path | None = None  # the file of the model; None where kernels were given
-    terms: tuple[PricedExpression, ...] = ()  # of the cost, in CasADi
-    limits: tuple[LimitedExpression, ...] = ()  # constraints in CasADi
+    expressions: Expressions = field(default_factory=Expressions)  # in CasADi
 
     @property
     def functions(self) -> tuple[Symbolic, ...]:
         """List the expressions in CasADi."""
-        return (*(part.function for part in self.terms), *(part.function for part in self.limits))
+        return self.expressions.functions
 
     @property
     def name(self) -> str:
@@ -130,22 +110,14 @@ class OptimalControl:
         The expression is a text as in a problem file, or CasADi's in symbols of `quantities()`. As in a file, inputs
         cost nothing beside other terms unless `cost.inputs` gives a weight. Raises ProblemError.
         """
-        key = {"path": "running", "end": "terminal"}.get(at)
-        if key is None:
-            raise ProblemError(self.name, [("cost", f"at {at!r}", "give 'path' or 'end'")])
+        check_stretch(at, self.name)
         if isinstance(expression, str):
             cost = dict(_take_mapping(self.data, "cost"))
+            key = {"path": "running", "end": "terminal"}[at]
             added = make_plain(self.name, {"expression": expression, "weight": weight})
             cost[key] = [*_take_list(cost, key), added]
             return self._restate({**self.data, "cost": cost})
-        found = self._make_functions("cost", expression, name)
-        if len(found) != 1:
-            raise ProblemError(self.name, [("cost", f"an expression of {len(found)} entries", "give a scalar")])
-        try:
-            term = PricedExpression(found[0], float(weight), at)
-        except (TypeError, ValueError):
-            raise ProblemError(self.name, [("cost", f"the weight is {weight!r}", "give a number")]) from None
-        return self._restate(terms=(*self.terms, term))
+        return self._restate(expressions=self.expressions.with_cost(expression, weight, at, name, self.name))
 
     def with_constraint(
         self,
@@ -165,15 +137,8 @@ class OptimalControl:
             limits = make_plain(self.name, {"range": [lower, upper]})["range"]
             added: Data = {"expression": expression, "range": limits, "at": at}
             return self._restate({**self.data, "constraints": [*_take_list(self.data, "constraints"), added]})
-        found = self._make_functions("constraint", expression, name)
-        try:
-            ranges = np.broadcast_arrays(np.zeros(len(found)), np.ravel(lower), np.ravel(upper))[1:]
-            least, most = (np.asarray(values, dtype=np.float64).tolist() for values in ranges)
-        except (TypeError, ValueError):
-            finding = f"{len(found)} entries, with the limits {lower} and {upper}"
-            raise ProblemError(self.name, [("constraint", finding, "give a number, or one for each entry")]) from None
-        parts = zip(found, zip(least, most, strict=True), strict=True)
-        return self._restate(limits=(*self.limits, *(LimitedExpression(f, limits, at) for f, limits in parts)))
+        expressions = self.expressions.with_constraint(expression, lower, upper, at, name, self.name)
+        return self._restate(expressions=expressions)
 
     def quantities(self, symbols: type[Any] = ca.SX) -> Quantities:
         """Return the quantities of the problem as CasADi symbols by name, for `with_cost` and `with_constraint`.
@@ -186,18 +151,14 @@ class OptimalControl:
         numbers = (*constants, *references.list_names(self.value.references))
         return Quantities(manifest, known, numbers, self.model, dict(self.value.parameters), symbols)
 
-    def _make_functions(self, kind: str, expression: Any, name: str) -> list[Symbolic]:
-        count = 1 + sum(function.name.startswith(f"{kind}_") for function in self.value.functions)
-        return make_functions(name or f"{kind}_{count}", expression, self.name)
-
     def _restate(self, data: Mapping[str, Data] | None = None, **changes: Any) -> OptimalControl:
         """Return a copy with other data or expressions, checked."""
         copy = replace(self, data=self.data if data is None else data, **changes)
-        reads = {name for function in copy.functions for name in function.reads}
-        data = _drop_no_cost(copy.data) if copy.terms else copy.data
-        value = statement.state_problem(data, self.name, self.plant, self.folder, reads)
+        own = copy.expressions
+        data = _drop_no_cost(copy.data) if own.terms else copy.data
+        value = statement.state_problem(data, self.name, self.plant, self.folder, own.reads)
         if copy.functions:
-            value = _add_expressions(value, copy)
+            value = own.extend(value, prices_inputs=bool(_take_mapping(copy.data, "cost").get("inputs")))
             check_problem(value, self.plant.manifest)
         return replace(copy, value=value)
 
@@ -361,24 +322,6 @@ def read_problem(path: str | Path) -> OptimalControl | PhasedControl:
 def _find_model(file: Path, data: Mapping[str, Data]) -> Path | None:
     model = data.get("model")
     return file.parent / model if isinstance(model, str) else None
-
-
-def _add_expressions(value: Problem, control: OptimalControl) -> Problem:
-    """Add the expressions in CasADi to a problem; beside other terms, inputs cost nothing unless a weight is given."""
-    running, terminal = (
-        tuple(Term(part.function.name, part.weight) for part in control.terms if part.at == at)
-        for at in ("path", "end")
-    )
-    cost = value.cost
-    if control.terms and not _take_mapping(control.data, "cost").get("inputs"):
-        cost = replace(cost, inputs=0.0)
-    return replace(
-        value,
-        functions=control.functions,
-        cost=replace(cost, running=cost.running + running, terminal=cost.terminal + terminal),
-        constraints=value.constraints
-        + tuple(Constraint(part.function.name, part.range, part.at) for part in control.limits),
-    )
 
 
 def _take_list(data: Mapping[str, Data], key: str) -> list[Data]:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
 
 from mbsgen.documents import Data
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.refinement import refine_phases
@@ -29,13 +34,18 @@ from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import state_phases
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solve import Watch
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
+from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
-from mbsrun.optimal.result import Solved, UnknownNameError, Unsolved
+from mbsrun.optimal.quantities import Quantities
+from mbsrun.optimal.result import Solved, UnknownNameError, Unsolved, import_pandas
+from mbsrun.quantities import list_quantities
+from mbsrun.recordings import references
 
 
 def load(path: Path) -> Plant:
@@ -97,6 +107,19 @@ class SolvedPhases:
         """Write the file that `PhasedControl.load` and `mbsrun solve --guess` read."""
         write_phased_solution(self.solution, Path(path))
 
+    def to_frame(self) -> Any:
+        """Return all phases in sequence as a pandas frame, indexed by time; the first column is the phase's name.
+
+        What a phase does not have is not a number there. Raises MissingPackageError without pandas.
+        """
+        pandas, phases = import_pandas(), [self[name] for name in self.names]
+        sizes = [phase.t.size for phase in phases]
+        columns: dict[str, Any] = {"phase": np.repeat(self.names, sizes)}
+        for name in dict.fromkeys(name for phase in phases for name in phase.names if name != "t"):
+            parts = (phase[name] if name in phase.names else np.full(phase.t.size, np.nan) for phase in phases)
+            columns[name] = np.concatenate([*parts])
+        return pandas.DataFrame(columns, index=pandas.Index(np.concatenate([x.t for x in phases]), name="t"))
+
     def plot(self) -> Picture:
         """Plot coordinates, velocities and inputs of all phases over time."""
         from mbsrun.ocp.phases.pictures import make_phased_trajectories
@@ -142,6 +165,7 @@ class PhasedControl:
     plants: Plants
     data: Mapping[str, Data]  # as a problem file holds it
     folder: Path  # that files of the problem are relative to
+    expressions: Mapping[str, Expressions] = field(default_factory=dict)  # in CasADi, by phase
 
     @property
     def name(self) -> str:
@@ -154,14 +178,51 @@ class PhasedControl:
 
     def with_phase(self, name: str, **changes: Any) -> PhasedControl:
         """Return a copy with other values of some keys of a phase. Raises ProblemError."""
+        self._find(name)
         phases = self.data.get("phases")
         parts = [part if isinstance(part, dict) else {} for part in phases] if isinstance(phases, list) else []
-        if name not in [part.get("name") for part in parts]:
-            known = ", ".join(phase.name for phase in self.value.phases)
-            raise ProblemError(self.name, [("phases", f"there is no phase {name!r}", f"there are {known}")])
+        if not parts:
+            return self.with_changes(**changes)
         plain = make_plain(self.name, changes)
         changed: list[Data] = [merge(part, plain) if part.get("name") == name else part for part in parts]
         return self._restate({**self.data, "phases": changed})
+
+    def with_cost(
+        self, phase: str, expression: Any, weight: Any = 1.0, *, at: Stretch = "path", name: str = ""
+    ) -> PhasedControl:
+        """Return a copy with another term of the cost of a phase, an expression in symbols of `quantities(phase)`.
+
+        Inputs of the phase cost nothing beside it unless its `cost.inputs` gives a weight. Raises ProblemError.
+        """
+        check_stretch(at, self.name)
+        own = self._expressions_of(phase).with_cost(expression, weight, at, name, self.name)
+        return self._restate(self.data, {**self.expressions, phase: own})
+
+    def with_constraint(
+        self,
+        phase: str,
+        expression: Any,
+        lower: Any = -math.inf,
+        upper: Any = math.inf,
+        *,
+        at: Literal["start", "path", "end"] = "path",
+        name: str = "",
+    ) -> PhasedControl:
+        """Return a copy with another constraint of a phase: lower <= expression <= upper for each entry.
+
+        The expression is in symbols of `quantities(phase)`. Raises ProblemError.
+        """
+        own = self._expressions_of(phase).with_constraint(expression, lower, upper, at, name, self.name)
+        return self._restate(self.data, {**self.expressions, phase: own})
+
+    def quantities(self, phase: str, symbols: type[Any] = ca.SX) -> Quantities:
+        """Return the quantities of a phase as CasADi symbols by name, as `OptimalControl.quantities` does."""
+        k = self._find(phase)
+        own, manifest = self.value.phases[k].problem, self.plants.phases[k].manifest
+        constants = [name for name, _ in self.value.constants]
+        numbers = (*constants, *references.list_names(own.references))
+        known = list_quantities(manifest, own.added)
+        return Quantities(manifest, known, numbers, self._find_model(phase), dict(own.parameters), symbols)
 
     def with_constants(self, **constants: Any) -> PhasedControl:
         """Return a copy with other values of constants."""
@@ -171,9 +232,34 @@ class PhasedControl:
         """Return a copy for another NLP method, with its tolerance, max_iterations and options."""
         return self._restate({**self.data, "solver": {"method": method, **make_plain(self.name, settings)}})
 
-    def _restate(self, data: Mapping[str, Data]) -> PhasedControl:
-        value, plants = state_phases(data, self.name, self.folder, load)
-        return replace(self, value=value, plants=plants, data=data)
+    def _restate(self, data: Mapping[str, Data], expressions: Mapping[str, Expressions] | None = None) -> PhasedControl:
+        expressions = self.expressions if expressions is None else expressions
+        extensions = {name: _Extension(own) for name, own in expressions.items()}
+        value, plants = state_phases(data, self.name, self.folder, load, extensions)
+        if expressions:
+            check_phases(value, plants)
+        return replace(self, value=value, plants=plants, data=data, expressions=MappingProxyType({**expressions}))
+
+    def _find(self, phase: str) -> int:
+        """Return the number of a phase. Raises ProblemError."""
+        known = [own.name for own in self.value.phases]
+        if phase not in known:
+            raise ProblemError(self.name, [("phases", f"there is no phase {phase!r}", f"there are {', '.join(known)}")])
+        return known.index(phase)
+
+    def _expressions_of(self, phase: str) -> Expressions:
+        self._find(phase)
+        return self.expressions.get(phase, Expressions())
+
+    def _find_model(self, phase: str) -> Path | None:
+        """Return the model file of a phase: its own, or the one of all phases."""
+        phases = self.data.get("phases")
+        parts: list[Mapping[str, Data]] = [
+            part for part in (phases if isinstance(phases, list) else []) if isinstance(part, dict)
+        ]
+        own = next((part for part in parts if part.get("name") == phase and "model" in part), self.data)
+        model = own.get("model")
+        return self.folder / model if isinstance(model, str) else None
 
     def solve(
         self,
@@ -232,6 +318,23 @@ class PhasedControl:
     def _read_guess(self, path: Path) -> Guess:
         names = tuple(phase.name for phase in self.value.phases)
         return read_phased_guess(path, names, tuple(plant.manifest for plant in self.plants.phases))
+
+
+@dataclass(frozen=True)
+class _Extension:
+    """The expressions of a phase, which its data do not hold."""
+
+    expressions: Expressions
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Return the names that the expressions read."""
+        return self.expressions.reads
+
+    def extend(self, problem: Problem, data: Data) -> Problem:
+        """Add the expressions."""
+        cost = data.get("cost") if isinstance(data, dict) else None
+        return self.expressions.extend(problem, prices_inputs=isinstance(cost, dict) and bool(cost.get("inputs")))
 
 
 def _describe_link(link: Link) -> str:

@@ -51,6 +51,14 @@ class MissingPackageError(MbsError, ImportError):
     """A package that is not installed."""
 
 
+def import_pandas() -> Any:
+    """Import pandas. Raises MissingPackageError."""
+    try:
+        return importlib.import_module("pandas")
+    except ImportError:
+        raise MissingPackageError("pandas is not installed; run pip install 'mbsgen[notebook]'") from None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Solved:
     """A solution, with its numbers at all mesh and collocation points by name.
@@ -146,10 +154,7 @@ class Solved:
 
     def to_frame(self) -> Any:
         """Return all quantities as a pandas frame, indexed by time. Raises MissingPackageError without pandas."""
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError:
-            raise MissingPackageError("pandas is not installed; run pip install 'mbsgen[notebook]'") from None
+        pandas = import_pandas()
         columns = {name: self[name] for name in self.names if name != "t"}
         return pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -120,3 +122,47 @@ def test_copies_and_files(swing: PhasedControl, solved: SolvedPhases, tmp_path: 
 def test_faults_name_their_places(swing: PhasedControl, change: Any, message: str) -> None:
     with pytest.raises(ProblemError, match=message):
         change(swing)
+
+
+def test_expressions_in_casadi_are_the_ones_of_a_file(swing: PhasedControl) -> None:
+    """A price and a constraint of one phase each, in symbols and as text: the same program, and the same optimum."""
+    pump, catch = swing.quantities("pump"), swing.quantities("catch")
+    written = swing.with_cost("catch", catch.q_cart**2, 5, at="path").with_constraint("pump", pump.qd_cart, -2, 1.5)
+    text = swing.with_phase("catch", cost={"running": [{"expression": "q_cart**2", "weight": 5}]})
+    text = text.with_phase("pump", constraints=[{"expression": "qd_cart", "range": [-2, 1.5]}])
+    found, other = written.solve(check=False), text.solve(check=False)
+    assert isinstance(found, SolvedPhases)
+    assert isinstance(other, SolvedPhases)
+    assert found.cost == pytest.approx(other.cost, rel=1e-8)
+    assert found["pump"]["qd_cart"].max() == pytest.approx(1.5, abs=1e-6)
+    again = written.with_phase("catch", horizon=1.1)
+    assert [len(phase.problem.functions) for phase in again.value.phases] == [1, 1]
+
+
+def test_expressions_of_phases_are_checked(swing: PhasedControl) -> None:
+    pump = swing.quantities("pump")
+    for wrong, message in (
+        (lambda: swing.with_cost("leap", pump.T), "phases: there is no phase 'leap'; there are pump, catch"),
+        (lambda: swing.quantities("leap"), "there is no phase 'leap'"),
+        (lambda: swing.with_cost("pump", pump.qd), "cost: an expression of 2 entries; give a scalar"),
+        (lambda: swing.with_cost("pump", pump.T, at=cast(Any, "start")), "cost: at 'start'; give 'path' or 'end'"),
+        (lambda: swing.with_cost("pump", pump.T, "much"), "cost: the weight is 'much'; give a number"),
+        (lambda: swing.with_constraint("pump", 3.0, 0, 1), "found a value of type float"),
+        (lambda: swing.with_constraint("pump", pump.qd, [0, 0, 0], 1), "2 entries, with the limits"),
+    ):
+        with pytest.raises(ProblemError, match=message):
+            wrong()
+
+
+def test_a_frame_holds_all_phases_in_sequence(solved: SolvedPhases, monkeypatch: pytest.MonkeyPatch) -> None:
+    def make(columns: dict[str, Any], index: Any) -> Any:
+        return columns, index
+
+    pandas = SimpleNamespace(DataFrame=make, Index=lambda values, name: (values, name))
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    columns, (times, name) = solved.to_frame()
+    assert name == "t"
+    assert list(dict.fromkeys(columns["phase"])) == ["pump", "catch"]
+    assert (np.diff(times) >= 0).all()
+    assert {len(column) for column in columns.values()} == {len(times)}
+    assert columns["q_pole"][-1] == pytest.approx(np.pi)

@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
 
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
@@ -31,6 +33,20 @@ ONLY = "motion"  # the name of the phase of a file without `phases`
 Load = Callable[[Path], Plant]
 
 
+class Extension(Protocol):
+    """Parts of a phase that no file says."""
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Return the names that they read."""
+
+    def extend(self, problem: Problem, data: Data) -> Problem:
+        """Add them to the problem of a phase, whose data hold the defaults."""
+
+
+NO_EXTENSIONS: Mapping[str, Extension] = MappingProxyType({})
+
+
 def has_phases(path: Path) -> bool:
     """Return whether a file describes a problem with phases or links. Raises InputError for a file that is no YAML."""
     data = read_document(path).data
@@ -42,14 +58,16 @@ def read_phased_problem(path: Path, load: Load) -> tuple[PhasedProblem, Plants]:
     return interpret_phases(read_document(path), name_problem(path), path.parent, load)
 
 
-def state_phases(data: Mapping[str, Data], name: str, folder: Path, load: Load) -> tuple[PhasedProblem, Plants]:
+def state_phases(
+    data: Mapping[str, Data], name: str, folder: Path, load: Load, extensions: Mapping[str, Extension] = NO_EXTENSIONS
+) -> tuple[PhasedProblem, Plants]:
     """Make a problem of plain data, with the keys of a file; other files of it are in `folder`.
 
-    Raises ProblemError with every fault.
+    `extensions` add to phases by name. Raises ProblemError with every fault.
     """
     document = Document(str(folder / "problem"), dict(data), dict.fromkeys(_list_places(dict(data)), 0), {})
     try:
-        return interpret_phases(document, name, folder, load)
+        return interpret_phases(document, name, folder, load, extensions)
     except InputError as error:
         raise ProblemError(name, [(x.path or "problem", x.finding, x.remedy) for x in error.faults]) from None
 
@@ -62,7 +80,9 @@ def _list_places(data: Data, place: Place = ()) -> Iterator[Place]:
             yield from _list_places(value, (*place, key))
 
 
-def interpret_phases(document: Document, name: str, folder: Path, load: Load) -> tuple[PhasedProblem, Plants]:
+def interpret_phases(
+    document: Document, name: str, folder: Path, load: Load, extensions: Mapping[str, Extension] = NO_EXTENSIONS
+) -> tuple[PhasedProblem, Plants]:
     """Make the problem of a document; its models are in `folder`. Raises InputError with every fault of all files."""
     data = document.data if isinstance(document.data, dict) else {}
     chosen: Data = {key: value for key, value in data.items() if key in WholeSection.model_fields}
@@ -74,7 +94,7 @@ def interpret_phases(document: Document, name: str, folder: Path, load: Load) ->
     reading = _Links(document, examination.stand_ins, whole)
     linked = {link.target for link in reading.name_links()}
     phases = [
-        _read_phase(document, k, linked, loading)
+        _read_phase(document, k, linked, loading, extensions)
         for k in range(len(whole.phases))
         if not lies_under(("phases",), examination.stand_ins)
     ]
@@ -152,7 +172,9 @@ class _Read:
     stand_ins: frozenset[Place]  # places of the file whose values are examples
 
 
-def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading) -> _Read:
+def _read_phase(
+    document: Document, k: int, linked: set[str], loading: _Loading, extensions: Mapping[str, Extension]
+) -> _Read:
     """Read a phase with the defaults of the file."""
     data = document.data if isinstance(document.data, dict) else {}
     given = data.get("phases")
@@ -185,7 +207,11 @@ def _read_phase(document: Document, k: int, linked: set[str], loading: _Loading)
     plant = loading.load(section.model)
     if plant is None:
         return _Read(name, None, None, faults, stand_ins)
-    problem, found = read_phase(part, examination, plant, name, is_linked=name in linked)
+    extension = extensions.get(name)
+    reads = frozenset[str]() if extension is None else extension.reads
+    problem, found = read_phase(part, examination, plant, name, is_linked=name in linked, reads=reads)
+    if extension is not None and problem is not None:
+        problem = extension.extend(problem, merged)
     return _Read(name, problem, plant, [*faults, *found], stand_ins)
 
 
