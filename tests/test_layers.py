@@ -169,9 +169,9 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.phases commands.recorded",
-        "commands.advise commands.cache commands.chart commands.controller commands.fit_motion commands.fmu "
-        "commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
+        "commands.phases commands.recorded commands.animated",
+        "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
+        "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
         "commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",

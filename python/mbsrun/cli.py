@@ -9,6 +9,7 @@ import click
 
 from mbsgen.errors import MbsError
 from mbsrun.commands.advise import advise_command
+from mbsrun.commands.animate import animate_command
 from mbsrun.commands.cache import cache_command
 from mbsrun.commands.chart import chart
 from mbsrun.commands.console import (
@@ -38,6 +39,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun fit-motion MODEL RECORDING  fit the motion of joints to recorded markers
   mbsrun inverse-dynamics MODEL RECORDING  compute the forces that a recorded motion takes
   mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
+  mbsrun animate MODEL MOTION... -o FILE  write a page, a GIF or an MP4 of motions
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
   mbsrun controller PROBLEM -o DIR  write a controller in C: solves, and steps in real time
@@ -63,6 +65,7 @@ COMMANDS = (
     linearise_command,
     solve_command,
     sweep_command,
+    animate_command,
     track_command,
     controller_command,
     study_command,

@@ -42,17 +42,17 @@ def write_animation(
     q: ArrayLike,
     *,
     qd: ArrayLike | None = None,
-    u: ArrayLike | None = None,
+    inputs: ArrayLike | None = None,
     title: str | None = None,
     markers: Sequence[Marker] = (),
 ) -> None:
     """Write the page that plays the motion q (K, n) at `times` (K,), which increase.
 
-    Between them q is taken to be linear, or cubic where its rates qd (K, n) are given. Inputs u (K, inputs) are drawn
-    as arrows. The title is the model's name unless another is given. The same motion gives the same bytes. Raises
-    ValueError for arrays that do not fit.
+    Between them q is taken to be linear, or cubic where its rates qd (K, n) are given. Inputs, and after them entries
+    of open wrenches, (K, m), are drawn as arrows. The title is the model's name unless another is given. The same
+    motion gives the same bytes. Raises ValueError for arrays that do not fit.
     """
-    text = render_animation(kernels, times, q, qd=qd, u=u, title=title, markers=markers)
+    text = render_animation(kernels, times, q, qd=qd, inputs=inputs, title=title, markers=markers)
     Path(path).write_text(text, encoding="utf-8")
 
 
@@ -62,13 +62,15 @@ def render_animation(
     q: ArrayLike,
     *,
     qd: ArrayLike | None = None,
-    u: ArrayLike | None = None,
+    inputs: ArrayLike | None = None,
     title: str | None = None,
     markers: Sequence[Marker] = (),
 ) -> str:
     """Return the text of the page; see `write_animation`."""
-    rates, inputs = (None if x is None else _array(x) for x in (qd, u))
-    part = Part(kernels, _array(times), _array(q), rates, u=inputs)
+    rates, given = (None if x is None else _array(x) for x in (qd, inputs))
+    m = len(kernels.manifest.actuated)
+    u, w = (None, None) if given is None else (given[:, :m], given[:, m:])
+    part = Part(kernels, _array(times), _array(q), rates, u=u, w=w)
     return render_parts([part], kernels.manifest.model if title is None else title, markers)
 
 

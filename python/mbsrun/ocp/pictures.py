@@ -17,7 +17,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Frame, Manifest
-from mbsrun.animation import Marker, render_animation
+from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Rounds, Solution, Starts
@@ -235,12 +235,23 @@ def animate(solution: Solution, plant: Plant, path: Path) -> None:
 
 def make_animation(solution: Solution, plant: Plant) -> str:
     """Return the text of a page that plays the motion, with the targets of its sensors."""
-    trajectory, targets = solution.trajectory, solution.problem.end.sensors
-    markers = [Marker(f"target of {name}", position) for name, position in targets]
+    wanted = Wanted(solution.problem.name, list_targets(solution))
+    return write_page(make_film([Motion((make_part(solution, plant),))], wanted))
+
+
+def list_targets(solution: Solution) -> tuple[Marker, ...]:
+    """List the targets of sensors."""
+    return tuple(Marker(f"target of {name}", position) for name, position in solution.problem.end.sensors)
+
+
+def make_part(solution: Solution, plant: Plant, name: str = "") -> Part:
+    """Make the part of an animation that shows a solution, with its inputs and open wrenches."""
+    trajectory = solution.trajectory
     plant = equip(plant, solution.problem, trajectory.unknowns)
     rates = find_rates(plant, trajectory.q, trajectory.qd)
-    title = solution.problem.name
-    return render_animation(plant, trajectory.t, trajectory.q, qd=rates, title=title, markers=markers)
+    w = trajectory.point_w.mean(axis=1) if trajectory.point_w.size else None
+    u, w = (None if x is None or not x.size else np.concatenate((x, x[-1:])) for x in (trajectory.u, w))
+    return Part(plant, trajectory.t, trajectory.q, rates, name, u, w)
 
 
 def _draw_pose(axes: Axes3D, frames: Sequence[Frame], p: Array, color: object, width: float) -> None:

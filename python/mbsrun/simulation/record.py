@@ -45,7 +45,7 @@ def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
     plot_motion(motion, manifest, folder / PLOTS)
     title = manifest.model if motion.halt is None else f"{manifest.model}, incomplete: {motion.halt}"
     rates = find_rates(kernels, motion.q, motion.qd)
-    write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=rates, title=title)
+    write_animation(folder / ANIMATION, kernels, motion.t, motion.q, qd=rates, inputs=motion.inputs, title=title)
 
 
 def describe_settings(settings: Settings) -> dict[str, object]:

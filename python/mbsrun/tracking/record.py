@@ -84,7 +84,10 @@ def write_track(report: Report, plant: Mechanism, folder: Path) -> None:
     rates = find_rates(plant, track.q, track.qd)
     title = track.trial.name if track.halt is None else f"{track.trial.name}, incomplete: {track.halt}"
     moves = np.concatenate(([True], np.diff(track.t) > 0))
-    write_animation(folder / ANIMATION, plant, track.t[moves], track.q[moves], qd=rates[moves], title=title)
+    t, q, qd = track.t[moves], track.q[moves], rates[moves]
+    begun = np.searchsorted([sample.time for sample in track.samples], t, side="right") - 1
+    acting = np.array([sample.acting for sample in track.samples])[np.maximum(begun, 0)]
+    write_animation(folder / ANIMATION, plant, t, q, qd=qd, inputs=acting, title=title)
 
 
 def _summarise(report: Report, manifest: Manifest) -> str:

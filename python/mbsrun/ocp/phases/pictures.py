@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from mbsrun.animation import Part, render_parts
+from mbsrun.animation import render_parts
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution
@@ -23,13 +23,13 @@ from mbsrun.ocp.pictures import (
     draw_poses,
     frame_up,
     list_points,
+    make_part,
     plain,
     plot_additions,
     read_times,
 )
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution
-from mbsrun.quaternions import find_rates
 from mbsrun.skeleton import place
 
 NARROWEST = 0.15  # the width of a short phase's panels, relative to the longest one's
@@ -100,10 +100,8 @@ def write_animations(
 
 def make_animations(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> dict[str, str]:
     """Return a page that plays all phases, or one for each where their mechanisms have other frames, by their names."""
-    parts = []
-    for phase, plant in zip(phases, plants.phases, strict=True):
-        trajectory, kernels = phase.trajectory, _equip(phase, plant)
-        parts.append(Part(kernels, trajectory.t, trajectory.q, find_rates(kernels, trajectory.q, trajectory.qd)))
+    named = zip(solution.names, phases, plants.phases, strict=True)
+    parts = [make_part(phase, plant, name) for name, phase, plant in named]
     frames = [[frame.name for frame in plant.manifest.frames] for plant in plants.phases]
     follow = all(np.isclose(a.t[-1], b.t[0]) for a, b in pairwise(parts))
     if follow and all(names == frames[0] for names in frames):

@@ -1,0 +1,110 @@
+"""`mbsrun animate`: a model and motions -> a page, a GIF or an MP4."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from mbsrun.animation import Wanted, make_film
+from mbsrun.animation.files import Size, write_film
+from mbsrun.commands.animated import read_motion
+from mbsrun.commands.console import NumberType, say, show_progress
+from mbsrun.commands.recorded import set_parameters
+from mbsrun.external import load
+from mbsrun.models import Extent
+
+DRAWN = Extent(("frames",), derivatives=0, optional=("rates",))
+LARGEST = 4096  # pixels
+
+ANIMATE_HELP = """Animate motions of MODEL: as a page for any browser, a GIF, or an MP4.
+
+A MOTION is a folder that solve, simulate, track or fit-motion wrote, its solution.json, or a table of the model's
+coordinates over time (CSV, MOT, STO). Several motions are shown at the same time, one over the other, or with --apart
+side by side; NAME=MOTION gives one a name:
+
+\b
+  mbsrun animate models/cart_pole.yaml cart_pole_swing_up.solution -o swing.gif
+  mbsrun animate models/acrobot.yaml optimum=a.solution guess=b.simulation --apart -o both.mp4
+
+Bodies are solids sized from their mass and inertia. Inputs and open wrenches are arrows, paths of sensors are lines,
+and the phases of a problem follow each other.
+
+\b
+Files, by their suffix
+  .html   a page without other files, in which the view turns, and time goes at any speed
+  .gif    a film that repeats
+  .mp4    a film, where ffmpeg is on the path
+
+\b
+Exit codes
+  0   written
+  2   the model, a motion or an argument cannot be accepted, or ffmpeg is missing
+"""
+
+
+class SizeType(click.ParamType[Size]):
+    """A size such as 640x480."""
+
+    name = "size"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Size:
+        """Read the size."""
+        found = value if isinstance(value, Size) else re.fullmatch(r"(\d{2,4})x(\d{2,4})", str(value))
+        if found is None:
+            self.fail(f"{value!r} is no size; give WIDTHxHEIGHT in pixels, such as 640x480", param, ctx)
+        size = found if isinstance(found, Size) else Size(int(found[1]), int(found[2]))
+        if not (min(size.width, size.height) >= 16 and max(size.width, size.height) <= LARGEST):
+            self.fail(f"{value!r} is not between 16 and {LARGEST} pixels", param, ctx)
+        return size
+
+
+@click.command("animate", help=ANIMATE_HELP)
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("motions", metavar="MOTION...", nargs=-1, required=True)
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to write; may be given several times. By default NAME.html, for a model NAME.",
+)
+@click.option("--apart", "is_apart", is_flag=True, help="Show several motions side by side.")
+@click.option("--title", help="The title; by default the model's name.")
+@click.option("--size", type=SizeType(), default="640x480", metavar="WxH", help="Of the pictures; 640x480.")
+@click.option("--rate", type=NumberType(), default=25.0, metavar="N", help="Pictures in a second; 25.")
+@click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
+def animate_command(
+    model: Path,
+    motions: Sequence[str],
+    outputs: Sequence[Path],
+    is_apart: bool,
+    title: str | None,
+    size: Size,
+    rate: float,
+    parameters: Sequence[str],
+) -> None:
+    """Read, place, draw, write."""
+    if not 0 < rate <= 100:
+        raise click.BadParameter("give a number above 0, of at most 100", param_hint="--rate")
+    mechanism = load(model, extent=DRAWN)
+    mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
+    read = [read_motion(path, mechanism, name) for name, path in map(_split, motions)]
+    markers = tuple(dict.fromkeys(marker for _, own in read for marker in own))
+    film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, rate))
+    for out in outputs or (Path(f"{model.stem}.html"),):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with show_progress() as report:
+            write_film(film, out, size, report)
+        say(f"wrote {out}")
+
+
+def _split(text: str) -> tuple[str, Path]:
+    """Return the name and the path of a motion: as given, or by the name of the folder or file."""
+    name, sign, path = text.partition("=")
+    if sign and name and path and not Path(text).exists():
+        return name, Path(path)
+    return Path(text).resolve().stem, Path(text)

@@ -1,0 +1,148 @@
+"""Motions to animate: folders that other commands wrote, solutions, and tables of coordinates over time."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.documents import abbreviate
+from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest
+from mbsrun.animation import Marker, Motion, Part
+from mbsrun.ocp.phases.files import shift_phases
+from mbsrun.ocp.phases.solution import FORMAT as PHASES
+from mbsrun.ocp.phases.solution import read_phased_solution
+from mbsrun.ocp.pictures import list_targets, make_part
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.solution import Solution, read_solution
+from mbsrun.quaternions import find_rates
+from mbsrun.recordings import Recording, find_column, name_coordinate, read_column, read_recording
+from mbsrun.recordings.reading import refuse_column
+from mbsrun.recordings.recording import Column
+from mbsrun.simulation.drive import input_labels
+
+Array = NDArray[np.float64]
+
+# Files of the folders of solve, simulate, track and fit-motion; the first one that is there is read.
+SOLUTION, TRACK = "solution.json", "track.csv"
+FILES = (SOLUTION, "trajectory.csv", TRACK, "motion.csv")
+START = 200  # bytes of a file that show its format
+INPUTS = ("input", "acting", "u")  # names of the columns of inputs
+
+
+def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Marker, ...]]:
+    """Read a motion of a model, and the targets that it has. Raises InputError with the faults of its file."""
+    file = _find_file(path)
+    if file.suffix.lower() == ".json":
+        solutions = [*_read_solutions(file)]
+        for _, solution in solutions:
+            _check_model(file, solution, plant.manifest)
+        parts = tuple(make_part(solution, plant, part) for part, solution in solutions)
+        markers = list_targets(solutions[-1][1])
+        return Motion(parts, name), markers
+    recording = _read_track(file) if file.name == TRACK else read_recording(file)
+    return Motion((_make_part(recording, plant),), name), ()
+
+
+def _find_file(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    found = next((path / name for name in FILES if (path / name).is_file()), None)
+    if found is None:
+        finding, remedy = "the folder holds no motion", f"give a folder with one of {', '.join(FILES)}, or a file"
+        raise InputError([Fault(str(path), 0, "", finding, remedy)])
+    return found
+
+
+def _read_solutions(file: Path) -> Iterator[tuple[str, Solution]]:
+    """Yield a solution, or its phases with their names, which follow each other in time."""
+    try:
+        with file.open("rb") as stream:
+            is_phased = PHASES.encode() in stream.read(START)
+    except OSError as error:
+        raise InputError([Fault(str(file), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
+    if not is_phased:
+        yield "", read_solution(file)
+        return
+    solution, end = read_phased_solution(file), -np.inf
+    for name, phase in zip(solution.names, shift_phases(solution), strict=True):
+        trajectory = phase.trajectory
+        shift = max(0.0, end - float(trajectory.t[0]))  # of phases at the same time
+        moved = replace(trajectory, t=trajectory.t + shift, point_t=trajectory.point_t + shift)
+        end = float(moved.t[-1])
+        yield name, replace(phase, trajectory=moved)
+
+
+def _check_model(file: Path, solution: Solution, manifest: Manifest) -> None:
+    if solution.coordinates != manifest.positions:
+        finding = f"its coordinates are {', '.join(solution.coordinates)}; {manifest.model} has "
+        finding += ", ".join(manifest.positions)
+        raise InputError([Fault(str(file), 0, "", finding, "give the model of this solution")])
+
+
+def _make_part(recording: Recording, plant: Plant) -> Part:
+    """Make a part of the rows in which all coordinates are known, and times increase."""
+    manifest = plant.manifest
+    units = {c.name: c.unit for c in manifest.coordinates}
+    columns = []
+    for name in manifest.positions:
+        found = find_column(recording, name_coordinate(name))
+        if found is None:
+            raise refuse_column(recording, f"q[{name}]", "give a motion of this model")
+        columns.append(read_column(recording, found, units.get(name, "")))
+    t, q = recording.times, np.stack(columns, axis=1)
+    kept = np.isfinite(q).all(axis=1)
+    kept &= np.concatenate(([True], t[1:] > np.maximum.accumulate(t)[:-1]))
+    if not kept.any():
+        finding = "no row holds all coordinates"
+        raise InputError([Fault(recording.file, 0, "", finding, "fill its gaps, such as by fit-motion --smooth")])
+    q, rates = q[kept], _read_rates(recording, manifest)
+    rates = None if rates is None else find_rates(plant, q, rates[kept])
+    u, w = _read_inputs(recording, manifest)
+    return Part(plant, t[kept], q, rates, u=u[kept], w=w[kept])
+
+
+def _read_rates(recording: Recording, manifest: Manifest) -> Array | None:
+    names = [f"qd[{c.name}]" for c in manifest.coordinates]
+    if not all(name in recording.names for name in names):
+        return None
+    rates = np.stack([recording.column(name) for name in names], axis=1)
+    return rates if np.isfinite(rates).all() else None
+
+
+def _read_inputs(recording: Recording, manifest: Manifest) -> tuple[Array, Array]:
+    """Read inputs and open wrenches; 0 where the table has none."""
+    found = np.zeros((len(recording.times), 0))
+    columns = []
+    for label in input_labels(manifest):
+        name = find_column(recording, tuple(f"{kind}[{label}]" for kind in INPUTS))
+        columns.append(np.zeros(len(found)) if name is None else np.nan_to_num(recording.column(name)))
+    values = np.stack(columns, axis=1) if columns else found
+    m = len(manifest.actuated)
+    return values[:, :m], values[:, m:]
+
+
+def _read_track(file: Path) -> Recording:
+    """Read the numbers of a track's table, which has a column of words."""
+    try:
+        with file.open(encoding="utf-8", newline="") as stream:
+            header, *rows = list(csv.reader(stream)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError([Fault(str(file), 0, "", f"cannot be read: {error}", "track the problem again")]) from None
+    wanted = [k for k, name in enumerate(header) if name == "t" or name.startswith(("q[", "qd[", "acting["))]
+    values = []
+    for line, row in enumerate(rows, 2):
+        try:
+            values.append([float(row[k]) for k in wanted])
+        except (ValueError, IndexError):
+            finding = f"found {abbreviate(','.join(row))}"
+            raise InputError([Fault(str(file), line, "", finding, "track the problem again")]) from None
+    if not values or header[:1] != ["t"]:
+        raise InputError([Fault(str(file), 1, "", "it is no table of a track", "track the problem again")])
+    table = np.array(values)
+    return Recording(str(file), table[:, 0], tuple(Column(header[k]) for k in wanted[1:]), table[:, 1:])
