@@ -24,7 +24,6 @@ from mbsrun.quaternions import find_rates
 from mbsrun.recordings import Recording, find_column, name_coordinate, read_column, read_recording
 from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.recording import Column
-from mbsrun.simulation.drive import input_labels
 
 Array = NDArray[np.float64]
 
@@ -119,7 +118,7 @@ def _read_inputs(recording: Recording, manifest: Manifest) -> tuple[Array, Array
     """Read inputs and open wrenches; 0 where the table has none."""
     found = np.zeros((len(recording.times), 0))
     columns = []
-    for label in input_labels(manifest):
+    for label in manifest.inputs:
         name = find_column(recording, tuple(f"{kind}[{label}]" for kind in INPUTS))
         columns.append(np.zeros(len(found)) if name is None else np.nan_to_num(recording.column(name)))
     values = np.stack(columns, axis=1) if columns else found

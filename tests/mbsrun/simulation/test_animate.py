@@ -32,7 +32,7 @@ def make_still(*solids: Solid, arrows: tuple[Arrow, ...] = ()) -> Film:
     actor = Actor("still", "#000000", (Frame(name="a", parent=-1, sensor=False),), solids, (), frozenset({0}))
     track = Track(np.zeros((1, 1, 3)), STANDING, arrows)
     corners = tuple((x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0))
-    return Film("", np.zeros(1), (actor,), (track,), (0, 0, 1), (-1, -1, -1), (1, 1, 1), corners, 0.01)
+    return Film("", np.zeros(1), (actor,), (track,), (0, 0, 1), (-1, -1, -1), (1, 1, 1), corners, 0.05)
 
 
 @pytest.mark.parametrize(
