@@ -94,10 +94,9 @@ def test_arrows_stand_in_front() -> None:
     ball = Solid(Layer.SOLIDS, 0, Kind.ELLIPSOID, (1.5, 1.5, 1.5), "#0072b2")
     force = Arrow(Force.FORCE, Point(frame=0, at=(0.0, 0.0, 0.0)), True, np.array([[0.0, 0.0, 0.5]]))
     plain, pointed = (next(draw_film(make_still(ball, arrows=x), 240, 180)).astype(int) for x in ((), (force,)))
-    changed = np.abs(plain - pointed).sum(axis=2) > 60
-    assert changed.sum() > 5
-    assert np.argmax(read_color("#d55e00")) == 0
-    assert (pointed[changed][:, 0] > pointed[changed][:, 2]).mean() > 0.8
+    red = [int((x[..., 0] > x[..., 2] + 60).sum()) for x in (plain, pointed)]
+    assert red[0] == 0
+    assert red[1] > 20
 
 
 def swing(name: str, pendulum: Mechanism, turns: float) -> Motion:
