@@ -29,6 +29,7 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FEWER = {
     "--starts 20": "--starts 3",
     "--azimuths 0.8 1.2 3": "--azimuths 0.8 1.2 2",
+    " --emulate": "",  # the tests of controllers run it
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
 TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES)}  # skipped without them

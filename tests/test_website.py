@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from website.__main__ import main
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
+from website.pages import Staging, list_examples
 
 ROOT = Path(__file__).parents[1]
 LOADED = re.compile(r"""<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=["']([^"']+)["']""")
@@ -23,6 +24,8 @@ WIDTHS = (390, 1280)
 PAGES = (
     "index",
     "start",
+    "tutorials/index",
+    "tutorials/cpp_loop",
     "model",
     "problem",
     "gallery/index",
@@ -123,6 +126,29 @@ def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:
     broken = replace(EXAMPLES[0], commands="echo seen >&2; exit 3\n")
     with pytest.raises(ExampleError, match="seen"):
         run(broken, ROOT, tmp_path)
+
+
+def test_a_page_shows_what_its_commands_wrote(tmp_path: Path) -> None:
+    """A picture and a page of HTML are shown from their copies, a report as text; without a run, nothing is shown."""
+    names = {"way.png": "![a way](../written/docs/way/build/way.png)", "way.html": "<iframe", "way.md": "| seen |"}
+    page = "".join(f"<!-- shows build/{name}: a way -->\n" for name in names)
+    for name in names:
+        (tmp_path / "run" / "build").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "run" / "build" / name).write_text("# Title\n| seen |\n")
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "way.md").write_text(page)
+    places = {"docs/way.md": "docs/way.md"}
+    staged = Staging(tmp_path, tmp_path / "site", places, {"docs/way.md": tmp_path / "run"}).rewrite("docs/way.md")
+    assert [shown for shown in names.values() if shown not in staged] == []
+    assert (tmp_path / "site" / "written" / "docs" / "way" / "build" / "way.html").exists()
+    assert Staging(tmp_path, tmp_path / "site", places).rewrite("docs/way.md").strip() == ""
+
+
+def test_pages_that_show_files_are_run() -> None:
+    found = list_examples(ROOT)
+    assert {"docs/start.md", "docs/tutorials/swing_up.md"} <= set(found)
+    assert "mbsrun solve models/cart_pole_swing_up.ocp.yaml" in found["docs/tutorials/swing_up.md"].commands
+    assert "python - <<" in found["docs/tutorials/swing_up.md"].commands
 
 
 def test_the_gallery_is_large() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -12,7 +13,7 @@ from mkdocs.config import load_config
 from rich.progress import Progress
 
 from website import commands, gallery, messages, pages, reference
-from website.examples import EXAMPLES
+from website.examples import EXAMPLES, Example
 
 ROOT = Path(__file__).parents[1]
 
@@ -23,7 +24,9 @@ ROOT = Path(__file__).parents[1]
 )
 @click.option("--only", multiple=True, metavar="NAME", help="Run these examples alone, and show no others.")
 @click.option(
-    "--quick", is_flag=True, help="A preview, without the reference of Python; of each class of messages, show one."
+    "--quick",
+    is_flag=True,
+    help="A preview without the reference of Python; no commands of pages, and one message of each class.",
 )
 def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     """Write the pages, run the examples, and let MkDocs make HTML of them."""
@@ -34,14 +37,10 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     source = out.parent / f"{out.name}-pages"
     shutil.rmtree(source, ignore_errors=True)
-    navigation = pages.write(ROOT, source)
-    with Progress() as bar:
-        task = bar.add_task("examples", total=len(chosen))
-        results = []
-        for example in chosen:
-            bar.update(task, description=example.name)
-            results.append(gallery.run(example, ROOT, out.parent / f"{out.name}-runs"))
-            bar.advance(task)
+    shown = {} if quick else pages.list_examples(ROOT)
+    results = _run([*shown.values(), *chosen], out.parent / f"{out.name}-runs")
+    navigation = pages.write(ROOT, source, {path: result.folder for path, result in zip(shown, results, strict=False)})
+    results = results[len(shown) :]
     gallery.write(results, source)
     messages.write(source, 1 if quick else None)
     commands.write(source)
@@ -61,6 +60,18 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     )
     build(config)
     click.echo(f"wrote {out / 'index.html'}")
+
+
+def _run(examples: Sequence[Example], runs: Path) -> list[gallery.Result]:
+    """Run examples, and show which one."""
+    results = []
+    with Progress() as bar:
+        task = bar.add_task("examples", total=len(examples))
+        for example in examples:
+            bar.update(task, description=example.name)
+            results.append(gallery.run(example, ROOT, runs))
+            bar.advance(task)
+    return results
 
 
 if __name__ == "__main__":

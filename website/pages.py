@@ -1,20 +1,27 @@
 """The pages of the documents, as the site shows them: Markdown of the checkout -> Markdown whose links stay within.
 
 A link to a page of the site stays a link to it. Any other file of the checkout that a page points to is copied, and
-offered for download; a folder becomes a list of its files.
+offered for download; a folder becomes a list of its files. A file that the commands of a page write, and the page
+shows, becomes a picture, a frame, or a text.
 """
 
 from __future__ import annotations
 
+import html
 import re
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from posixpath import normpath, relpath
 from typing import Any
 
+from website.blocks import list_shown, replace_shown, write_script
+from website.examples import Example
+
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
 FILES = "files"  # the folder of files that are no pages
+WRITTEN = "written"  # the folder of files that the commands of pages write
 STYLE = """\
 .md-typeset img { max-width: 100%; }
 .md-typeset iframe { width: 100%; height: 480px; border: 1px solid var(--md-default-fg-color--lightest); }
@@ -26,8 +33,9 @@ STYLE = """\
 .cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
 """
 
-NAVIGATION: list[dict[str, Any]] = [  # titles, and the pages of `docs`
-    {"Start here": ["start.md", "readme.md"]},
+TUTORIALS = "tutorials"  # their folder
+GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
+    {"Overview": ["readme.md"]},
     {
         "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
     },
@@ -38,7 +46,7 @@ NAVIGATION: list[dict[str, Any]] = [  # titles, and the pages of `docs`
         "Trust": ["accuracy.md", "laboratory.md", "reproduction.md", "study/README.md", "laboratory/verdicts.md"],
     },
     {
-        "Contribute": ["architecture.md", "contributing.md", "changelog.md"],
+        "Project": ["architecture.md", "contributing.md", "changelog.md"],
     },
 ]
 ELSEWHERE = {  # pages that are not in `docs`
@@ -57,6 +65,7 @@ class Staging:
     root: Path
     target: Path
     pages: dict[str, str]
+    runs: Mapping[str, Path] = field(default_factory=dict)  # folders in which the commands of pages were run
     files: set[str] = field(default_factory=set)
 
     def rewrite(self, path: str) -> str:
@@ -72,7 +81,23 @@ class Staging:
             place = self.place(normpath(str(here / link)))
             return f"{match.group(1)}{relpath(place, str(there))}{anchor}{match.group(4)}"
 
-        return LINK.sub(replace, text)
+        return replace_shown(LINK.sub(replace, text), lambda file, title: self.show(path, file, title))
+
+    def show(self, path: str, file: str, title: str) -> str:
+        """Return a picture, a frame or the text of a file that a page's commands wrote, or nothing without a run."""
+        if path not in self.runs:
+            return ""
+        if file.endswith(".md"):
+            text = (self.runs[path] / file).read_text(encoding="utf-8")
+            return f"*{title}:*\n{text.partition(chr(10))[2]}"  # without the text's own title
+        here = PurePosixPath(self.pages[path])
+        place = PurePosixPath(WRITTEN, here.with_suffix(""), file)
+        (self.target / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(self.runs[path] / file, self.target / place)
+        link = relpath(str(place), str(here.parent))
+        if file.endswith(".html"):
+            return f'<iframe src="{link}" title="{html.escape(title)}"></iframe>'
+        return f"![{title}]({link})"
 
     def place(self, path: str) -> str:
         """Return where the site has a file or folder of the checkout."""
@@ -107,24 +132,45 @@ class Staging:
         (target / "index.md").write_text("\n".join(lines), encoding="utf-8")
 
 
-def write(root: Path, target: Path) -> list[dict[str, Any]]:
-    """Write the pages of a checkout to a folder, and return the site's navigation."""
+def list_examples(root: Path) -> dict[str, Example]:
+    """Return, by the path of each page that shows files, its commands as an example that is run."""
+    found = {}
+    for path in sorted((root / "docs").glob("**/*.md")):
+        text = path.read_text(encoding="utf-8")
+        if shown := list_shown(text):
+            name = path.relative_to(root).with_suffix("").as_posix().replace("/", "-")
+            found[path.relative_to(root).as_posix()] = Example(
+                name, name, "", write_script(text), shown[0], tuple(shown)
+            )
+    return found
+
+
+def write(root: Path, target: Path, runs: Mapping[str, Path]) -> list[dict[str, Any]]:
+    """Write the pages of a checkout to a folder, and return the site's navigation.
+
+    `runs` holds, by the path of a page, the folder in which its commands were run.
+    """
     pages = {f"docs/{path.relative_to(root / 'docs').as_posix()}": "" for path in sorted(root.glob("docs/**/*.md"))}
     pages = {path: path.removeprefix("docs/") for path in pages}
     pages |= {path: place for path, place in ELSEWHERE.items() if (root / path).exists()}
     measured = [path.relative_to(root / "benchmarks") for path in sorted(root.glob("benchmarks/**/*.md"))]
     pages |= {f"benchmarks/{path.as_posix()}": f"{FIGURES}/{path.as_posix()}" for path in measured}
-    Staging(root, target, pages).write()
+    Staging(root, target, pages, runs).write()
     (target / "site.css").write_text(STYLE, encoding="utf-8")
     (target / "index.md").write_text(_write_front(), encoding="utf-8")
-    known = set(pages.values())
-    navigation = [
-        {title: [page for page in listed if page in known]} for part in NAVIGATION for title, listed in part.items()
-    ]
-    named = {page for part in navigation for listed in part.values() for page in listed}
+    return _navigate(set(pages.values()), (root / "docs" / TUTORIALS / "README.md").read_text(encoding="utf-8"))
+
+
+def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
+    """Return the navigation: start, tutorials in the order of their list, guides."""
+    guides = [{title: [page for page in listed if page in known]} for part in GUIDES for title, listed in part.items()]
+    listed = [f"{TUTORIALS}/README.md"]
+    listed += [f"{TUTORIALS}/{link.group(2)}" for link in LINK.finditer(tutorials) if "/" not in link.group(2)]
+    named = {"start.md", *listed} | {page for part in guides for own in part.values() for page in own}
     others = sorted(page for page in known - named if not page.startswith(FIGURES))
     figures = sorted(page for page in known if page.startswith(FIGURES))
-    return [{"mbsgen": "index.md"}, *navigation, {"Figures": figures}, *([{"More": others}] if others else [])]
+    guides += [{"Figures": figures}, *([{"More": others}] if others else [])]
+    return [{"mbsgen": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
 
 
 def _write_front() -> str:
@@ -142,6 +188,7 @@ and second derivatives. Simulation, optimal control and controllers are built on
 
 | I want to | |
 |---|---|
+| learn it by doing | [Tutorials](tutorials/README.md): nine short pages, each with something to see |
 | see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
 | describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |

@@ -534,6 +534,8 @@ def scaling_command(largest: int) -> None:
         cells = (g.counts.get(n) for g in found.values())
         click.echo(f"{n:6}" + "".join(f"{c.paper:8}{c.equations:6}" if c else " " * 14 for c in cells))
     for name, growth in found.items():
+        if growth.degree("flops") is None:  # the chains are too short to show it
+            continue
         click.echo(f"{name}: flops of degree {growth.degree('flops')}, equations of {growth.degree('equations')}")
     crossing = find_crossing(found["EXP1"].counts, found["EXP2"].counts)
     click.echo(f"EXP2 takes fewer flops than EXP1 from {crossing} bodies on" if crossing else "EXP1 takes fewer flops")

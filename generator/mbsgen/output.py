@@ -16,8 +16,8 @@ from mbsgen.errors import Fault, InputError
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux: <fcntl.h>, <linux/fs.h>
 # The files that mbsgen writes for a model with prefix {0}, and files that compilers and Python add to them.
 _OWN = (
-    r"{0}(_\w+)?\.(c|h|pc|py|fmu)|mbs_\w+\.[ch]|CMakeLists\.txt|manifest\.json|report\.(json|md)|matlab|matlab/{0}_\w+\.m"
-    r"|check|\w+\.o|__pycache__|__pycache__/.*"
+    r"{0}(_\w+)?\.(c|h|hpp|pc|py|fmu)|mbs_\w+\.(c|h|hpp)|CMakeLists\.txt|manifest\.json|report\.(json|md)"
+    r"|matlab|matlab/{0}_\w+\.m|check|\w+\.o|__pycache__|__pycache__/.*"
 )
 
 

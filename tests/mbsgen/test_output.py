@@ -26,7 +26,7 @@ bodies:
 """
 MANIFEST = json.dumps({"generator": "mbsgen 1.2.3", "prefix": "arm"})
 OLD = {"arm.h": "old", "arm_old.c": "old", "manifest.json": MANIFEST}
-NEW = {"arm.h": "new", "manifest.json": MANIFEST, "matlab/arm_f.m": "new"}
+NEW = {"arm.h": "new", "arm.hpp": "new", "manifest.json": MANIFEST, "matlab/arm_f.m": "new"}
 
 # For each step: a child writes the new folder over the old one, and kills itself before the first, second, third, ...
 # of the events that Python reports to audit hooks (opening, renaming and removing files, calling C).
@@ -96,6 +96,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     write_folder(OLD, out)
     write_folder(NEW, out)
+    write_folder(NEW, out)  # each file of a folder is known as written by mbsgen
     assert state(out) == "new"
     assert list(out.parent.iterdir()) == [out]
 
