@@ -206,7 +206,7 @@ DOCQUIER = Package(
     source=ROOT / "studies" / "docquier",
     layers=(
         "growth spread export published optima markdown",
-        "results differentiated",
+        "results differentiated nonzeros",
         "judges",
         "claims",
         "judgement figures",

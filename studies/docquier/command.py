@@ -50,6 +50,7 @@ from studies.docquier.export import Form, export
 from studies.docquier.judgement import INSIDE, TURNS
 from studies.docquier.judges import CONFIRMED, REFUTED
 from studies.docquier.markdown import ARCHIVE, write_archive, write_page
+from studies.docquier.nonzeros import explain_nonzeros
 from studies.docquier.optima import describe_optima, tabulate_optima
 
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
@@ -227,6 +228,8 @@ def _write_markdown(campaign: Campaign, out: Path, sections: Sequence[Section], 
     place.mkdir(parents=True, exist_ok=True)
     write_csv(tabulate_optima(campaign.study, optima), place / OPTIMA)
     shown = [*sections, describe_optima(campaign.study, optima, OPTIMA)]
+    nonzeros = explain_nonzeros(campaign.subject.problem, campaign.subject.plant)
+    shown += [] if nonzeros is None else [nonzeros]
     attempts = export(list_attempts(campaign, out), out / DATA / ATTEMPTS, "csv")
     write_archive(shown, [attempts], place / ARCHIVE, out / DATA)
     extent = (" ".join(describe_extent(campaign, out)), _ABOUT)

@@ -36,6 +36,7 @@ from mbsrun.ocp.cluster import ClusterError, open_workers
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import Progress, Study, Targets, find_lowest, identify
+from mbsrun.ocp.solve import Solver
 from studies.docquier.campaign import (
     STORE,
     Campaign,
@@ -55,6 +56,7 @@ from studies.docquier.differentiated import Differentiated
 from studies.docquier.export import export
 from studies.docquier.figures import name_set
 from studies.docquier.markdown import write_archive, write_page
+from studies.docquier.nonzeros import count_groups, explain_nonzeros
 from studies.docquier.robustness import State, describe_outcome, find_state, list_slices, report_robust
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -223,6 +225,16 @@ def check_lowest(asked: Campaign, out: Path) -> None:
     with open_record(out / STORE, identify(asked.study, asked.subject.plant.manifest)) as record:
         lowest = find_lowest(list(record.attempts()))
     assert {(o.task.place, o.task.weights): o.cost for o in optima} == lowest
+
+
+def test_nonzeros_are_counted_by_group(subject: Subject) -> None:
+    """All groups together are the Hessian; two inputs on six intervals; a program of another size is not compared."""
+    groups = count_groups(replace(subject.problem, representation=Representation.IMPL), subject.plant)
+    functions = Solver(replace(subject.problem, representation=Representation.IMPL), subject.plant).program.casadi
+    assert groups.total == functions.hessian.nnz_out(0)
+    assert groups.inputs == 2 * 6 + 2 * 5
+    assert groups.end == {(0, 0), (0, 1), (1, 1)}
+    assert explain_nonzeros(subject.problem, subject.plant) is None
 
 
 def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
