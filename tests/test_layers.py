@@ -121,6 +121,7 @@ MBSRUN = Package(
         "ocp.multistart",
         "ocp.summary",
         "ocp.phases.problem ocp.phases.rates ocp.phases.addition",
+        "ocp.phases.chain",
         "ocp.phases.sides",
         "ocp.phases.linking",
         "ocp.phases.impacts",

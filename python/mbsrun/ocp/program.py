@@ -129,12 +129,46 @@ class Stages:
     rows: Indices  # (constraints,): the stage of each row
     is_triangular: bool = False  # equations[:, j] are inner[:, j] minus a function of inner[:, :j], states and inputs
 
+    @property
+    def chain(self) -> Chain:
+        """Return the stages one by one."""
+        N, none = len(self.inputs), np.zeros(0, dtype=np.int64)
+        inner, equations = self.inner.reshape(N, -1), self.equations.reshape(N, -1)
+        parts = [Part(self.states[k], self.inputs[k], inner[k], equations[k], self.continuity[k]) for k in range(N)]
+        return Chain((*parts, Part(self.states[N], none, none, none, none)), self.common, self.rows)
+
     def variables(self, size: int) -> Indices:
         """Return the stage of each of `size` variables."""
         stage = np.full(size, COMMON)
         for part in (self.states, self.inputs, self.inner):
             stage[part] = np.arange(len(part)).reshape(-1, *[1] * (part.ndim - 1))
         return stage
+
+
+@dataclass(frozen=True)
+class Part:
+    """The variables and rows of one stage; a stage without continuity leaves the next states open."""
+
+    states: Indices
+    inputs: Indices
+    inner: Indices  # as many as equations, which give them
+    equations: Indices
+    continuity: Indices
+    own: Indices = field(default_factory=_NO_PARAMETERS.copy)  # rows that belong here, whatever they read
+    terms: Indices = field(default_factory=_NO_PARAMETERS.copy)  # of the cost: likewise
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Stages of different sizes, one after the other.
+
+    Rows may also read `copied` states of any stage: copies of these are common, and are tied to them there.
+    """
+
+    parts: tuple[Part, ...]
+    common: Indices  # variables of no stage
+    rows: Indices  # (constraints,): the stage of each row that reads common variables alone
+    copied: Indices = field(default_factory=_NO_PARAMETERS.copy)  # states
 
 
 @dataclass(frozen=True)
@@ -147,6 +181,7 @@ class Program:
     costs: tuple[Block, ...] = ()
     constants: int = 0  # how many parameters follow the weights
     stages: Stages | None = None
+    chain: Chain | None = None  # stages of different sizes; by default the ones of `stages`
     solves_inner: bool = False  # the inner variables are no unknowns of the solver: their equations are solved for them
 
     @property
@@ -187,7 +222,7 @@ class Program:
         at[rows] = np.arange(rows.size)
         blocks = tuple(kept for block in self.blocks if (kept := block.restrict(at)) is not None)
         A = sparse.csr_array(self.A)[rows].tocsc()
-        part = replace(self, A=A, blocks=blocks, stages=None, solves_inner=False)
+        part = replace(self, A=A, blocks=blocks, stages=None, chain=None, solves_inner=False)
         if with_cost:
             return part
         return replace(part, H=tuple(sparse.csc_array(H.shape) for H in self.H), costs=())

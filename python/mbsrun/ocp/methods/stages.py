@@ -61,7 +61,8 @@ def make_stages(order: Order) -> Solver:
         key = bytes(weights.tobytes() + rows.tobytes())
         with lock:
             if key not in tables:
-                tables[key] = binding.Tables(build(program, order.program.plant, weights, rows), order.program.plant)
+                plants = order.program.plant, order.program.others
+                tables[key] = binding.Tables(build(program, plants[0], weights, rows, plants[1]), *plants)
                 free[key] = []
         return key
 

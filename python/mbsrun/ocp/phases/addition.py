@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.program import Block, Column, Matrix, Program
+from mbsrun.ocp.program import Block, Chain, Column, Matrix, Program
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Offsets:
     rows: int
     weights: int
     constants: int  # among all parameters
+    stages: int = 0
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,19 @@ def place_summands(programs: Sequence[Program], further: int = 0) -> tuple[Offse
                 last.rows + program.constraints,
                 last.weights + len(program.H),
                 last.constants + program.constants,
+                last.stages + count_stages(program),
             )
         )
     return tuple(found)
 
 
-def add(summands: Sequence[Summand], further: Further) -> Program:
-    """Write the sum as one program, without stages."""
+def count_stages(program: Program) -> int:
+    """Count the stages of a program, its end included."""
+    return 0 if program.stages is None else len(program.stages.states)
+
+
+def add(summands: Sequence[Summand], further: Further, chain: Chain | None = None) -> Program:
+    """Write the sum as one program, with its stages if they are known."""
     programs = [summand.program for summand in summands]
     offsets = place_summands(programs, further.weights)
     size = offsets[-1].variables + further.variables
@@ -89,6 +96,7 @@ def add(summands: Sequence[Summand], further: Further) -> Program:
         blocks=(*blocks, *further.blocks),
         costs=(*costs, *further.costs),
         constants=sum(program.constants for program in programs) + further.constants,
+        chain=chain,
     )
 
 
@@ -114,6 +122,7 @@ def _move(block: Block, offset: Offsets, row: int, weights: int, plant: int) -> 
         block,
         columns=tuple(move_part(part, offset.variables) for part in block.columns),
         rows=block.rows + row,
+        stages=block.stages + offset.stages,
         parameters=block.parameters + (offset.constants - weights),
         factor=None if block.factor is None else block.factor + offset.variables,
         plant=plant,

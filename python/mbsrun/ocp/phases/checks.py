@@ -17,6 +17,7 @@ from mbsgen.documents import Place, abbreviate, nearest, write_path
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
+from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
@@ -34,7 +35,6 @@ from mbsrun.ocp.problem import Contact, Form, Loops, Problem
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
 
 APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
-METHODS = ("ipopt", "sqpmethod")
 SHOWN = 8  # names
 
 
@@ -94,9 +94,10 @@ def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
         if phase.problem.form is Form.SHOOTING:
             finding = "the shooting form takes no phases"
             yield PhaseFault((*place, "form"), finding, "take standard or integral")
-    if problem.solver.method not in METHODS:
-        finding = f"{problem.solver.method} solves problems of one phase alone"
-        yield PhaseFault(("solver", "method"), finding, f"take {' or '.join(METHODS)}")
+    method = problem.solver.method
+    if not METHODS[method].calls_casadi and any(phase.problem.functions for phase in problem.phases):
+        finding = f"{method} takes no expressions of CasADi, which a phase has"
+        yield PhaseFault(("solver", "method"), finding, "take ipopt")
 
 
 @dataclass(frozen=True)

@@ -131,15 +131,20 @@ def _write_balance(
     names = tuple(a.name for a in inputs)
     for parts, scale in ((given | moved, 1.0), (given, -1.0)):
         columns = [
-            _select(entries, a.rows) if a.role is Role.WRENCH and scale > 0 else parts.get(a.role, _select([], a.rows))
+            _select(entries, a.rows, changes)
+            if a.role is Role.WRENCH and scale > 0
+            else parts.get(a.role, _select([], a.rows, changes))
             for a in inputs
         ]
         rows.apply(KernelResult("impl", names, "Phi"), columns, found, scale=scale, plant=state.plant)
 
 
-def _select(entries: list[tuple[int, int]], size: int) -> Combination:
-    """Return a part of which some entries are variables, (variable, entry), and all others are 0."""
-    matrix, variables = np.zeros((1, size, max(len(entries), 1))), np.zeros((1, max(len(entries), 1)), dtype=np.int64)
+def _select(entries: list[tuple[int, int]], size: int, known: Indices) -> Combination:
+    """Return a part of which some entries are variables, (variable, entry), and all others are 0.
+
+    A part of zeros alone is 0 times the first one of the `known` variables.
+    """
+    matrix, variables = np.zeros((1, size, max(len(entries), 1))), np.full((1, max(len(entries), 1)), known[0])
     for k, (variable, entry) in enumerate(entries):
         matrix[0, entry, k], variables[0, k] = 1.0, variable
     return Combination(matrix, np.zeros(1, dtype=np.int64), variables)

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.clashes import SHOWN, name_rows
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.guess import adapt
@@ -53,8 +54,19 @@ class PhasedSolver:
         check_phases(problem, plants)
         self.problem, self.plants = problem, equip_phases(problem, plants)
         self.transcription: PhasedTranscription = transcribe_phases(problem, self.plants)
+        self._check_stages()
         first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
+
+    def _check_stages(self) -> None:
+        """Raise ProblemError where a method takes stages alone, and links read what no stage has."""
+        own, method = self.transcription, self.problem.solver.method
+        if METHODS[method].calls_casadi or not own.unstaged.size:
+            return
+        texts = dict.fromkeys(text for rows, text in own.texts if np.isin(rows, own.unstaged).any())
+        texts |= {"the cost of a link": None} if (own.unstaged < 0).any() else {}
+        finding = f"{method} cannot read inputs at a start, accelerations or forces here: {', '.join(texts)}"
+        raise ProblemError(self.problem.name, [("links", finding, "take solver.method: ipopt")])
 
     def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
         """Solve from a guess on the grids of the phases; `watch` is called in every iteration."""

@@ -13,13 +13,14 @@ import numpy as np
 
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.phases.addition import Further, Offsets, Summand, add, add_parameters, place_summands
+from mbsrun.ocp.phases.chain import Joined, Joint, order_stages
 from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
 from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_costs, write_transfer
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import Side, name_impulses, read_side
 from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.standing import find_standing
-from mbsrun.ocp.program import Program
+from mbsrun.ocp.program import Chain, Program
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
 
@@ -33,6 +34,7 @@ class LinkRows:
     impact: ImpactRows | None
     costs: Indices  # among the weights
     extent: tuple[int, int]  # the first row, and the one after the last
+    variables: tuple[int, int]  # likewise
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class PhasedTranscription:
     texts: tuple[tuple[Indices, str], ...]  # rows of links, and their descriptions
     bounds: tuple[Array, Array]  # of the variables of links
     row_bounds: tuple[Array, Array]  # of the rows of links
+    unstaged: Indices  # rows of links that keep the program from falling into stages
     program: Program
 
     def parameters(self, problem: PhasedProblem) -> Array:
@@ -127,7 +130,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
     for i, link in enumerate(problem.links):
         source, target = problem.find(link.source), problem.find(link.target)
         before, after = side(source, is_end=True), side(target, is_end=False)
-        first = rows.rows
+        first, first_variable = rows.rows, rows.variables
         text, state, impact = f"link {link.source} to {link.target}", before.state, None
         if link.impact is not None:
             plant = plants.find_impact(i, source)
@@ -147,7 +150,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
             impulses = {name: int(impact.impulses[contact][k]) for name, contact, k in named}
         conditions = write_conditions(rows, text, link.conditions, before, after, impulses)
         costs = write_costs(rows, link.cost, before, after, impulses)
-        links.append(LinkRows(link, conditions, impact, costs, (first, rows.rows)))
+        links.append(LinkRows(link, conditions, impact, costs, (first, rows.rows), (first_variable, rows.variables)))
     further = Further(
         rows.variables - rows.first_variable,
         len(problem.constants),
@@ -157,6 +160,18 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         tuple(rows.costs),
     )
     summands = [Summand(phase.program, number) for phase, number in zip(phases, numbers, strict=True)]
+    joints = [
+        Joint(
+            problem.find(x.link.source),
+            problem.find(x.link.target),
+            np.arange(*x.variables),
+            np.arange(*x.extent),
+            x.costs,
+        )
+        for x in links
+    ]
+    joined = Joined(further.A, further.blocks, further.costs, rows.first_row)
+    chain = order_stages([phase.program for phase in phases], offsets, joints, joined)
     return PhasedTranscription(
         phases=phases,
         offsets=offsets,
@@ -167,7 +182,8 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         texts=tuple(rows.texts),
         bounds=_collect(rows.variable_bounds, rows.first_variable, rows.variables),
         row_bounds=_collect(rows.row_bounds, rows.first_row, rows.rows),
-        program=add(summands, further),
+        unstaged=np.zeros(0, dtype=np.int64) if isinstance(chain, Chain) else chain,
+        program=add(summands, further, chain if isinstance(chain, Chain) else None),
     )
 
 

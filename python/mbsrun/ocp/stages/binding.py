@@ -34,15 +34,28 @@ class PlantError(MbsError):
     """Kernels that C cannot call."""
 
 
+@dataclass(frozen=True)
+class Lifted:
+    """A stage with lifted variables: all of its variables, the lifted ones, and their equations in the stage."""
+
+    number: int
+    variables: Indices
+    chosen: Indices
+    equations: Indices
+
+
 class Tables:
     """A program in stages in C's memory, which any number of solvers share."""
 
-    def __init__(self, data: StageProgram, plant: Plant) -> None:
-        """Lay the tables, and load the functions. Raises CompileError, PlantError."""
+    def __init__(self, data: StageProgram, plant: Plant, others: tuple[Plant, ...] = ()) -> None:
+        """Lay the tables, and load the functions; `others` are plants beside plant 0.
+
+        Raises CompileError, PlantError.
+        """
         self.data = data
         self.ffi, self.lib = load()
         self._kept: list[Any] = []
-        self._plant = plant
+        self._plants = (plant, *others)
         self.needs = [0, 0]  # the most arguments and results of a call; kernels need no other memory
         kinds = self._keep(self.ffi.new("mbs_program_kind[]", len(data.kinds)))
         for target, kind in zip(kinds, data.kinds, strict=True):
@@ -64,8 +77,22 @@ class Tables:
         """The arguments that the plant fills."""
         parts = [np.zeros(0)]
         for given in self.data.given:
-            parts.append(np.ravel(_find_kernels(self._plant, given.kernel).filled[given.name]))
+            parts.append(np.ravel(_find_kernels(self._plants[given.plant], given.kernel).filled[given.name]))
         return np.concatenate(parts)
+
+    @cached_property
+    def lifted(self) -> tuple[Lifted, ...]:
+        """The stages with variables of the tables alone."""
+        data, first, row, found = self.data, 0, 0, []
+        for k, number in enumerate(data.kind_of_stage):
+            kind = data.kinds[number]
+            end, last = first + kind.nx + kind.nv, row + kind.ne
+            chosen = data.lifted[(data.lifted >= first) & (data.lifted < end)]
+            rows = data.lifted_rows[(data.lifted_rows >= row) & (data.lifted_rows < last)]
+            if chosen.size:
+                found.append(Lifted(k, np.arange(first, end), chosen, rows - row))
+            first, row = end, last
+        return tuple(found)
 
     # --- memory ---
 
@@ -137,23 +164,23 @@ class Tables:
         pointers = self._keep(self.ffi.new("mbs_program_function[]", max(1, len(self.data.functions))))
         for i, function in enumerate(self.data.functions):
             if isinstance(function, KernelFunction):
-                entry = entries[name_called(function)]
+                entry = entries[function]
                 address = int(entry.ffi.cast("intptr_t", entry.function))
             else:
                 address = written[f"mbs_formula_{i}"]
             pointers[i] = self.ffi.cast("mbs_program_function", address)
         return pointers
 
-    def _bind_kernels(self, functions: Iterable[KernelFunction]) -> Mapping[str, Entry]:
+    def _bind_kernels(self, functions: Iterable[KernelFunction]) -> Mapping[KernelFunction, Entry]:
         """Compile kernels, all of one folder at once."""
-        found: dict[str, Entry] = {}
-        folders: dict[int, tuple[Kernels, list[str]]] = {}
+        found: dict[KernelFunction, Entry] = {}
+        folders: dict[int, tuple[Kernels, list[KernelFunction]]] = {}
         for function in functions:
-            kernels = _find_kernels(self._plant, function.kernel)
-            folders.setdefault(id(kernels), (kernels, []))[1].append(name_called(function))
-        for kernels, names in folders.values():
-            library = kernels.compile(*names)
-            found |= {name: self._keep(bind(library, kernels.describe(name))) for name in names}
+            kernels = _find_kernels(self._plants[function.plant], function.kernel)
+            folders.setdefault(id(kernels), (kernels, []))[1].append(function)
+        for kernels, called in folders.values():
+            library = kernels.compile(*map(name_called, called))
+            found |= {one: self._keep(bind(library, kernels.describe(name_called(one)))) for one in called}
         return found
 
     def _compile_formulas(self, texts: Mapping[str, str]) -> Mapping[str, int]:
@@ -345,7 +372,9 @@ def set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Arra
     lower[variable] = np.maximum(lower[variable], numbers.least[row])
     upper[variable] = np.minimum(upper[variable], numbers.most[row])
     upper = np.maximum(lower, upper)  # a start beyond a bound by rounding is on it
-    given = (lower, upper, numbers.least[data.rows_g], numbers.most[data.rows_g])
+    of_program = data.rows_g >= 0
+    least, most = (np.where(of_program, rows[data.rows_g], 0.0) for rows in (numbers.least, numbers.most))
+    given = (lower, upper, least, most)
     lower, upper, least, most = (np.clip(part, -INFINITE, INFINITE) for part in given)
     return lower, upper, least, most
 
@@ -406,26 +435,15 @@ def fill(evaluator: Evaluator, x: Array) -> Array:
     """
     data = evaluator.tables.data
     w = np.where(data.variables < 0, 0.0, x[data.variables])
-    if not data.lifted.size:
-        return w
-    for _ in range(_LEVELS):
-        residuals = _residuals(evaluator, w)
-        w[data.lifted] -= np.nan_to_num(residuals[data.lifted_rows])
+    for stage in evaluator.tables.lifted:
+        for _ in range(_LEVELS):
+            values = evaluator.values(stage.number, w[stage.variables])
+            if values is not None:
+                w[stage.chosen] -= np.nan_to_num(values[1][stage.equations])
     return w
 
 
 _LEVELS = 2  # combinations, and results of kernels of these
-
-
-def _residuals(evaluator: Evaluator, w: Array) -> Array:
-    """Return the equations of all stages; not numbers where a function has no result."""
-    found, first, data = [], 0, evaluator.tables.data
-    for k, kind in enumerate(data.kind_of_stage):
-        n = data.kinds[kind].nx + data.kinds[kind].nv
-        values = evaluator.values(k, np.ascontiguousarray(w[first : first + n]))
-        found.append(np.full(data.kinds[kind].ne, np.nan) if values is None else values[1])
-        first += n
-    return np.concatenate(found)
 
 
 def _make_memory(size: int) -> NDArray[np.uint8]:

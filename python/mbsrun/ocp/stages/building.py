@@ -21,16 +21,22 @@ from mbsrun.ocp.stages.tables import StageProgram
 Mask = NDArray[np.bool_]
 
 
-def build(program: Program, plant: Plant, weights: Mask | None = None, rows: Mask | None = None) -> StageProgram:
-    """Build the tables of a program.
+def build(
+    program: Program,
+    plant: Plant,
+    weights: Mask | None = None,
+    rows: Mask | None = None,
+    others: tuple[Plant, ...] = (),
+) -> StageProgram:
+    """Build the tables of a program; `others` are plants beside plant 0.
 
     `weights` marks the terms of the cost that are not 0, `rows` the rows that have a bound; all by default.
     """
     weights = np.ones(len(program.H), dtype=bool) if weights is None else weights
     rows = np.ones(program.constraints, dtype=bool) if rows is None else rows
     intervals = divide(program, weights, rows)
-    stages = [lift(functions, intervals.numbering) for functions in intervals.kinds]
-    signatures, functions = Signatures(plant), Functions()
+    stages = [lift(functions) for functions in intervals.kinds]
+    signatures, functions = Signatures((plant, *others)), Functions()
     for stage in stages:
         list_given(stage.uses, signatures, functions)
     given = tuple(functions.given)
@@ -38,7 +44,7 @@ def build(program: Program, plant: Plant, weights: Mask | None = None, rows: Mas
         program.parameters, sum(part.size for part in given), intervals.numbers.shape[1], signatures, functions
     )
     kinds = tuple(write(stage, frame, stage.ne) for stage in stages)
-    variables = _list_variables(program, intervals, stages)
+    variables = _list_variables(intervals, stages)
     first = stages[intervals.kind_of_stage[0]]
     at = {int(local): i for i, local in enumerate(first.variables[: first.nx])}
     fixed = [(at[int(state)], int(row)) for state, row in intervals.fixed]
@@ -51,8 +57,8 @@ def build(program: Program, plant: Plant, weights: Mask | None = None, rows: Mas
         numbers=intervals.numbers,
         variables=variables,
         bounded=_mark_copies(variables, intervals, stages),
-        rows_e=_list_rows(program, intervals, [stage.rows_e for stage in stages]),
-        rows_d=_list_rows(program, intervals, [stage.rows_d for stage in stages]),
+        rows_e=_list_rows(intervals, [stage.rows_e for stage in stages]),
+        rows_d=_list_rows(intervals, [stage.rows_d for stage in stages]),
         rows_g=np.concatenate([np.zeros(0, dtype=np.int64), *intervals.others]),
         fixed=np.array(fixed, dtype=np.int64).reshape(-1, 2),
         lifted=np.flatnonzero(variables < 0),
@@ -60,21 +66,21 @@ def build(program: Program, plant: Plant, weights: Mask | None = None, rows: Mas
     )
 
 
-def _list_variables(program: Program, intervals: Intervals, stages: list[Stage]) -> Indices:
+def _list_variables(intervals: Intervals, stages: list[Stage]) -> Indices:
     """Return the program's variable of each variable of the tables; -1: none."""
-    data = program.stages
-    assert data is not None, "a program in stages"
-    N, none = len(data.inputs), np.full(intervals.numbering.inputs, -1)
-    found = []
+    chain, found = intervals.chain, []
     for k, kind in enumerate(intervals.kind_of_stage):
+        part, numbering = chain.parts[k], intervals.kinds[kind].numbering
+        before = chain.parts[k - 1].inputs if k else np.zeros(0, dtype=np.int64)
         universe = np.concatenate(
             (
-                data.states[k],
-                data.common,
-                data.inputs[k - 1] if k else none,
-                data.inner[k].ravel() if k < N else np.full(intervals.numbering.inner, -1),
-                data.inputs[k] if k < N else none,
-                data.states[k + 1] if k < N else np.full(intervals.numbering.states, -1),
+                part.states,
+                chain.common,
+                chain.copied,
+                before if before.size == numbering.carried else np.full(numbering.carried, -1),
+                part.inner,
+                part.inputs,
+                chain.parts[k + 1].states if numbering.following else np.zeros(0, dtype=np.int64),
                 [-1],
             )
         )
@@ -82,29 +88,27 @@ def _list_variables(program: Program, intervals: Intervals, stages: list[Stage])
     return np.concatenate(found)
 
 
-def _list_rows(program: Program, intervals: Intervals, rows: list[Indices]) -> Indices:
+def _list_rows(intervals: Intervals, rows: list[Indices]) -> Indices:
     """Return the program's row of each equation of the intervals, or of the dynamics; -1: none."""
-    data = program.stages
-    assert data is not None, "a program in stages"
     found = []
     for k, kind in enumerate(intervals.kind_of_stage):
-        if k < len(data.inputs):
-            own = np.concatenate((data.equations[k].ravel(), data.continuity[k], [-1]))
-            found.append(own[rows[kind]])
-        else:
-            found.append(np.full(rows[kind].size, -1))
+        part = intervals.chain.parts[k]
+        own = np.concatenate((part.equations, part.continuity, [-1]))
+        found.append(own[rows[kind]])
     return np.concatenate(found)
 
 
 def _mark_copies(variables: Indices, intervals: Intervals, stages: list[Stage]) -> Indices:
-    """Return the variables, with -1 for copies: common ones after the first stage, carried inputs, next states."""
-    numbering = intervals.numbering
+    """Return the variables, with -1 for copies: common ones after the first stage, copied states, carried inputs, and
+    next states.
+    """
     is_copy = []
     for k, kind in enumerate(intervals.kind_of_stage):
-        local = stages[kind].variables
-        common = (local >= numbering.states) & (local < numbering.before) & (k > 0)
+        local, numbering = stages[kind].variables, intervals.kinds[kind].numbering
+        first = numbering.states + (intervals.chain.common.size if k == 0 else 0)
+        shared = (local >= first) & (local < numbering.before)
         carried = (local >= numbering.before) & (local < numbering.inside)
-        is_copy.append(common | carried | (local >= numbering.after))
+        is_copy.append(shared | carried | (local >= numbering.after))
     return np.where(np.concatenate(is_copy), -1, variables)
 
 

@@ -61,20 +61,20 @@ class Signature:
 
 
 class Signatures:
-    """The signatures of functions of a plant; each is found once."""
+    """The signatures of functions of some plants; each is found once."""
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plants: Sequence[Plant]) -> None:
         """Take the kernels."""
-        self._plant = plant
-        self._kernels: dict[tuple[KernelResult, Derivative], Signature] = {}
+        self._plants = plants
+        self._kernels: dict[tuple[KernelResult, Derivative, int], Signature] = {}
         self._formulas: list[tuple[Formula, dict[Derivative, Signature]]] = []
 
-    def find(self, function: Function, derivative: Derivative) -> Signature:
-        """Return how a function is called."""
+    def find(self, function: Function, derivative: Derivative, plant: int) -> Signature:
+        """Return how a function is called; a kernel is of one of the plants."""
         if isinstance(function, KernelResult):
-            key = (function, derivative)
+            key = (function, derivative, plant)
             if key not in self._kernels:
-                self._kernels[key] = _describe_kernel(function, derivative, self._plant)
+                self._kernels[key] = _describe_kernel(function, derivative, self._plants[plant], plant)
             return self._kernels[key]
         known = next((found for formula, found in self._formulas if formula is function or formula == function), None)
         if known is None:
@@ -95,10 +95,10 @@ def name_called(function: KernelFunction) -> str:
     return name_kernel(function.kernel, _ORDERS[function.derivative])
 
 
-def _describe_kernel(function: KernelResult, derivative: Derivative, plant: Plant) -> Signature:
+def _describe_kernel(function: KernelResult, derivative: Derivative, plant: Plant, number: int) -> Signature:
     plant = plant.find_family(function.kernel)
     kernel = plant.describe(function.kernel)
-    called = KernelFunction(function.kernel, derivative)
+    called = KernelFunction(function.kernel, derivative, number)
     derived = {a.name: a for a in plant.describe(name_called(called)).outputs}
     names = [a.name for a in kernel.inputs]
     n, m = len(kernel.inputs), len(kernel.outputs)
@@ -131,7 +131,7 @@ def _describe_kernel(function: KernelResult, derivative: Derivative, plant: Plan
         results=results[derivative],
         inputs=tuple(fillings),
         given=tuple(
-            (i, Given(function.kernel, a.name, a.nnz))
+            (i, Given(function.kernel, a.name, a.nnz, number))
             for i, a in enumerate(kernel.inputs)
             if a.role in (Role.SETUP, Role.DESIGN) and a.name not in function.inputs
         ),

@@ -5,13 +5,16 @@ an interval, which are its equations and its continuity, stay there. A function 
 to the second one. Variables and rows have local numbers, so stages with equal functions are found by comparing arrays:
 
     variables of stage k    states of k, common, inputs of k - 1, inner of k, inputs of k, states of k + 1
-    rows of stage k         equations of k, continuity of k, then all others in their order
+    rows of stage k         equations of k, continuity of k, then all others in their order, then rows of copies
+
+Stages may differ in size. A stage without continuity leaves the next states open, as a link between phases does: its
+rows decide. Copies of states that rows of other stages read are common variables, behind the program's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,22 +22,26 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array, Function, Indices
-from mbsrun.ocp.program import COMMON, Block, Column, Program, Stages
+from mbsrun.ocp.program import COMMON, Block, Chain, Column, Program
 
 Mask = NDArray[np.bool_]
 
 LEFT_OUT = -1  # the number of a row that no stage has
+TIE = -1  # instead of a program's row: a copy minus the state that it is a copy of
 _LATE = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """Where the local numbers of each group of variables begin, and of rows."""
+    """Where the local numbers of each group of variables of a stage begin, and of rows."""
 
-    states: int  # nx
-    common: int
-    inputs: int  # m
-    inner: int  # S * s
+    states: int
+    common: int  # with copies
+    carried: int  # inputs of the stage before
+    inner: int
+    inputs: int
+    following: int  # states of the next stage
+    continuity: int  # rows
 
     @property
     def before(self) -> int:
@@ -44,7 +51,7 @@ class Numbering:
     @property
     def inside(self) -> int:
         """Where inner variables begin."""
-        return self.before + self.inputs
+        return self.before + self.carried
 
     @property
     def now(self) -> int:
@@ -59,12 +66,12 @@ class Numbering:
     @property
     def size(self) -> int:
         """Count the local variables."""
-        return self.after + self.states
+        return self.after + self.following
 
     @property
     def others(self) -> int:
         """Where the rows begin that are neither equations nor continuity."""
-        return self.inner + self.states
+        return self.inner + self.continuity
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,7 @@ class Application:
     data: Indices  # among the numbers of the stage
     scale: float
     factor: int | None  # local
+    plant: int  # whose kernels the function calls
 
 
 @dataclass(frozen=True)
@@ -102,6 +110,7 @@ class Triplets:
 class Functions:
     """The functions of one stage."""
 
+    numbering: Numbering
     applications: tuple[Application, ...]
     matrix: Triplets  # rows by variables
     quadratic: tuple[tuple[int, Triplets], ...]  # weight, and the Hessian of its term, both triangles
@@ -110,15 +119,20 @@ class Functions:
     others: int  # rows beside equations and continuity
     is_last: bool
 
+    @property
+    def is_open(self) -> bool:
+        """Return whether the next states are variables that no row of the continuity gives."""
+        return self.numbering.following > self.numbering.continuity
+
 
 @dataclass(frozen=True)
 class Intervals:
     """All stages: the functions of each kind, the kind of each stage, and what differs between stages of a kind."""
 
-    numbering: Numbering
+    chain: Chain
     kinds: tuple[Functions, ...]
     kind_of_stage: tuple[int, ...]
-    others: tuple[Indices, ...]  # of each stage: the program's rows beside equations and continuity
+    others: tuple[Indices, ...]  # of each stage: the program's rows beside equations and continuity, or TIE
     numbers: Array  # (stages, count): data of each stage
     fixed: Indices  # (count, 2): a state of the first stage, and the row that is this state
 
@@ -147,12 +161,17 @@ class _Group:
 
 class _Division:
     def __init__(self, program: Program, weights: Mask, rows: Mask) -> None:
-        assert program.stages is not None, "a program in stages"
-        self.program, self.stages, self.weights = program, program.stages, weights
-        self.N = len(self.stages.inputs)
-        self.numbering = _count(self.stages)
-        self.stage, self.offset, self.is_state, self.is_input = _place_variables(self.stages, program.variables)
+        self.program, self.chain, self.weights = program, find_chain(program), weights
+        self.N = len(self.chain.parts) - 1
+        self.numberings = _count(self.chain)
+        self.bases = np.array([_list_bases(numbering) for numbering in self.numberings])
+        self.stage, self.offset, self.is_state, self.is_input = _place_variables(self.chain, program.variables)
+        self.copy = np.full(program.variables, -1)
+        self.copy[self.chain.copied] = self.chain.common.size + np.arange(self.chain.copied.size)
         self.A = sparse.coo_array(program.A)
+        self.term_owner = np.full(len(program.H), -1)
+        for k, part in enumerate(self.chain.parts):
+            self.term_owner[part.terms] = k
         self.wanted = rows.copy()
         self.fixed = self.find_fixed()
         self.wanted[self.fixed[:, 1]] = False
@@ -166,7 +185,13 @@ class _Division:
         every = [*groups, matrix, *(group for _, group, _ in squares)]
         carried = self.find_carried(groups, matrix, entries, squares)
         signs = [
-            (*(group.sign(k) for group in every), carried[k].tobytes(), carried[k + 1].tobytes(), len(self.others[k]))
+            (
+                self.numberings[k],
+                *(group.sign(k) for group in every),
+                carried[k].tobytes(),
+                carried[k + 1].tobytes(),
+                len(self.others[k]),
+            )
             for k in range(self.N + 1)
         ]
         first: dict[tuple[object, ...], int] = {}
@@ -184,6 +209,7 @@ class _Division:
             quadratic = tuple((w, _take(entry, group.at(k))) for w, group, entry in squares if group.at(k).size)
             kinds.append(
                 Functions(
+                    numbering=self.numberings[k],
                     applications=tuple(applications),
                     matrix=_take(entries, matrix.at(k)),
                     quadratic=quadratic,
@@ -194,7 +220,7 @@ class _Division:
                 )
             )
         return Intervals(
-            self.numbering,
+            self.chain,
             tuple(kinds),
             tuple(number[(*sign, k == self.N)] for k, sign in enumerate(signs)),
             self.others,
@@ -221,7 +247,6 @@ class _Division:
 
     def own_rows(self) -> None:
         """Find the stage and the local number of each row."""
-        stages, numbering = self.stages, self.numbering
         rows = self.program.constraints
         reads = _Reads(rows, self)
         reads.add(self.A.coords[0].astype(np.int64), self.A.coords[1].astype(np.int64))
@@ -229,37 +254,68 @@ class _Division:
             place = _read_places(block, self)
             for row in block.rows:
                 reads.merge(row, place)
-        owner = reads.owners(stages.rows)
+        owner = reads.owners(self.chain.rows)
         local = np.full(rows, LEFT_OUT)
-        for given, base in ((stages.equations, 0), (stages.continuity, numbering.inner)):
-            flat = given.reshape(len(given), -1)
-            owner[flat] = np.arange(len(flat))[:, None]
-            local[flat] = base + np.arange(flat.shape[1])
+        for k, part in enumerate(self.chain.parts):
+            for given, base in ((part.equations, 0), (part.continuity, self.numberings[k].inner)):
+                owner[given] = k
+                local[given] = base + np.arange(given.size)
+            owner[part.own] = k
         other = np.flatnonzero(self.wanted & (local == LEFT_OUT))
         order = other[np.argsort(owner[other], kind="stable")]
         begin = np.searchsorted(owner[order], np.arange(self.N + 2))
-        local[order] = numbering.others + np.arange(order.size) - begin[owner[order]]
+        first = np.array([numbering.others for numbering in self.numberings])
+        local[order] = first[owner[order]] + np.arange(order.size) - begin[owner[order]]
         self.row_owner, self.row_local = owner, local
-        self.others = tuple(order[a:b] for a, b in pairwise(begin))
+        self.others = tuple(
+            np.concatenate((order[a:b], np.full(int((self.stage[self.chain.copied] == k).sum()), TIE)))
+            for k, (a, b) in enumerate(pairwise(begin))
+        )
+
+    def tie_copies(self) -> tuple[Indices, Triplets]:
+        """Write the rows of copies, copy - state, behind the others of their stages; return owners and entries."""
+        owner, row, col, value = [], [], [], []
+        for k in range(self.N + 1):
+            numbering, own = self.numberings[k], self.chain.copied[self.stage[self.chain.copied] == k]
+            first = numbering.others + len(self.others[k]) - own.size
+            for i, state in enumerate(own):
+                owner += [k, k]
+                row += [first + i, first + i]
+                col += [int(self.offset[state]), numbering.states + int(self.copy[state])]
+                value += [-1.0, 1.0]
+        entries = Triplets(np.array(row, dtype=np.int64), np.array(col, dtype=np.int64), np.array(value))
+        return np.array(owner, dtype=np.int64), entries
+
+    def own_places(self, block: Block, place: int | None = None) -> Indices:
+        """Return the stages of the places of a cost, or of one place."""
+        if place is not None:
+            one = np.array([place])
+            columns = tuple(p[:, one] if isinstance(p, np.ndarray) else p.restrict(one) for p in block.columns)
+            block = replace(block, columns=columns, rows=block.rows[:, one], stages=block.stages[one])
+        given = self.term_owner[block.rows[0]]
+        return np.where(given >= 0, given, _read_places(block, self).owners(block.stages))
 
     # --- elements by stage ---
 
     def localise(self, variables: Indices, owner: Indices) -> Indices:
         """Number variables by the stages that read them."""
-        numbering, stage, offset = self.numbering, self.stage[variables], self.offset[variables]
+        stage, offset, copy = self.stage[variables], self.offset[variables], self.copy[variables]
         distance, is_state, is_input = stage - owner, self.is_state[variables], self.is_input[variables]
         is_common, is_inner = stage == COMMON, ~(is_state | is_input) & (stage != COMMON)
-        bases = (
-            (is_common, numbering.states),
-            (is_state & (distance == 0), 0),
-            (is_state & (distance == 1), numbering.after),
-            (is_input & (distance == 0), numbering.now),
-            (is_input & (distance == -1), numbering.before),
-            (is_inner & (distance == 0), numbering.inside),
+        bases = np.moveaxis(np.broadcast_to(self.bases[owner], (*variables.shape, self.bases.shape[1])), -1, 0)
+        states, common, before, inside, now, after = bases
+        choices = (
+            (is_state & (copy >= 0), common + copy - offset),
+            (is_common, common),
+            (is_state & (distance == 0), states),
+            (is_state & (distance == 1), after),
+            (is_input & (distance == 0), now),
+            (is_input & (distance == -1), before),
+            (is_inner & (distance == 0), inside),
         )
         local = np.full(variables.shape, -1)
-        for chosen, base in bases:
-            local[chosen] = base + offset[chosen]
+        for chosen, base in choices:
+            local[chosen] = (base + offset)[chosen]
         assert (local >= 0).all(), "no row reads more than two stages in sequence"
         return local
 
@@ -278,7 +334,7 @@ class _Division:
             for block in given:
                 if is_cost:
                     rows = np.where(self.weights[block.rows], block.rows, LEFT_OUT)
-                    owner = _read_places(block, self).owners(block.stages)
+                    owner = self.own_places(block)
                 else:
                     rows, owner = self.row_local[block.rows], self.row_owner[block.rows[0]]
                     assert (self.row_owner[block.rows] == owner).all(), "the rows of a place are of one stage"
@@ -299,6 +355,8 @@ class _Division:
         row, col, value = row[chosen], col[chosen], self.A.data[chosen]
         owner = self.row_owner[row]
         entries = Triplets(self.row_local[row], self.localise(col, owner), value)
+        own, ties = self.tie_copies()
+        owner, entries = np.concatenate((owner, own)), stack((entries, ties))
         order = np.lexsort((entries.col, entries.row))
         entries = _take(entries, order)
         features = (entries.row, entries.col, entries.value.view(np.int64))
@@ -329,21 +387,21 @@ class _Division:
         squares: Sequence[tuple[int, _Group, Triplets]],
     ) -> list[Indices]:
         """Find the inputs of the stage before that each stage reads; and of a stage after the last: none."""
-        first, last = self.numbering.before, self.numbering.inside
-        read = np.zeros((self.N + 2, self.numbering.inputs), dtype=bool)
+        first, last = (np.array([getattr(x, name) for x in self.numberings]) for name in ("before", "inside"))
+        read = np.zeros((self.N + 2, int((last - first).max(initial=0))), dtype=bool)
         for group, features in zip(groups, self.columns, strict=True):
             stage = np.repeat(np.arange(self.N + 1), np.diff(group.begin))
             for columns in features:
-                sorted_columns = columns[group.order]
-                place, at = np.nonzero((sorted_columns >= first) & (sorted_columns < last))
-                read[stage[place], sorted_columns[place, at] - first] = True
+                chosen = columns[group.order]
+                place, at = np.nonzero((chosen >= first[stage, None]) & (chosen < last[stage, None]))
+                read[stage[place], chosen[place, at] - first[stage[place]]] = True
         quadratic = [(group, (entries.row, entries.col)) for _, group, entries in squares]
         for group, parts in [(matrix, (linear.col,)), *quadratic]:
             stage = np.repeat(np.arange(self.N + 1), np.diff(group.begin))
             for part in parts:
                 columns = part[group.order]
-                (at,) = np.nonzero((columns >= first) & (columns < last))
-                read[stage[at], columns[at] - first] = True
+                (at,) = np.nonzero((columns >= first[stage]) & (columns < last[stage]))
+                read[stage[at], columns[at] - first[stage[at]]] = True
         return [np.flatnonzero(mask) for mask in read]
 
     # --- one place ---
@@ -375,7 +433,7 @@ class _Division:
         """Describe a function at one place."""
         rows = block.rows[:, place]
         if is_cost:
-            local, owner = np.where(self.weights[rows], rows, LEFT_OUT), _own(block, place, self)
+            local, owner = np.where(self.weights[rows], rows, LEFT_OUT), int(self.own_places(block, place)[0])
         else:
             local, owner = self.row_local[rows], int(self.row_owner[rows[0]])
         at = np.array([owner])
@@ -395,6 +453,7 @@ class _Division:
             data,
             float(block.scales[place]),
             factor,
+            block.plant,
         )
 
 
@@ -441,14 +500,6 @@ def _read_places(block: Block, division: _Division) -> _Reads:
     return reads
 
 
-def _own(block: Block, place: int, division: _Division) -> int:
-    """Return the stage of one place of a cost."""
-    one = np.array([place])
-    columns = tuple(p[:, one] if isinstance(p, np.ndarray) else p.restrict(one) for p in block.columns)
-    part = Block(block.function, columns, block.rows[:, one], block.stages[one])
-    return int(_read_places(part, division).owners(part.stages)[0])
-
-
 def _by_places(part: Column) -> Indices:
     """Return the variables that a part reads, (places, width)."""
     return part.T if isinstance(part, np.ndarray) else part.variables
@@ -458,19 +509,54 @@ def _take(entries: Triplets, chosen: Indices) -> Triplets:
     return Triplets(entries.row[chosen], entries.col[chosen], entries.value[chosen])
 
 
-def _count(stages: Stages) -> Numbering:
-    return Numbering(
-        stages.states.shape[1], len(stages.common), stages.inputs.shape[1], int(np.prod(stages.inner.shape[1:]))
-    )
+def stack(parts: Iterable[Triplets]) -> Triplets:
+    """Join entries."""
+    nothing = np.zeros(0, dtype=np.int64)
+    every = [Triplets(nothing, nothing, np.zeros(0)), *parts]
+    return Triplets(*(np.concatenate([getattr(t, name) for t in every]) for name in ("row", "col", "value")))
 
 
-def _place_variables(stages: Stages, size: int) -> tuple[Indices, Indices, Mask, Mask]:
+def find_chain(program: Program) -> Chain:
+    """Return the stages of a program."""
+    if program.chain is not None:
+        return program.chain
+    assert program.stages is not None, "a program in stages"
+    return program.stages.chain
+
+
+def _count(chain: Chain) -> tuple[Numbering, ...]:
+    """Number the groups of each stage.
+
+    A stage that follows no interval has room for inputs before it nevertheless, so that it is like the stages after it.
+    """
+    parts, found = chain.parts, []
+    for k, part in enumerate(parts):
+        follows = k > 0 and parts[k - 1].continuity.size == part.states.size
+        found.append(
+            Numbering(
+                states=part.states.size,
+                common=chain.common.size + chain.copied.size,
+                carried=(parts[k - 1] if follows else part).inputs.size,
+                inner=part.inner.size,
+                inputs=part.inputs.size,
+                following=parts[k + 1].states.size if k + 1 < len(parts) else 0,
+                continuity=part.continuity.size,
+            )
+        )
+    return tuple(found)
+
+
+def _list_bases(numbering: Numbering) -> tuple[int, ...]:
+    return (0, numbering.states, numbering.before, numbering.inside, numbering.now, numbering.after)
+
+
+def _place_variables(chain: Chain, size: int) -> tuple[Indices, Indices, Mask, Mask]:
     """Return the stage of each variable, its number in its group, and whether it is a state, or an input."""
-    offset = np.zeros(size, dtype=np.int64)
-    for part in (stages.states, stages.inputs, stages.inner):
-        flat = part.reshape(len(part), -1)
-        offset[flat] = np.arange(flat.shape[1])
-    offset[stages.common] = np.arange(len(stages.common))
+    stage, offset = np.full(size, COMMON), np.zeros(size, dtype=np.int64)
     is_state, is_input = np.zeros(size, dtype=bool), np.zeros(size, dtype=bool)
-    is_state[stages.states], is_input[stages.inputs] = True, True
-    return stages.variables(size), offset, is_state, is_input
+    for k, part in enumerate(chain.parts):
+        for group in (part.states, part.inputs, part.inner):
+            stage[group], offset[group] = k, np.arange(group.size)
+        is_state[part.states], is_input[part.inputs] = True, True
+    offset[chain.common] = np.arange(chain.common.size)
+    return stage, offset, is_state, is_input

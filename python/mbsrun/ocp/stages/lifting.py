@@ -5,6 +5,8 @@ equation and y as the dynamics. Of the other states, a continuity row a (next - 
 combination of variables, and each result of a kernel that an expression reads, becomes an inner variable as well:
 
     y - C (x, v) = 0,        y - kernel(x, v) = 0
+
+A stage that leaves the next states open has them as inputs, and its rows decide.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.ocp.functions import Array, Formula, Function, Indices, Input, KernelResult
-from mbsrun.ocp.stages.intervals import LEFT_OUT, Application, Functions, Numbering, Part, Triplets
+from mbsrun.ocp.stages.intervals import LEFT_OUT, Application, Functions, Part, Triplets, stack
 
 
 class Vector(Enum):
@@ -49,6 +51,7 @@ class Use:
     data: Indices
     factor: int | None
     targets: tuple[Targets, ...]
+    plant: int  # whose kernels it calls
 
 
 @dataclass(frozen=True)
@@ -73,22 +76,25 @@ class Stage:
         return {Vector.EQUATIONS: self.ne, Vector.DYNAMICS: self.nd, Vector.INEQUALITIES: self.ng}
 
 
-def lift(functions: Functions, numbering: Numbering) -> Stage:
+def lift(functions: Functions) -> Stage:
     """Write the functions of a stage in variables of the tables."""
-    return _Lifting(functions, numbering).lift()
+    return _Lifting(functions).lift()
+
+
+Key = tuple[int, str, str, tuple[str, ...], bytes]  # of a kernel's result: its plant, names, and inputs
 
 
 class _Lifting:
     """Variables are numbered as they are made: local numbers, then lifted ones; `lift` puts them in order."""
 
-    def __init__(self, functions: Functions, numbering: Numbering) -> None:
-        self.functions, self.numbering = functions, numbering
+    def __init__(self, functions: Functions) -> None:
+        self.functions, self.numbering = functions, functions.numbering
         self.lifted = 0
         self.combinations: dict[tuple[bytes, bytes], int] = {}
         self.equations: list[tuple[Indices, Array]] = []  # lifted combinations: variables, coefficients
         self.combined: list[int] = []  # lifted variables
-        self.computed: dict[tuple[str, str, tuple[str, ...], bytes], dict[int, int]] = {}
-        self.kernels: dict[tuple[str, str, tuple[str, ...], bytes], tuple[KernelResult, tuple[Indices, ...]]] = {}
+        self.computed: dict[Key, dict[int, int]] = {}
+        self.kernels: dict[Key, tuple[KernelResult, tuple[Indices, ...]]] = {}
         self.formulas: dict[int, Formula] = {}
         self.uses: list[tuple[Application, Function, tuple[Indices, ...]]] = []
 
@@ -98,7 +104,7 @@ class _Lifting:
             columns = tuple(self.find_part(part) for part in application.parts)
             function = application.function
             if isinstance(function, Formula):
-                function, columns = self.compute(function, columns)
+                function, columns = self.compute(function, columns, application.plant)
             self.uses.append((application, function, columns))
         copied, explicit = self.choose_dynamics()
         variables = self.order_variables(copied)
@@ -106,7 +112,7 @@ class _Lifting:
         at[variables[variables >= 0]] = np.flatnonzero(variables >= 0)
         numbering = self.numbering
         rows = self.order_rows(copied, explicit)
-        inner = numbering.inner * (not self.functions.is_last) + len(copied) + self.lifted
+        inner = len(rows) + self.lifted
         targets = self.place_rows(rows, explicit)
         uses = [self.use(*item, at, targets) for item in self.uses]
         linear: dict[Vector, list[Triplets]] = {vector: [] for vector in Vector}
@@ -115,11 +121,11 @@ class _Lifting:
         uses += self.write_lifted(linear, at, len(rows))
         nx = numbering.before + len(self.functions.carried)
         known = np.where(variables < numbering.size, variables, -1)
-        nd = 0 if self.functions.is_last else numbering.before + len(self.functions.next_carried)
+        following = numbering.following + numbering.common + len(self.functions.next_carried)
+        nd = 0 if self.functions.is_last else following
         rows_d = np.full(nd, -1)
         for row, (state, _) in explicit.items():
             rows_d[state] = row
-        assert len(rows) + self.lifted == inner, "as many inner variables as equations"
         return Stage(
             nx=nx,
             nv=len(variables) - nx,
@@ -127,7 +133,7 @@ class _Lifting:
             nd=nd,
             ng=self.functions.others,
             uses=tuple(uses),
-            linear={vector: _stack(parts) for vector, parts in linear.items()},
+            linear={vector: stack(parts) for vector, parts in linear.items()},
             quadratic=tuple((w, Triplets(at[t.row], at[t.col], t.value)) for w, t in self.functions.quadratic),
             variables=known,
             rows_e=np.concatenate((np.array(rows, dtype=np.int64), np.full(self.lifted, -1))),
@@ -160,7 +166,7 @@ class _Lifting:
             self.combined.append(self.combinations[key])
         return self.combinations[key]
 
-    def compute(self, formula: Formula, columns: Sequence[Indices]) -> tuple[Formula, tuple[Indices, ...]]:
+    def compute(self, formula: Formula, columns: Sequence[Indices], plant: int) -> tuple[Formula, tuple[Indices, ...]]:
         """Replace what kernels compute for a formula by variables; drop the inputs that it does not read itself."""
         given = dict(zip((part.kind for part in formula.inputs), columns, strict=True))
         read = {kind for kind, _ in formula.names.values()}
@@ -169,7 +175,8 @@ class _Lifting:
             entries = _list_entries(formula, kind)
             if entries:
                 inputs = tuple(given[name] for name in result.inputs)
-                kept[kind] = np.array([self.find_result(result, inputs, i) for i in entries], dtype=np.int64)
+                found = [self.find_result(result, inputs, i, plant) for i in entries]
+                kept[kind] = np.array(found, dtype=np.int64)
         return self.rewrite(formula), tuple(kept.values())
 
     def rewrite(self, formula: Formula) -> Formula:
@@ -178,9 +185,9 @@ class _Lifting:
             self.formulas[id(formula)] = rewrite(formula)
         return self.formulas[id(formula)]
 
-    def find_result(self, result: KernelResult, inputs: tuple[Indices, ...], entry: int) -> int:
+    def find_result(self, result: KernelResult, inputs: tuple[Indices, ...], entry: int, plant: int) -> int:
         """Return the variable that is an entry of a kernel's result."""
-        key = (result.kernel, result.result, result.inputs, np.concatenate(inputs).tobytes())
+        key = (plant, result.kernel, result.result, result.inputs, np.concatenate(inputs).tobytes())
         self.kernels.setdefault(key, (result, inputs))
         entries = self.computed.setdefault(key, {})
         if entry not in entries:
@@ -214,7 +221,11 @@ class _Lifting:
             row: (state - numbering.after, value) for row, (state, value) in targets.items() if state not in copied
         }
         chosen = sorted(state for state in copied if state < numbering.size)
-        assert len(chosen) + len(explicit) == numbering.states, "each next state follows from the rows of its interval"
+        if self.functions.is_open:
+            return list(range(numbering.after, numbering.size)), {}
+        assert len(chosen) + len(explicit) == numbering.following, (
+            "each next state follows from the rows of its interval"
+        )
         return chosen, explicit
 
     def list_read(self) -> Iterable[Indices]:
@@ -231,19 +242,17 @@ class _Lifting:
         """List the variables: states, inner ones, inputs."""
         numbering = self.numbering
         states = [*range(numbering.before), *(numbering.before + self.functions.carried)]
+        inner = [*range(numbering.inside, numbering.now)]
         lifted = range(numbering.size, numbering.size + self.lifted)
-        if self.functions.is_last:
-            return np.array([*states, *lifted], dtype=np.int64)
-        inner = range(numbering.inside, numbering.now)
-        return np.array([*states, *inner, *copied, *lifted, *range(numbering.now, numbering.after)], dtype=np.int64)
+        inputs = [*range(numbering.now, numbering.after)]
+        (inputs if self.functions.is_open else inner).extend(copied)
+        return np.array([*states, *inner, *lifted, *inputs], dtype=np.int64)
 
     def order_rows(self, copied: Sequence[int], explicit: Mapping[int, object]) -> list[int]:
         """List the equations by their local numbers, without the lifted ones."""
-        if self.functions.is_last:
-            return []
         numbering = self.numbering
         continuity = [row for row in range(numbering.inner, numbering.others) if row not in explicit]
-        assert len(continuity) == len(copied), "a copied state has an equation"
+        assert self.functions.is_open or len(continuity) == len(copied), "a copied state has an equation"
         return [*range(numbering.inner), *continuity]
 
     def place_rows(
@@ -279,7 +288,7 @@ class _Lifting:
                 found.append((vector, i, row, factor * application.scale))
         factor = None if application.factor is None else int(at[application.factor])
         read = tuple(at[part] for part in columns)
-        return Use(function, read, application.parameters, application.data, factor, _group(found))
+        return Use(function, read, application.parameters, application.data, factor, _group(found), application.plant)
 
     def write_matrix(
         self, linear: dict[Vector, list[Triplets]], at: Indices, places: Sequence[tuple[Vector, int, float]]
@@ -301,8 +310,9 @@ class _Lifting:
             return
         numbering = self.numbering
         pairs = [(state - numbering.after, state) for state in copied]
-        pairs += [(i, i) for i in range(numbering.states, numbering.before)]
-        pairs += [(numbering.before + r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
+        pairs += [(numbering.following + i, numbering.states + i) for i in range(numbering.common)]
+        first = numbering.following + numbering.common
+        pairs += [(first + r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
         linear[Vector.DYNAMICS].append(_gather([(row, int(at[variable]), 1.0) for row, variable in pairs]))
 
     def write_lifted(self, linear: dict[Vector, list[Triplets]], at: Indices, first: int) -> list[Use]:
@@ -321,7 +331,7 @@ class _Lifting:
             function = replace(result, entries=tuple(every[i] for i in found))
             rows = [first + variable - numbering.size for variable in found.values()]
             targets = _group([(Vector.EQUATIONS, i, row, -1.0) for i, row in enumerate(rows)])
-            uses.append(Use(function, tuple(at[part] for part in inputs), nothing, nothing, None, targets))
+            uses.append(Use(function, tuple(at[part] for part in inputs), nothing, nothing, None, targets, key[0]))
         return uses
 
 
@@ -358,12 +368,6 @@ def _group(found: Sequence[tuple[Vector, int, int, float]]) -> tuple[Targets, ..
 def _gather(entries: Sequence[tuple[int, int, float]]) -> Triplets:
     row, col, value = zip(*entries, strict=True) if entries else ((), (), ())
     return Triplets(np.array(row, dtype=np.int64), np.array(col, dtype=np.int64), np.array(value, dtype=np.float64))
-
-
-def _stack(parts: Sequence[Triplets]) -> Triplets:
-    none = _gather([])
-    every = [none, *parts]
-    return Triplets(*(np.concatenate([getattr(t, name) for t in every]) for name in ("row", "col", "value")))
 
 
 def _between(values: Indices, first: int, end: int) -> NDArray[np.bool_]:

@@ -109,7 +109,7 @@ _VECTORS = (Vector.EQUATIONS, Vector.DYNAMICS, Vector.INEQUALITIES)
 def list_given(uses: Sequence[Use], signatures: Signatures, functions: Functions) -> None:
     """Number all arguments that a plant fills, so that every script knows where they end."""
     for use in uses:
-        for _, given in signatures.find(use.function, Derivative.VALUE).given:
+        for _, given in signatures.find(use.function, Derivative.VALUE, use.plant).given:
             functions.place(given)
 
 
@@ -181,7 +181,7 @@ class _Writer:
 
     def call(self, use: Use, derivative: Derivative, weights: int = NONE) -> tuple[Signature, list[int]]:
         """Call a function; return where its results begin."""
-        signature = self.frame.signatures.find(use.function, derivative)
+        signature = self.frame.signatures.find(use.function, derivative, use.plant)
         arguments, results = [NONE] * signature.arguments, [NONE] * signature.results
         for filling, column in zip(signature.inputs, use.columns, strict=True):
             arguments[filling.position] = self.gather(column, filling.varying, filling.values)
@@ -348,7 +348,7 @@ def _write_hessian(stage: Stage, frame: Frame) -> tuple[Script, Nonzeros]:
         by = writer.weigh(weight, sigma)
         entries.append(_entries(H.row[lower], H.col[lower], H.value[lower], by, NONE))
     for use in stage.uses:
-        signature = frame.signatures.find(use.function, Derivative.HESSIAN)
+        signature = frame.signatures.find(use.function, Derivative.HESSIAN, use.plant)
         columns = np.concatenate([np.zeros(0, dtype=np.int64), *use.columns])
         if any(found.row.size for found in signature.found):
             _, places = writer.call(use, Derivative.HESSIAN, _lay_weights(writer, use, signature, multiplier))

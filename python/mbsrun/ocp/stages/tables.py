@@ -30,6 +30,7 @@ class KernelFunction:
 
     kernel: str
     derivative: Derivative
+    plant: int = 0
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,7 @@ class Given:
     kernel: str
     name: str
     size: int
+    plant: int = 0
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class StageProgram:
     bounded: Indices  # the same, but -1 where bounds are another copy's
     rows_e: Indices  # of each equation of a stage: the program's row, -1: one of these tables
     rows_d: Indices  # of each row of the dynamics, stage by stage: likewise
-    rows_g: Indices  # of each inequality, stage by stage: the program's row
+    rows_g: Indices  # of each inequality, stage by stage: the program's row, -1: one of these tables, which is 0
     fixed: Indices  # (count, 2): a variable, and the program's row whose bounds it has as well
     lifted: Indices  # variables y of these tables alone, whose equation is y - f(x, v) = 0
     lifted_rows: Indices  # these equations, by their numbers among all equations

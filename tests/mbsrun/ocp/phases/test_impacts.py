@@ -79,9 +79,13 @@ def drop(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str, str],
     return solve
 
 
-def test_a_ball_bounces(drop: Callable[[str, str], PhasedSolution]) -> None:
+METHODS = ("ipopt", "mbs")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_ball_bounces(drop: Callable[..., PhasedSolution], method: str) -> None:
     """From 1 m, with restitution 0.8, it rises to 0.64 m; its friction stops it along x."""
-    found = drop("0.5", "tip")
+    found = drop("0.5", "tip", f"solver: {{method: {method}}}")
     fall, speed = np.sqrt(2 / G), np.sqrt(2 * G)
     assert found.durations == pytest.approx([fall, 0.8 * fall], rel=1e-8)
     rise = found.phases[1].trajectory
@@ -107,17 +111,26 @@ def test_a_ball_slides_where_a_contact_holds_its_normal_alone(drop: Callable[[st
     assert found.phases[1].trajectory.qd[0, 0] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[[str, str], PhasedFailure]) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[..., PhasedFailure], method: str) -> None:
     """The impulse across, 0.25 N s, would be more than 0.01 times the normal one: no motion, and the link is named."""
-    failure = drop("0.5", "{sensor: tip, friction: 0.01}")
+    failure = drop("0.5", "{sensor: tip, friction: 0.01}", f"solver: {{method: {method}}}")
     assert isinstance(failure, PhasedFailure)
     assert "link fall to rise: friction at tip" in failure.finding
 
 
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("mass", ["parameters: {m: 0.7}", "unknowns: {m: {range: [0.7, 0.9], guess: 0.8}}"])
-def test_parameters_and_unknowns_reach_the_model_of_an_impact(drop: Callable[..., PhasedSolution], mass: str) -> None:
+def test_parameters_and_unknowns_reach_the_model_of_an_impact(
+    drop: Callable[..., PhasedSolution], mass: str, method: str
+) -> None:
     """The impulse of a ball of 0.7 kg; of the unknown mass, since the cost grows with it."""
-    found = drop("0", "tip", mass, "{expression: T}" if mass.startswith("p") else "{expression: T + m}")
+    found = drop(
+        "0",
+        "tip",
+        f"{mass}\nsolver: {{method: {method}}}",
+        "{expression: T}" if mass.startswith("p") else "{expression: T + m}",
+    )
     mass_found = 0.7 if mass.startswith("p") else found.unknown_values[0]
     assert mass_found == pytest.approx(0.7, abs=1e-7)
     impulse = found.values[0].impulses[0].components[2]

@@ -135,8 +135,8 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
     "shooting": ("scheme: radau", "form: shooting\nscheme: radau", "form: the shooting form takes no phases"),
     "method": (
         "degree: 3",
-        "degree: 3\nsolver: {method: mbs}",
-        "solver.method: mbs solves problems of one phase alone",
+        "degree: 3\nsolver: {method: mb}",
+        'solver.method: found "mb"',
     ),
     "unknown phase": ("from: first", "from: frst", 'links[0].from: there is no phase "frst"; did you mean "first"?'),
     "no phase": ("  - from: first\n    to", "  - to", "links[0].from: missing; there are first, second"),
