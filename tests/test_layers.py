@@ -34,7 +34,7 @@ class Package:
 MBSGEN = Package(
     source=ROOT / "generator" / "mbsgen",
     layers=(
-        "errors resources roles",
+        "errors resources roles style",
         "manifest expressions",
         "documents",
         "model",
@@ -78,7 +78,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits forms reading stack style",
+        "trust limits forms reading stack",
         "cache",
         "library models bare",
         "webassembly",
@@ -186,6 +186,7 @@ MBSRUN = Package(
         "mbsgen.roles",
         "mbsgen.expressions",
         "mbsgen.documents",
+        "mbsgen.style",
     ),
     # a model file given for a generated folder; formulas and controllers in C, and their folders; equations in 50
     # digits; the command of a study

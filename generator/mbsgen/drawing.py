@@ -17,7 +17,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
@@ -33,6 +32,7 @@ from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
 from mbsgen.model.symbols import exact, round_number, to_double, total
 from mbsgen.model.tree import Cut, Kind, Loop, LoopFrame, Motion, Sensor, Tree
+from mbsgen.style import PALETTE
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -40,7 +40,7 @@ from mbsgen.tape.types import Tape
 Array = NDArray[np.float64]
 
 FORMATS = ("png", "svg")
-COLORS = tuple(color for color in TABLEAU_COLORS if color != "tab:gray")
+COLORS = PALETTE[:-1]
 AXES = {Motion.REVOLUTE: "-", Motion.PRISMATIC: "--"}  # line styles of joint axes
 TURNED = {Motion.REVOLUTE: "about", Motion.PRISMATIC: "along"}
 INK = "0.35"  # of everything except bodies

@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
+from mbsgen.style import BAD, PALETTE, styled
 from mbsrun.measuring.sections import Picture
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt
@@ -28,7 +28,7 @@ from studies.docquier.results import Results
 
 Array = NDArray[np.float64]
 
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 SVG = "image/svg+xml"
 
 
@@ -64,7 +64,7 @@ def draw_targets(results: Results, plant: Plant) -> Picture:
         start = p[:, frame.parent] if frame.parent >= 0 else np.zeros(3)
         axes.plot(*np.stack((start, p[:, i]), axis=1), color="0.2", linewidth=3, marker="o", markersize=4)
     places = np.array([study.targets.position(place) for place in study.targets.places])
-    axes.plot(*places.T, ".", color="tab:red", markersize=4, label=f"{len(places)} targets")
+    axes.plot(*places.T, ".", color=BAD, markersize=4, label=f"{len(places)} targets")
     points = np.concatenate((places, p.T, np.zeros((1, 3))))
     middle, half = (points.max(0) + points.min(0)) / 2, np.ptp(points, axis=0).max() / 2 or 1.0
     for limit, centre in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
@@ -148,11 +148,12 @@ def draw_boxes(results: Results, figure_name: str, title: str, label: str) -> Pi
 
 
 def _draw_box(axes: Axes, values: Sequence[Array], names: Sequence[str]) -> None:
-    axes.boxplot(list(values), whis=1.5, sym="r+", tick_labels=list(names), medianprops={"color": "tab:red"})
+    axes.boxplot(list(values), whis=1.5, sym="+", tick_labels=list(names), medianprops={"color": BAD})
     axes.tick_params("x", labelsize="small", rotation=20)
     axes.grid(axis="y", alpha=0.3)
 
 
+@styled
 def draw_figures(results: Results, plant: Plant) -> list[Picture]:
     """Draw all figures that have numbers."""
     pictures = [draw_targets(results, plant)] if results.study.sensor is not None else []
@@ -174,6 +175,7 @@ def draw_figures(results: Results, plant: Plant) -> list[Picture]:
 # --- beyond the paper ----------------------------------------------------------------------------------------------
 
 
+@styled
 def draw_scatter(
     attempts: Sequence[Attempt],
     series: Callable[[Attempt], str],

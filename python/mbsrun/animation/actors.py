@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Appearance, Manifest, Mass, Point
+from mbsgen.style import PALETTE, mix
 from mbsrun.animation.film import Actor, Course, Kind, Layer, Line, Solid, Triple
 from mbsrun.quaternions import list_quaternions
 from mbsrun.skeleton import Skeleton
-from mbsrun.style import PALETTE, mix
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from mbsgen.manifest import Manifest, Point
+from mbsgen.style import PALETTE
 from mbsrun.animation.actors import BY_BODY, look_alike, make_actor
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Track, Triple, View
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
-from mbsrun.style import PALETTE
 
 Array = NDArray[np.float64]
 

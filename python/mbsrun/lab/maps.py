@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from mbsgen.style import BAD, PALETTE, styled
 from mbsrun.lab import chains, locks
 from mbsrun.lab.case import Loss, Report, Workspace
 from mbsrun.lab.digits import EXPLICIT
@@ -26,7 +27,7 @@ LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))
 FLOOR, TOP = 1e-17, 10.0  # the range of drawn errors
 WORST = 1e22  # the largest distinguished condition
-COLORS = {"EXP1": "tab:red", "EXP2": "tab:blue"}
+COLORS = {"EXP1": BAD, "EXP2": PALETTE[0]}
 NOWHERE = 1e-14  # rad: the place of the lock itself
 _COLUMNS = tuple(field.name for field in fields(Loss))
 
@@ -77,6 +78,7 @@ def measure_maps(workspace: Workspace, report: Report, *, quick: bool = False) -
     return losses
 
 
+@styled
 def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
     """Draw the maps, each with its table, and write captions of all files; return the paths."""
     paths = _write(losses, "map_condition", "Lost digits, the condition, and the estimate of `condition`", folder)

@@ -5,17 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 
+from mbsgen.style import PALETTE, save_figure, styled
 from mbsrun.linearisation.equations import Array, Linearisation
 
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 DECADES = 1.5  # shown below the lowest and above the highest frequency
 POINTS = 800
 MOST = 6  # lines in one picture
 
 
+@styled
 def plot_poles(found: Linearisation, path: Path) -> None:
     """Plot the poles."""
     figure = Figure(figsize=(6, 5), layout="constrained")
@@ -30,9 +31,10 @@ def plot_poles(found: Linearisation, path: Path) -> None:
     axes.set_title("Poles", loc="left")
     axes.margins(0.15)
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=120, metadata={"Software": None})
+    save_figure(figure, path)
 
 
+@styled
 def plot_responses(found: Linearisation, path: Path) -> None:
     """Plot the transfer functions from each input to each freedom: magnitude and phase."""
     frequencies = _choose_frequencies(found)
@@ -56,7 +58,7 @@ def plot_responses(found: Linearisation, path: Path) -> None:
     plots[1, 0].set_ylabel("phase [degrees]")
     for axes in plots.flat:
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=120, metadata={"Software": None})
+    save_figure(figure, path)
 
 
 def _choose_frequencies(found: Linearisation) -> Array:

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
+from mbsgen.style import PALETTE, styled
 from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
 from mbsrun.measuring.fronts import Mark, describe_front, find_front
 from mbsrun.measuring.kernels import KERNELS, SLOPES
@@ -26,7 +26,7 @@ from mbsrun.measuring.motions import Standard
 from mbsrun.measuring.optima import GridOptimum, OptimumPoint
 from mbsrun.measuring.points import KernelPoint, MotionPoint
 
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
@@ -43,6 +43,7 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
         picture.convert("RGB").quantize(SHADES, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
+@styled
 def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
     """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; return their paths."""
     pictures = {
@@ -59,6 +60,7 @@ def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
     return paths
 
 
+@styled
 def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
     """Draw simulation.png: error of place and drift of energy against processor time; return its path."""
     figure = Figure(figsize=(20, 11), layout="constrained")
@@ -89,6 +91,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     return [path]
 
 
+@styled
 def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> list[Path]:
     """Draw optimisation.png, a column for each control grid, and control_grid.png; return their paths."""
     figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
@@ -117,6 +120,7 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     return [path, _draw_grids(points, grids, folder)]
 
 
+@styled
 def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
     """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; return its path."""
     kernels = list(dict.fromkeys(p.kernel for p in points))

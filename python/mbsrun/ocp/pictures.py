@@ -10,13 +10,14 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import TABLEAU_COLORS, ListedColormap, Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Frame, Manifest
+from mbsgen.style import BAD, GOOD, PALETTE, save_figure, styled
 from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 WIDE = 5.0  # ratio of the highest cost to the lowest from which on the axis is logarithmic
 SMALLEST = 1e-15  # a defect that is shown
 POSES = 9  # of the mechanism, evenly in time
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # without its pale end
 
 
@@ -40,6 +41,7 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
     save(make_trajectories(solution, manifest), path)
 
 
+@styled
 def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
     """Plot coordinates, velocities and inputs over time."""
     t = read_times(solution.trajectory)
@@ -104,6 +106,7 @@ def draw_motion(
     _name(inputs, "Inputs", "u", _join(c.force_unit for c in actuated))
 
 
+@styled
 def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
     """Plot numbers over time by their names, all in one picture."""
     figure = Figure(figsize=(8, 4), layout="constrained")
@@ -149,6 +152,7 @@ def _plot_input(axes: Axes, trajectory: Trajectory, values: Array, points: Array
         axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, **style)
 
 
+@styled
 def plot_starts(starts: Starts, path: Path) -> None:
     """Plot the cost that each start found, the lowest first, by kind of start, and write the picture."""
     solved = sorted((start for start in starts.results if start.cost is not None), key=lambda start: start.cost or 0.0)
@@ -178,6 +182,7 @@ def plot_mesh(refinement: Rounds, path: Path) -> None:
     save(make_mesh(refinement), path)
 
 
+@styled
 def make_mesh(refinement: Rounds) -> Figure:
     """Plot the defect of every interval over time, round by round."""
     rounds = [each for each in refinement.rounds if each.defects]
@@ -186,7 +191,7 @@ def make_mesh(refinement: Rounds) -> Figure:
     for k, (axes, each) in enumerate(zip(panels, rounds, strict=False)):
         t, defects = np.array(each.times), np.maximum(each.defects, SMALLEST)
         is_accurate = defects <= refinement.accuracy
-        for chosen, color in ((is_accurate, "tab:green"), (~is_accurate, "tab:red")):
+        for chosen, color in ((is_accurate, GOOD), (~is_accurate, BAD)):
             axes.bar(t[:-1][chosen], defects[chosen], np.diff(t)[chosen], align="edge", color=color, alpha=0.5)
         axes.plot(t, np.full(t.size, SMALLEST), "|", color="black", markersize=8, clip_on=False)
         axes.axhline(refinement.accuracy, color="black", linewidth=0.8, linestyle="--")
@@ -203,6 +208,7 @@ def draw_mechanism(solution: Solution, plant: Plant, path: Path) -> None:
     save(make_mechanism(solution, plant), path)
 
 
+@styled
 def make_mechanism(solution: Solution, plant: Plant) -> Figure:
     """Draw the mechanism at several times, with the paths and targets of its sensors."""
     trajectory = solution.trajectory
@@ -218,8 +224,8 @@ def make_mechanism(solution: Solution, plant: Plant) -> Figure:
     for i, frame in enumerate(frames):
         if frame.sensor and frame.name in targets:
             name = plain(frame.name)
-            axes.plot(*p[:, :, i].T, color="tab:red", linewidth=1.5, label=f"path of {name}")
-            axes.plot(*targets[frame.name], "*", color="tab:red", markersize=14, label=f"target of {name}")
+            axes.plot(*p[:, :, i].T, color=BAD, linewidth=1.5, label=f"path of {name}")
+            axes.plot(*targets[frame.name], "*", color=BAD, markersize=14, label=f"target of {name}")
     axes.plot(0, 0, 0, "s", color="black", markersize=7, label="base")
     frame_up(axes, list_points(p))
     figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
@@ -313,4 +319,4 @@ def write_title(solution: Solution) -> str:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a picture; equal pictures have equal bytes."""
-    figure.savefig(path, dpi=150, metadata={"Software": None})  # a version there would change the bytes
+    save_figure(figure, path)

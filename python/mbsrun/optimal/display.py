@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbsgen.style import save_figure
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -41,7 +43,7 @@ class Picture:
 
     def save(self, path: str | Path) -> None:
         """Write the picture; the ending of the name gives the format."""
-        self.figure.savefig(path, dpi=150)
+        save_figure(self.figure, Path(path))
 
     def _repr_png_(self) -> bytes:
         stream = io.BytesIO()

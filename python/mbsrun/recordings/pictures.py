@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mbsgen.style import PALETTE, save_figure, styled
+
 Array = NDArray[np.float64]
 
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 NAMED = 12  # lines that a legend still names
 
 
@@ -26,6 +27,7 @@ class Panel:
     dots: Mapping[str, Array]  # samples, in the colour of the line of their name
 
 
+@styled
 def plot_panels(times: Array, panels: Sequence[Panel], title: str, path: Path) -> None:
     """Draw panels above each other, and write the picture."""
     shown = [panel for panel in panels if panel.lines]
@@ -42,7 +44,7 @@ def plot_panels(times: Array, panels: Sequence[Panel], title: str, path: Path) -
             axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
         axes.set_xlabel("time [s]" if panel is shown[-1] else "")
     figure.suptitle(_plain(title))
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+    save_figure(figure, path)
 
 
 def _plain(name: str) -> str:

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
+from mbsgen.style import BAD, NEUTRAL, PALETTE, save_figure, styled
 from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 FORMAT = "mbsrun simulation 1"
 SUMMARY, TRAJECTORY, PLOTS, ANIMATION = "simulation.json", "trajectory.csv", "plots.png", "animation.html"
 FILES = (SUMMARY, TRAJECTORY, PLOTS, ANIMATION)
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 NAMED = 12  # coordinates that a legend still names
 
 
@@ -122,9 +122,10 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
 def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
     """Write the picture of a motion."""
     figure = draw_motion(motion, manifest)
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+    save_figure(figure, path)
 
 
+@styled
 def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
     """Plot coordinates, velocities, inputs, energies and their drift over time."""
     rows = 4 + bool(motion.inputs.shape[1])
@@ -164,7 +165,7 @@ def _plot_energy(axes: Axes, motion: Motion) -> None:
     for name, values in (("kinetic", energy.kinetic), ("potential", energy.potential)):
         axes.plot(motion.t, values, label=name, linewidth=1)
     axes.plot(motion.t, energy.total, label="total", color="black")
-    axes.plot(motion.t, energy.total[0] + energy.work, "--", label="start + work", color="tab:red")
+    axes.plot(motion.t, energy.total[0] + energy.work, "--", label="start + work", color=BAD)
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
 
 
@@ -178,8 +179,8 @@ def _plot_drift(axes: Axes, motion: Motion) -> None:
         return
     least = max(energy.rounding, np.finfo(float).tiny)  # 0 has no place on this scale
     axes.semilogy(motion.t, np.maximum(np.abs(energy.drift), least), color="black", label="drift", linewidth=1)
-    axes.axhline(max(energy.tolerated, least), linestyle="--", color="tab:red", label="warning above")
-    axes.axhline(least, linestyle=":", color="tab:gray", label="rounding")
+    axes.axhline(max(energy.tolerated, least), linestyle="--", color=BAD, label="warning above")
+    axes.axhline(least, linestyle=":", color=NEUTRAL, label="rounding")
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TABLEAU_COLORS
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mbsgen.style import BAD, PALETTE, save_figure, styled
 from mbsrun.external import Mechanism
 from mbsrun.ocp.problem import Problem, Range
 from mbsrun.tracking.analysis import TAIL, Margin, Measured, Times, follow_references, read_quantities
@@ -18,12 +18,13 @@ from mbsrun.tracking.loop import Track
 
 Array = NDArray[np.float64]
 
-COLORS = tuple(TABLEAU_COLORS)
+COLORS = PALETTE
 NAMED = 12  # lines that a legend still names
 BINS = 40
 LONGEST = 32  # characters of a name in a legend
 
 
+@styled
 def draw_track(
     track: Track, problem: Problem, measured: Sequence[Measured], margins: Sequence[Margin], plant: Mechanism
 ) -> Figure:
@@ -58,6 +59,7 @@ def draw_track(
     return figure
 
 
+@styled
 def draw_times(track: Track, times: Times) -> Figure:
     """Draw the histogram of computing times, from a state to inputs."""
     figure = Figure(figsize=(8, 3.6), layout="constrained")
@@ -68,7 +70,7 @@ def draw_times(track: Track, times: Times) -> Figure:
     axes.set_xscale("log")
     for name, value, line in (("median", times.median, "-"), (f"{TAIL} %", times.tail, "--")):
         axes.axvline(1e3 * value, color="black", linestyle=line, linewidth=1, label=f"{name}: {1e3 * value:.3g} ms")
-    axes.axvline(1e3 * track.trial.period, color="tab:red", linewidth=1, label="sampling period")
+    axes.axvline(1e3 * track.trial.period, color=BAD, linewidth=1, label="sampling period")
     axes.set_xlabel("processor time of a sample [ms]")
     axes.set_ylabel("samples")
     axes.legend(frameon=False)
@@ -77,7 +79,7 @@ def draw_times(track: Track, times: Times) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a picture."""
-    figure.savefig(path, dpi=120, metadata={"Software": None})  # a version there would change the bytes
+    save_figure(figure, path)
 
 
 def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:

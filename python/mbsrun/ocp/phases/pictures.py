@@ -12,6 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from mbsgen.style import styled
 from mbsrun.animation import render_parts
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.phases.problem import Plants
@@ -36,6 +37,7 @@ NARROWEST = 0.15  # the width of a short phase's panels, relative to the longest
 POSES = 5  # of each phase
 
 
+@styled
 def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> Figure:
     """Plot coordinates, velocities, inputs, and what phases add over time: a column for each phase."""
     manifests = [plant.manifest for plant in plants.phases]
@@ -70,6 +72,7 @@ def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution
     return figure
 
 
+@styled
 def make_phased_mechanism(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> Figure:
     """Draw the mechanisms of all phases on their way."""
     figure = Figure(figsize=(8, 7), layout="constrained")
