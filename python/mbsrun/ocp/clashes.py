@@ -1,18 +1,28 @@
-"""Rows of a program in the words of its problem: the ones that stay violated where a search finds no motion."""
+"""Rows and bounds of a program in the words of its problem: the ones that clash where a search finds no motion.
+
+A search ends in an infeasible problem at a point where no small change reduces the violation. There, conditions of the
+problem stay violated, and bounds and ranges at their limits keep them so: both together clash. Equations of motion and
+their discretisation are named where no condition of the problem is violated.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.functions import Indices
+from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.program import Program
+from mbsrun.ocp.structure import Structure
 from mbsrun.ocp.transcription import Transcription
 from mbsrun.ocp.writing import find_targets
 from mbsrun.quaternions import find_quaternion
 
 SHOWN = 4  # descriptions of a failure
+VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
+ACTIVE = 1e-4  # relative, and absolute below 1: a value as near to a limit is at it, for methods of interior points
 _AXES = "xyz"
 
 _IN_INTERVALS: Mapping[str, str] = {  # rows by interval, and their descriptions
@@ -23,11 +33,106 @@ _IN_INTERVALS: Mapping[str, str] = {  # rows by interval, and their descriptions
 }
 
 
+@dataclass(frozen=True)
+class Found:
+    """A point where a search ended: variables and rows, with their limits."""
+
+    x: Array
+    bounds: tuple[Array, Array]
+    g: Array
+    row_bounds: tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class Names:
+    """The descriptions of variables and rows by their numbers, and the rows that no condition of the problem is."""
+
+    variables: Mapping[int, str]
+    rows: Mapping[int, str]
+    inner: frozenset[int]
+
+
+def describe_point(found: Found, names: Names) -> str:
+    """Describe the violated rows at a point, the worst first, and what is at its limits there."""
+    lower, upper = found.row_bounds
+    excess = np.nan_to_num(np.maximum(lower - found.g, found.g - upper))
+    worst = [row for row in np.argsort(-excess).tolist() if excess[row] > VIOLATED and row in names.rows]
+    own = [row for row in worst if row not in names.inner]
+    violated = _shorten([names.rows[row] for row in own or worst])
+    if not violated:
+        return ""
+    limits = [names.variables[i] for i in _find_active(found.x, *found.bounds) if i in names.variables]
+    limits += [names.rows[row] for row in _find_active(found.g, lower, upper) if row in names.rows]
+    kept = [text for text in limits if text not in {names.rows[row] for row in own}]
+    return violated + (f"; at their limits: {_shorten(kept)}" if kept else "")
+
+
+def _find_active(values: Array, lower: Array, upper: Array) -> list[int]:
+    """Find the values within a range that are at one of its ends; given values are no range."""
+    near = ACTIVE * (1 + np.abs(values))
+    is_active = (np.abs(values - lower) <= near) | (np.abs(values - upper) <= near)
+    return [int(i) for i in np.flatnonzero(is_active & (lower < upper))]
+
+
+def _shorten(texts: Sequence[str]) -> str:
+    found = list(dict.fromkeys(texts))
+    return ", ".join(found[:SHOWN]) + (", ..." if len(found) > SHOWN else "")
+
+
+def name_parts(transcription: Transcription, manifest: Manifest) -> Names:
+    """Describe all variables and rows of a program."""
+    rows, extras = transcription.rows, transcription.rows.extras
+    inner = (rows.states, rows.dynamics, rows.closure, rows.continuity, extras.rates, extras.given, extras.contacts)
+    known = frozenset(int(row) for part in inner for row in np.ravel(part))
+    variables = {i: text for found, text in _list_variables(transcription, manifest) for i in np.ravel(found).tolist()}
+    return Names(variables, name_rows(transcription, manifest), known)
+
+
+def see_solver(names: Names, program: Program) -> Names:
+    """Number variables and rows as a solver sees them."""
+    at = {int(i): k for k, i in enumerate(program.kept)}
+    at_row = {int(i): k for k, i in enumerate(program.kept_rows)}
+    return Names(
+        {at[i]: text for i, text in names.variables.items() if i in at},
+        {at_row[i]: text for i, text in names.rows.items() if i in at_row},
+        frozenset(at_row[i] for i in names.inner if i in at_row),
+    )
+
+
+def _list_variables(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[Indices, str]]:
+    """List groups of variables with bounds, and the descriptions of these."""
+    shape, layout, extras = transcription.structure, transcription.layout, transcription.layout.extras
+    names = [c.name for c in manifest.coordinates]
+    states = [*manifest.positions, *(f"the velocity of {names[i]}" for i in layout.motions.velocities)]
+    inputs = [f"the input {names[manifest.actuated[i]]}" for i in extras.free]
+    given = [f"the input {names[manifest.actuated[i]]}" for i in extras.given]
+    for parts, texts in (
+        ((layout.mesh, layout.points), states),
+        ((layout.inputs, layout.point_inputs), inputs),
+        ((extras.states, extras.point_states), _name_states(shape)),
+        ((extras.controls, extras.point_controls), shape.added.controls),
+        ((extras.forces,), given),
+    ):
+        for part in parts:
+            for k, text in enumerate(texts if part.shape[-1] else ()):
+                yield part[..., k], f"the bounds of {text}"
+    if layout.horizon is not None:
+        yield np.array([layout.horizon]), "the range of the horizon"
+    yield from _name(layout.unknowns, (f"the range of {name}" for name in shape.added.unknowns))
+
+
+def _name_states(shape: Structure) -> list[str]:
+    """Name the states that a problem adds; integrals by their expressions."""
+    return [
+        f"the integral of {rate}" if name.startswith("@") else name
+        for name, rate in zip(shape.added.states, shape.rates, strict=True)
+    ]
+
+
 def describe(rows: Sequence[int], transcription: Transcription, manifest: Manifest) -> str:
     """Describe the rows that stay violated, each group once; empty where there are none."""
     known = name_rows(transcription, manifest)
-    texts = list(dict.fromkeys(known[row] for row in rows if row in known))
-    return ", ".join(texts[:SHOWN]) + (", ..." if len(texts) > SHOWN else "")
+    return _shorten([known[row] for row in rows if row in known])
 
 
 def name_rows(transcription: Transcription, manifest: Manifest) -> dict[int, str]:
@@ -63,7 +168,7 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
     yield rows.acceleration, "end: no acceleration"
     yield from _name(rows.velocities, (f"end: the velocity of {names[i]}" for i in shape.velocities))
     yield from _name(rows.accelerations, (f"end: the acceleration of {names[i]}" for i in shape.accelerations))
-    added = shape.added.states
+    added = _name_states(shape)
     yield from _name(rows.extras.start, (f"start: {name}" for name in added))
     yield from _name(rows.extras.end, (f"end: {added[i]}" for i in shape.ending))
     for k in range(shape.intervals):

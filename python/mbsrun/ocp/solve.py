@@ -19,7 +19,7 @@ from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
-from mbsrun.ocp.clashes import describe
+from mbsrun.ocp.clashes import Found, describe, describe_point, name_parts, see_solver
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.design import equip
@@ -29,7 +29,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.surplus import leave_out_surplus
 from mbsrun.ocp.trajectory import Trajectory
@@ -88,7 +88,7 @@ class Solver:
         run, found, clash = search(x, lambda x: self._call(problem, x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
-            named = describe(clash, self.transcription, self.plant.manifest)
+            named = self._describe(problem, run, found, clash)
             return Failure(problem, run, f"{finding}: {named}" if named else finding, remedy)
         solution = self._solution(problem, run, found)
         gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
@@ -96,6 +96,15 @@ class Solver:
             finding, remedy = explain(OPEN, run.iterations)
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         return solution
+
+    def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
+        """Describe what clashes: the violated rows and what is at its limits, or rows that cross before any search."""
+        own = self.transcription
+        if run.status not in INFEASIBLE or not run.iterations or not np.isfinite(x).all():
+            return describe(clash, own, self.plant.manifest)
+        g = self.program.casadi.constraint(x, own.parameters(problem)).full().ravel()
+        names = see_solver(name_parts(own, self.plant.manifest), own.program)
+        return describe_point(Found(x, own.variable_bounds(problem), g, own.constraint_bounds(problem)), names)
 
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
         """Run the solver from x; return the run, the variables, and the rows that stay violated."""

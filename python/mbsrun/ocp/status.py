@@ -10,6 +10,7 @@ ACCEPTABLE = "Solved_To_Acceptable_Level"
 UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
+INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")

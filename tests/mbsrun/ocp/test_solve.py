@@ -13,13 +13,13 @@ from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.methods.ipopt import pair
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term, cylindrical
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, SolverOptions, Term, cylindrical
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
 from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
 from mbsrun.ocp.transcription import transcribe
-from tests.mbsrun.ocp.plants import FREE_RANGE, push
+from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism, push
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
 
 
@@ -305,12 +305,32 @@ def test_an_optimum_survives_being_moved_a_little() -> None:
     assert again.cost.total == pytest.approx(first.cost.total, rel=1e-9)
 
 
+def residual_of_a_mass() -> tuple[ca.SX, tuple[ca.SX, ...]]:
+    q, qd, qdd, u = symbols = tuple(ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    return qdd - u + 0 * q + 0 * qd, symbols
+
+
 def test_an_infeasible_problem_is_a_failure() -> None:
-    """1 m in 1 s from rest to rest needs |u| >= 4: with 2 there is no way."""
-    weak = replace(push(8), bounds=Bounds((FREE_RANGE,), (FREE_RANGE,), ((-2.0, 2.0),)))
-    outcome = solve(weak, double_integrator())
-    assert isinstance(outcome, Failure)
-    assert outcome.run.status == "Infeasible_Problem_Detected"
+    """1 m in 1 s from rest to rest needs |u| >= 4, and rates of the inputs, and |qd| >= 1: with less there is no way.
+
+    The message names conditions that stay violated, and the limits that keep them so.
+    """
+    weak = Bounds((FREE_RANGE,), (FREE_RANGE,), ((-2.0, 2.0),))
+    lazy = Bounds((FREE_RANGE,), (FREE_RANGE,), (FREE_RANGE,), rates=((-1.0, 1.0),))
+    slow = Constraint("qd_x", (-np.inf, 0.5))
+    own = mechanism(("x",), *residual_of_a_mass())
+    for problem, limit in (
+        (replace(push(8), bounds=weak), "the bounds of the input x"),
+        (replace(push(8), bounds=lazy), "the rate of the input x"),
+        (replace(push(8), constraints=(slow,)), "constraint qd_x"),
+    ):
+        outcome = solve(problem, own)
+        assert isinstance(outcome, Failure)
+        assert outcome.run.status == "Infeasible_Problem_Detected"
+        conditions, limits = outcome.finding.split("; at their limits: ")
+        assert "end: x" in conditions
+        assert "interval" not in conditions
+        assert limit in limits
 
 
 def test_too_few_iterations_are_a_failure(arm: Peer, reach: Problem) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.clashes import SHOWN, name_rows
+from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
@@ -42,8 +42,6 @@ from mbsrun.ocp.solve import (
 )
 from mbsrun.ocp.state_guess import complete, guess_largest
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
-
-VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
 
 
 class PhasedSolver:
@@ -129,22 +127,22 @@ class PhasedSolver:
         return call(solver, Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch)))
 
     def _name_violated(self, x: Array) -> str:
-        """Describe the rows that stay violated, the worst first."""
-        own = self.transcription
+        """Describe the rows that stay violated, the worst first, and the bounds and ranges at their limits."""
+        own, problem = self.transcription, self.problem
         if not np.isfinite(x).all():
             return ""
-        g, (lower, upper) = self._evaluate(x), own.constraint_bounds(self.problem)
-        excess = np.nan_to_num(np.maximum(lower - g, g - upper))
-        known: dict[int, str] = {}
+        variables, rows, inner = dict[int, str](), dict[int, str](), set[int]()
         for part, offset, phase, plant in zip(
-            own.phases, own.offsets, self.problem.phases, self.plants.phases, strict=False
+            own.phases, own.offsets, problem.phases, self.plants.phases, strict=False
         ):
-            texts = name_rows(part, plant.manifest)
-            known |= {offset.rows + row: f"phase {phase.name}: {text}" for row, text in texts.items()}
-        known |= {row: text for rows, text in own.texts for row in rows.tolist()}
-        worst = [row for row in np.argsort(-excess).tolist() if excess[row] > VIOLATED and row in known]
-        texts_found = list(dict.fromkeys(known[row] for row in worst))
-        return ", ".join(texts_found[:SHOWN]) + (", ..." if len(texts_found) > SHOWN else "")
+            names, text = name_parts(part, plant.manifest), f"phase {phase.name}: "
+            variables |= {offset.variables + i: text + found for i, found in names.variables.items()}
+            rows |= {offset.rows + row: text + found for row, found in names.rows.items()}
+            inner |= {offset.rows + row for row in names.inner}
+        rows |= {row: text for found, text in own.texts for row in found.tolist()}
+        bounds, row_bounds = own.variable_bounds(problem), own.constraint_bounds(problem)
+        found = Found(x, bounds, self._evaluate(x), row_bounds)
+        return describe_point(found, Names(variables, rows, frozenset(inner)))
 
     # --- the solution ---
 

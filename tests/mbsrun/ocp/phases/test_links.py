@@ -249,6 +249,19 @@ def test_conditions_that_contradict_a_link_are_named() -> None:
     assert "link first to second: " in outcome.finding
 
 
+def test_bounds_that_no_motion_through_the_phases_keeps_are_named(cart: Peer, whole: Solution) -> None:
+    problem = split(swing_up())
+    weak = tuple(
+        replace(phase, problem=replace(phase.problem, bounds=replace(phase.problem.bounds, u=((-3.0, 3.0),))))
+        for phase in problem.phases
+    )
+    outcome = solve_phases(replace(problem, phases=weak), Plants((cart, cart)), guess=Guess(cut(whole.trajectory)))
+    assert isinstance(outcome, PhasedFailure)
+    conditions, limits = outcome.finding.split("; at their limits: ")
+    assert "link first to second: pole" in conditions
+    assert ": the bounds of the input cart" in limits
+
+
 def test_each_phase_is_refined_until_it_is_accurate(cart: Peer, whole: Solution) -> None:
     """The first phase asks for more than the second one, which is accurate from the start, and keeps its grid."""
     problem = split(swing_up())

@@ -64,8 +64,10 @@ def test_an_infeasible_problem_names_rows_that_clash(swing: tuple[Problem, OnDem
     outcome = solve(replace(problem, bounds=replace(problem.bounds, u=((-0.5, 0.5),))), plant)
     assert isinstance(outcome, Failure)
     assert outcome.run.status == "Infeasible_Problem_Detected"
-    assert "contradict each other: " in outcome.finding
-    assert "interval" in outcome.finding
+    conditions, limits = outcome.finding.split("contradict each other: ")[1].split("; at their limits: ")
+    assert "end: pole" in conditions
+    assert "interval" not in conditions
+    assert limits == "the bounds of the input cart"
 
 
 def test_a_start_beyond_its_bounds_is_named(swing: tuple[Problem, OnDemand]) -> None:
