@@ -32,7 +32,7 @@ FEWER = {
     " --emulate": "",  # the tests of controllers run it
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
-TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES)}  # skipped without them
+TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES), "docs/rust.md": ("cargo",)}  # skipped without them
 SHELL = ("bash", "-euo", "pipefail", "-c")
 SEPARATE = "README.md"  # its commands are started as a user starts them, each in a new process
 

@@ -41,7 +41,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     },
     {"Simulate": ["simulation.md", "playground.md", "fmu.md"]},
     {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
-    {"Control": ["controller.md", "cpp.md", "track.md", "microcontroller.md", "acados.md"]},
+    {"Control": ["controller.md", "cpp.md", "rust.md", "julia.md", "track.md", "microcontroller.md", "acados.md"]},
     {
         "Trust": ["accuracy.md", "laboratory.md", "reproduction.md", "study/README.md", "laboratory/verdicts.md"],
     },

@@ -18,8 +18,10 @@ from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.cpp import list_headers, write_cpp
 from mbsgen.targets.fmu import pack_source
+from mbsgen.targets.julia import write_julia
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python import write_python
+from mbsgen.targets.rust import write_rust
 from mbsgen.targets.unit import Unit
 
 
@@ -60,6 +62,8 @@ TARGETS: tuple[Target, ...] = (
         headers=list_headers,
     ),
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
+    Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", write_rust),
+    Target("julia", "Also write a Julia module that calls the C.", write_julia),
     Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
