@@ -49,7 +49,6 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
   mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 2.0, 3.0)
   mbsrun playground MODEL -o FILE  write a page on which the model moves, computed by its own C
-  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 3.0)
   mbsrun lab                    run the cases in which methods fail, and judge
   mbsrun cache                  list generated and compiled files, or clear them
 
