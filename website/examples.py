@@ -48,6 +48,15 @@ def _solve(name: str, title: str, text: str, problem: str, model: str, options: 
     )
 
 
+def _play(model: str, title: str, text: str, options: str = "", before: str = "") -> Example:
+    """Return a page that computes by the model's own C."""
+    page, picture = f"build/{model}.html", f"build/{model}.png"
+    commands = (
+        f"mbsrun playground models/{model}.yaml{options} -o {page}\nmbsgen show models/{model}.yaml -o {picture}\n"
+    )
+    return Example(f"play_{model}", title, text, before + commands, picture, (page, f"models/{model}.yaml"))
+
+
 def _phases(name: str, title: str, text: str, problem: str, models: Sequence[str]) -> Example:
     """Return an optimal motion in phases; exit code 1 says that a grid is coarser than the accuracy asked for."""
     return Example(
@@ -202,6 +211,17 @@ _TOOLS = (
         ("models/cart_pole.yaml",),
     ),
 )
+_PLAYGROUNDS = (
+    _play("six_axis", "A six-axis robot to play with", "Sliders move the joints; tables show torques and their cost."),
+    _play("quadruped", "A quadruped to play with", "Eighteen coordinates, in four formulations."),
+    _play(
+        "cart_pole",
+        "A cart-pole, and its controller, to play with",
+        "A predictive controller in C swings the pole up, in the page itself; a regulator holds it.",
+        " --controller build/swing_up --pose pole=pi --regulate 0.1",
+        "mbsrun controller models/cart_pole_swing_up.ocp.yaml -o build/swing_up\n",
+    ),
+)
 _WHOLE = (
     _phases(
         "walker",
@@ -250,4 +270,4 @@ _WHOLE = (
         ("models/recorded/arm.yaml", "models/recorded/swing.trc", "build/markers/motion.csv"),
     ),
 )
-EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_WHOLE, *_TOOLS)
+EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_WHOLE, *_TOOLS, *_PLAYGROUNDS)

@@ -192,7 +192,7 @@ and second derivatives. Simulation, optimal control and controllers are built on
 | see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
 | describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
-| play with it | [A playground](playground.md): one page that computes by its C, as in [the gallery](gallery/index.md) |
+| play with it | [A playground](playground.md): one page that computes by its C, as in the [gallery](gallery/index.md) |
 | call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |
 | find an optimal motion | [The problem file](problem.md) |
 | control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |

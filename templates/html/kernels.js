@@ -65,9 +65,9 @@ async function loadModel(data) {
     return Object.fromEntries(functions[name].results.map((result) => [result.name, read(result)]));
   }
 
-  function set(role, values) {
+  function set(role, values) { // returns the status of the set-up that parameters need
     view(role).set(values);
-    if (role === "parameter" && "setup" in functions) run("setup");
+    return role === "parameter" && "setup" in functions ? run("setup") : 0;
   }
 
   function slope(form) { // rates of coordinates and velocities, or null

@@ -45,7 +45,7 @@
     const values = model.get(role);
     values[index] = x;
     if (role === "coordinate") normalise(values);
-    model.set(role, values);
+    say(model.set(role, values) ? "these parameters are out of the range that the functions accept" : "");
     if (role === "coordinate" || role === "velocity") began = null;
     refresh();
   };

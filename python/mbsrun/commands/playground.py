@@ -74,5 +74,4 @@ def playground_command(
 
 def _regulate(kernels: Kernels, poses: Sequence[str], weight: float) -> dict[str, Any]:
     pose = find_pose(kernels, read_numbers(poses, kernels.manifest.positions, "--pose"))
-    found = linearise(kernels, balance(kernels, pose, {}))
-    return describe_regulator(found, found.regulate(weight), weight)
+    return describe_regulator(kernels.manifest, linearise(kernels, balance(kernels, pose, {})), weight)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Coordinate, Kernel, Manifest
@@ -53,14 +52,19 @@ def describe_machine(kernels: Kernels) -> dict[str, Any]:
     }
 
 
-def describe_regulator(found: Linearisation, gains: NDArray[np.float64], weight: float) -> dict[str, Any]:
-    """Return linear feedback about an equilibrium, u = u0 - gains (q - q0, qd)."""
+def describe_regulator(manifest: Manifest, found: Linearisation, weight: float) -> dict[str, Any]:
+    """Return the feedback of `Linearisation.regulate`, u = u0 - gains (q - q0, qd).
+
+    Raises PlaygroundError for quaternions, which are no such differences.
+    """
+    if manifest.configuration:
+        raise PlaygroundError(f"{manifest.model} has quaternions; the page regulates joints that turn or slide alone")
     return {
         "kind": "regulator",
         "name": f"linear-quadratic regulator, weight {weight:g}",
         "pose": found.equilibrium.q.tolist(),
         "inputs": found.equilibrium.u.tolist(),
-        "gains": gains.tolist(),
+        "gains": found.regulate(weight).tolist(),
     }
 
 

@@ -173,7 +173,7 @@ def test_the_module_computes_the_numbers_of_the_native_kernels(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """To 1e-14 of the largest entry, with other parameters than the model's; WebAssembly has no fused multiply-add."""
-    monkeypatch.setenv("CFLAGS", "-ffp-contract=off")
+    monkeypatch.setenv("CFLAGS", "-ffp-contract=off -O1")
     kernels, page = load(case.place / "cart.yaml", extent=EXTENT), case.page
     if model == "satellite":
         kernels, page = load(ROOT / "models" / "satellite.yaml", extent=EXTENT), tmp_path / "page.html"
@@ -275,6 +275,9 @@ def test_mechanisms_and_controllers_that_do_not_fit_are_refused(
         render_playground(load(ROOT / "models" / "four_bar.yaml", extent=EXTENT))
     with pytest.raises(PlaygroundError, match=r"home: controls .* with other states or inputs than satellite has"):
         describe_controller(case.place / "home", load(ROOT / "models" / "satellite.yaml", extent=EXTENT).manifest)
+    with pytest.raises(PlaygroundError, match="satellite has quaternions"):
+        run("playground", ROOT / "models" / "satellite.yaml", "--regulate", "1", "-o", case.place / "satellite.html")
+    assert not (case.place / "satellite.html").exists()
     done = CliRunner().invoke(cli, ["playground", "cart.yaml", "--pose", "pole=1"])
     assert (done.exit_code, "give both" in done.output) == (2, True)
     monkeypatch.setattr("mbsrun.library.find_spec", lambda _: None)
