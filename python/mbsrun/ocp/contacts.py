@@ -135,7 +135,8 @@ def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
     q = np.array(problem.start_q) + np.linspace(0.1, 0.7, len(problem.start_q))  # any pose
     for quaternion in list_quaternions(manifest):
         q[quaternion.entries] /= np.linalg.norm(q[quaternion.entries])
-    if not problem.contacts or not np.isfinite(q).all():
+    every = (*problem.contacts, *problem.touching)
+    if not every or not np.isfinite(q).all():
         return
     none = {"qd": np.zeros(n), "qdd": np.zeros(n), "u": np.zeros(len(manifest.actuated))}
     state: dict[str, Any] = {"q": q, **none, "w": np.zeros(len(name_components(manifest)))}
@@ -145,7 +146,7 @@ def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
     velocities = [find_velocities(plant, q, qd) for qd in np.eye(n)]
     start = find_velocities(plant, np.array(problem.start_q), np.array(problem.start_qd))
     free = set(problem.free_start)
-    for k, contact in enumerate(problem.contacts):
+    for k, contact in enumerate(every):
         held, entries = list_held([contact], manifest), list_entries(contact, manifest)
         moved = np.array([v[list(entries)] for v in velocities])  # (n, axes)
         difference = np.abs(by_force[:, list(held)] - moved).max(initial=0.0)
@@ -153,7 +154,7 @@ def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
             finding = f"the force of {contact.wrench} does not act at {contact.sensor}"
             yield (f"contacts[{k}]", finding, "let the model place both at the same point of one body")
         slip = np.abs(start[list(entries)]).max(initial=0.0)
-        if not free and slip > SAME:
+        if not free and slip > SAME and k < len(problem.contacts):
             finding = f"{contact.sensor} moves at the start, at {slip:.3g} m/s"
             yield (f"contacts[{k}]", finding, "give a start at which it stands, or free velocities")
 

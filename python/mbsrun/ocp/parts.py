@@ -16,7 +16,19 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
-from mbsrun.ocp.problem import Contact, Control, Force, Integral, Problem, Range, State, Unknown, WrenchComponent
+from mbsrun.ocp.problem import (
+    Constraint,
+    Contact,
+    Control,
+    Force,
+    Integral,
+    Problem,
+    Range,
+    Relaxation,
+    State,
+    Unknown,
+    WrenchComponent,
+)
 from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.referring import Referring
 from mbsrun.ocp.sections import (
@@ -25,11 +37,14 @@ from mbsrun.ocp.sections import (
     IntegralSection,
     Limits,
     ProblemSection,
+    RelaxationSection,
     StateSection,
     UnknownForceSection,
     UnknownSection,
     WrenchSection,
 )
+from mbsrun.ocp.touching import find_faults as find_touching_faults
+from mbsrun.ocp.touching import list_components, list_constraints
 from mbsrun.quantities import find_component
 from mbsrun.reading import Reading
 
@@ -174,6 +189,50 @@ class PartReading(Reading):
 
     def contacts(self, given: Sequence[ContactSection]) -> tuple[Contact, ...]:
         """Read the points that stand on the ground."""
+        return tuple(contact for contact, section in self._read_contacts(given) if section.mode == "stand")
+
+    def touching(
+        self, given: Sequence[ContactSection], relaxation: Relaxation, wrenches: tuple[WrenchComponent, ...]
+    ) -> tuple[tuple[Contact, ...], tuple[Constraint, ...], tuple[WrenchComponent, ...]]:
+        """Read the points whose times of contact are not given, their constraints, and components of their forces."""
+        found: list[Contact] = []
+        constraints: list[Constraint] = []
+        added: list[WrenchComponent] = []
+        for i, (contact, section) in enumerate(self._read_contacts(given)):
+            if section.mode == "stand":
+                if section.height is not None:
+                    self.fault(("contacts", i, "height"), "a point that stands keeps its place", "leave the height out")
+                continue
+            faults = list(find_touching_faults(contact, self.manifest))
+            for key, finding, remedy in faults:
+                self.fault(("contacts", i, key), finding, remedy)
+            if not faults:
+                height = 0.0 if section.height is None else self.number(("contacts", i, "height"), section.height)
+                found.append(contact)
+                constraints += list_constraints(contact, height, relaxation.last, self.manifest)
+                added += list_components(contact, wrenches)
+        return tuple(found), tuple(constraints), tuple(added)
+
+    def relaxation(self, section: RelaxationSection | None) -> Relaxation:
+        """Read the steps of complementarity."""
+        given = RelaxationSection() if section is None else section
+        usual = Relaxation()
+        first, last, factor = (
+            getattr(usual, key)
+            if getattr(given, key) is None
+            else self.number(("relaxation", key), getattr(given, key), least=math.ulp(0))
+            for key in ("first", "last", "factor")
+        )
+        if factor > 0.9:
+            self.fault(
+                ("relaxation", "factor"), f"found {factor:g}", "give a number from 0 to 0.9: bounds decrease by it"
+            )
+            factor = usual.factor
+        if first < last:
+            self.fault(("relaxation", "first"), f"{first:g} is below the last, {last:g}", "give a larger number")
+        return Relaxation(first, last, factor)
+
+    def _read_contacts(self, given: Sequence[ContactSection]) -> list[tuple[Contact, ContactSection]]:
         found = []
         for i, section in enumerate(given):
             friction = None
@@ -181,10 +240,9 @@ class PartReading(Reading):
                 friction = self.number(("contacts", i, "friction"), section.friction, least=0)
             axes, normal = tuple("xyz".index(axis) for axis in section.axes), section.normal
             wrench = section.wrench or section.sensor
-            found.append(
-                Contact(section.sensor, wrench, axes, None if normal is None else "xyz".index(normal), friction)
-            )
-        return tuple(found)
+            place = None if normal is None else "xyz".index(normal)
+            found.append((Contact(section.sensor, wrench, axes, place, friction), section))
+        return found
 
     def check_given(self, problem: Problem) -> None:
         """Check that all components of open wrenches have a value, and that expressions can be put in an order."""

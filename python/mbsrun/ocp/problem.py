@@ -132,6 +132,7 @@ class Constraint:
     expression: str
     range: Range
     at: Literal["start", "path", "end"] = "path"
+    is_relaxed: bool = False  # a product of complementary numbers, whose upper bound is lowered in steps
 
 
 @dataclass(frozen=True)
@@ -237,6 +238,15 @@ class GuessOptions:
 
 
 @dataclass(frozen=True)
+class Relaxation:
+    """The upper bounds of products of complementary numbers, in steps: first, first*factor, ..., last."""
+
+    first: float = 0.1
+    last: float = 1e-6
+    factor: float = 0.1
+
+
+@dataclass(frozen=True)
 class Refinement:
     """Solves on finer grids, until the re-simulation confirms an accuracy."""
 
@@ -287,6 +297,8 @@ class Problem:
     forces: tuple[Force, ...] = ()
     wrenches: tuple[WrenchComponent, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    touching: tuple[Contact, ...] = ()  # contacts whose times are not given; constraints hold their equations
+    relaxation: Relaxation | None = None  # of the constraints of `touching`
     unknowns: tuple[Unknown, ...] = ()
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read

@@ -395,6 +395,16 @@ class ContactSection(Section):
     axes: Annotated[str, AfterValidator(check_axes)] = Field(default="xyz", examples=["xz"])
     normal: Literal["x", "y", "z"] | None = Field(default="z", examples=["z"])
     friction: NumberField | None = Field(default=None, examples=[0.8])
+    mode: Literal["stand", "complementarity"] = Field(default="stand", examples=["complementarity"])
+    height: NumberField | None = Field(default=None, examples=[0.0])
+
+
+class RelaxationSection(Section):
+    """The steps in which complementarity is approached."""
+
+    first: NumberField | None = Field(default=None, examples=[1.0])
+    last: NumberField | None = Field(default=None, examples=[1e-6])
+    factor: NumberField | None = Field(default=None, examples=[0.1])
 
 
 class IntegralSection(Section):
@@ -425,6 +435,7 @@ class ProblemSection(Section):
     controls: Annotated[dict[str, ControlSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     inputs: InputsField = Field(default=Problem.inputs, examples=["polynomial"])
     forces: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    relaxation: RelaxationSection | None = Field(default=None, examples=[{"first": 1.0, "last": 1e-6}])
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])

@@ -81,6 +81,7 @@ class Violation:
     lengths: float | None = None  # of quaternions, from 1; they do not change the motion. None: there are none
     closure: float | None = None  # the largest gap of closed loops at mesh and collocation points [m, 1]
     closure_rate: float | None = None  # the largest rate at which they open there [m/s, 1/s]
+    complementarity: float | None = None  # the largest product of force and distance, or friction and slip [N m, W]
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.surplus import leave_out_surplus
+from mbsrun.ocp.touching import list_steps, set_relaxation
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
 from mbsrun.quaternions import measure_lengths
@@ -206,6 +207,7 @@ def make_solution(
             measure_excess(values.x, *transcription.variable_bounds(problem)),
             _measure_lengths(trajectory, manifest),
             *_measure_closure(trajectory, transcription.closure),
+            _measure_complementarity(problem, transcription, values.g),
         ),
         trajectory=trajectory,
         equations=manifest.equations,
@@ -255,7 +257,12 @@ def solve(
         return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), *describe_unreachable(start))
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
-    return make(problem, plant).solve(problem, start, watch)
+    solver = make(problem, plant)
+    for amount in list_steps(problem)[:-1]:
+        found = solver.solve(set_relaxation(problem, amount), start, watch)
+        if isinstance(found, Solution):  # else the step after begins where this one did
+            start = found.trajectory
+    return solver.solve(problem, start, watch)
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:
@@ -295,6 +302,14 @@ def settle(problem: Problem, plant: Plant, guess: Trajectory | None = None) -> P
         path = np.concatenate((guess.q, guess.point_q.reshape(-1, guess.q.shape[1])))
     is_possible = not list(find_loop_conflicts(reduced, plant.manifest)) and closure.is_regular(path)
     return reduced if is_possible else replace(problem, loops=Loops.MULTIPLIERS)
+
+
+def _measure_complementarity(problem: Problem, transcription: Transcription, g: Array) -> float | None:
+    """Return the largest product of complementary numbers, at all points; None without such contacts."""
+    rows = [
+        row for row, part in zip(transcription.rows.constraints, problem.constraints, strict=True) if part.is_relaxed
+    ]
+    return float(g[np.concatenate(rows)].max()) if rows else None
 
 
 def _measure_lengths(trajectory: Trajectory, manifest: Manifest) -> float | None:

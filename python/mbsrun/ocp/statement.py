@@ -65,6 +65,7 @@ from mbsrun.ocp.problem import (
 )
 from mbsrun.ocp.quantities import Added, list_quantities
 from mbsrun.ocp.restating import Rewriting
+from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.sections import (
     BoundsSection,
     ConstraintSection,
@@ -248,6 +249,16 @@ class _Reading(PartReading):
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints) if part.soft is None)
+        wrenches, relaxation = self.wrenches(section.wrenches), self.relaxation(section.relaxation)
+        touching, complements, forces = self.touching(section.contacts, relaxation, wrenches)
+        if touching and self.is_phase:
+            finding = "complementarity finds the times of contact, and a problem of phases gives them"
+            self.fault(("contacts",), finding, "take one phase, or mode: stand")
+        if touching and section.scheme is not Family.RADAU:
+            finding = "the points of legendre are no mesh points, where contacts would be open"
+            self.fault(("scheme",), finding, "take scheme: radau")
+        if section.relaxation is not None and not touching:
+            self.fault(("relaxation",), "no contact has mode: complementarity", "leave it out")
         problem = Problem(
             name=name,
             horizon=horizon,
@@ -268,7 +279,7 @@ class _Reading(PartReading):
             end=end,
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
-            constraints=constraints,
+            constraints=(*constraints, *complements),
             guess=self.guess(section.guess, bounds, free_q),
             parameters=parameters,
             unknowns=unknowns,
@@ -278,8 +289,10 @@ class _Reading(PartReading):
             states=self.states(section.states),
             controls=self.controls(section.controls),
             forces=self.given_forces(section.forces, self.inputs.known),
-            wrenches=self.wrenches(section.wrenches),
+            wrenches=(*wrenches, *forces),
             contacts=self.contacts(section.contacts),
+            touching=touching,
+            relaxation=relaxation if touching else None,
             integrals=self.integrals(section.integrals),
         )
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)

@@ -42,6 +42,10 @@ def summarise(solution: Solution) -> dict[str, str]:
         **dict(_list_slacks(solution)),
         **{f"d cost / d {name} ": f"{value:.8g}" for name, value in solution.sensitivities},
     }
+    if violation.complementarity is not None:
+        rows["complementarity"] = (
+            f"{violation.complementarity:.1e} at most, of force times distance [N m], and friction off the slip [W]"
+        )
     if check is not None and check.slip is not None:
         along = _number(check.slip_along, check)
         rows["slip"] = f"{check.slip:.1e} m of a contact at all points; {along} along the re-simulated motion"

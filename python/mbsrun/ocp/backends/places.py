@@ -212,6 +212,9 @@ class PlacedFunction:
         return function.map(places).call([given.get(k, none) for k, none in enumerate(unread)])
 
 
+_WEIGHTS = "@weights"  # of results, beside the kinds of inputs
+
+
 class PlacedFormula:
     """Expressions of inputs, parameters, data, and results of kernels."""
 
@@ -237,15 +240,15 @@ class PlacedFormula:
     def gradient(self, arguments: Sequence[ca.MX], weights: ca.MX) -> list[Nonzeros]:
         """Return the derivatives of the weighted sum of results by each input, as columns."""
         slopes = (ca.jacobian(self._F, self._v) @ self._V).T @ self._w
-        given = self._differentiate(arguments) | {"w": weights}
-        return self._apply(ca.vertsplit(slopes, self._offsets), self._slopes | {"w": self._w}, given)
+        given = self._differentiate(arguments) | {_WEIGHTS: weights}
+        return self._apply(ca.vertsplit(slopes, self._offsets), self._slopes | {_WEIGHTS: self._w}, given)
 
     def hessian(self, arguments: Sequence[ca.MX], weights: ca.MX) -> Mapping[tuple[int, int], Nonzeros]:
         """Return the second derivatives of the weighted sum of results by pairs of inputs."""
         weighted = ca.dot(self._w, self._F)
-        given = self._differentiate(arguments) | {"w": weights}
+        given = self._differentiate(arguments) | {_WEIGHTS: weights}
         by_results = [ca.densify(ca.gradient(weighted, self._symbols[kind])) for kind in self._kernels]
-        adjoints = [part.values for part in self._apply(by_results, {"w": self._w}, given)]
+        adjoints = [part.values for part in self._apply(by_results, {_WEIGHTS: self._w}, given)]
         H = self._V.T @ ca.hessian(weighted, self._v)[0] @ self._V
         curvatures = {}
         for (kind, (result, kernel)), adjoint in zip(self._kernels.items(), adjoints, strict=True):
@@ -262,7 +265,7 @@ class PlacedFormula:
         parts = [part for row in ca.blocksplit(H, self._offsets, self._offsets) for part in row]
         blocks = dict(zip(((i, j) for i in range(n) for j in range(n)), parts, strict=True))
         nonzero = {pair: part for pair, part in blocks.items() if part.nnz()}
-        further = self._slopes | curvatures | {"w": self._w}
+        further = self._slopes | curvatures | {_WEIGHTS: self._w}
         return dict(zip(nonzero, self._apply(list(nonzero.values()), further, given), strict=True))
 
     # --- symbols: the inputs x, the results y of kernels, and the nonzeros of their derivatives ---
