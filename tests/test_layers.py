@@ -103,7 +103,7 @@ MBSRUN = Package(
         "ocp.conditions ocp.quantities ocp.rewriting",
         "ocp.backends ocp.structure ocp.stages ocp.given",
         "ocp.values ocp.contacts",
-        "ocp.closing ocp.design",
+        "ocp.closing ocp.design ocp.touching",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
         "ocp.sections ocp.clashes ocp.surplus",
