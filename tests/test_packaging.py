@@ -118,6 +118,14 @@ def test_an_installed_wheel_generates_the_committed_bytes(installed: Path, tmp_p
     assert not [file for file in files_below(golden) if (out / file).read_bytes() != (golden / file).read_bytes()]
 
 
+def test_an_installed_wheel_compiles_where_the_machine_has_no_compiler(installed: Path, tmp_path: Path) -> None:
+    """With Zig's, for this machine and for the page's module."""
+    pytest.importorskip("ziglang")
+    page, environment = tmp_path / "page.html", {"PYTHONPATH": str(installed), "PATH": str(tmp_path)}
+    run(sys.executable, "-m", "mbsrun", "playground", ROOT / "models" / "pendulum.yaml", "-o", page, **environment)
+    assert '"name": "pendulum"' in page.read_text(encoding="utf-8")
+
+
 def test_an_editable_install_reads_the_checkout_and_copies_nothing(checkout: Path, tmp_path: Path) -> None:
     """In a separate environment, where no other install of the project can replace this one."""
     venv.create(tmp_path / "venv", symlinks=True)
