@@ -42,8 +42,8 @@ def soften(problem: Problem, constraint: Constraint, price: Price, name: str) ->
     if lower > -math.inf:
         sides.append(replace(constraint, expression=f"{text} + {name}", range=(lower, math.inf)))
     terms = [
-        Term(expression, weight, f"slack of {constraint.expression}")
-        for expression, weight in ((name, price.linear), (f"{name}**2", price.quadratic))
+        Term(expression, weight, f"slack of {constraint.expression}{squared}")
+        for expression, weight, squared in ((name, price.linear, ""), (f"{name}**2", price.quadratic, ", squared"))
         if weight
     ]
     problem = replace(problem, constraints=(*problem.constraints, *sides))

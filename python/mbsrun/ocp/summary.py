@@ -110,10 +110,10 @@ def _list_slacks(solution: Solution) -> Iterator[tuple[str, str]]:
             k, j = np.unravel_index(points[:, :, i].argmax(), points.shape[:2])
             most = float(points[k, j, i])
             where = f", the most from {trajectory.t[k]:.4g} to {trajectory.t[k + 1]:.4g} s"
-            yield f"slack of {control.softens}", _write_slack(most, where)
+            yield f"slack of {control.softens} ", _write_slack(most, where)
     for unknown, value in _list_unknowns(solution):
         if unknown.softens:
-            yield f"slack of {unknown.softens}", _write_slack(value, "")
+            yield f"slack of {unknown.softens} ", _write_slack(value, "")
 
 
 def _write_slack(most: float, where: str) -> str:

@@ -203,9 +203,13 @@ cost: {inputs: 1, running: [{expression: s, weight: 3}, {expression: s**2, weigh
 """
     found, other = find(read(PUSH + soft)), find(read(PUSH + hand))
     assert found.cost.total == pytest.approx(other.cost.total, rel=1e-8)
+    prices = {name: value for name, value in found.cost.terms if name.startswith("slack")}
+    expected = [value for _, value in other.cost.terms if value][1:]
+    assert list(prices) == ["slack of qd_x", "slack of qd_x, squared"]
+    assert list(prices.values()) == pytest.approx(expected, rel=1e-5)
     most = float(found.trajectory.controls.max())
     assert most > 0.1
-    assert summarise(found)["slack of qd_x"].startswith(f"{most:.6g}, the most from ")
+    assert summarise(found)["slack of qd_x "].startswith(f"{most:.6g}, the most from ")
     figure = make_trajectories(found, mass().manifest)
     assert "slack of qd_x" in [line.get_text() for axes in figure.legends for line in axes.get_texts()]
 
@@ -216,7 +220,7 @@ def test_a_high_price_is_exact(read: Callable[[str], Problem]) -> None:
     hard = "constraints: [{expression: qd_x, range: [null, 1.4]}]\ncost: {inputs: 1}\n"
     own, soft = find(read(text + hard)), find(read(text + hard.replace("1.4]", "1.4], soft: 1000")))
     assert soft.cost.total == pytest.approx(own.cost.total, rel=1e-6)
-    assert summarise(soft)["slack of qd_x"] == "not used"
+    assert summarise(soft)["slack of qd_x "] == "not used"
 
 
 def test_a_soft_end_is_a_compromise(read: Callable[[str], Problem]) -> None:
@@ -225,7 +229,7 @@ def test_a_soft_end_is_a_compromise(read: Callable[[str], Problem]) -> None:
     end = "constraints: [{expression: q_x, range: [1, 1], at: end, soft: {quadratic: 30, name: short}}]\n"
     found = find(read(text + end))
     assert found.trajectory.q[-1, 0] == pytest.approx(30 / 42, abs=1e-6)
-    assert float(summarise(found)["slack of q_x"]) == pytest.approx(12 / 42, abs=1e-5)
+    assert float(summarise(found)["slack of q_x "]) == pytest.approx(12 / 42, abs=1e-5)
 
 
 @pytest.mark.parametrize("expression", ["u_x", "-u_x"])

@@ -28,7 +28,7 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     for name, phase in zip(solution.names, solution.phases, strict=True):
         rows[f"phase {name}"] = f"model {phase.model}"
         own = summarise(phase)
-        rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if _is_kept(key.strip())}
+        rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if _is_kept(key)}
     for values in solution.values:
         rows[f"link {values.source} to {values.target}"] = f"violation {values.violation:.1e}"
         rows |= {f"  {name} ": f"{value:.10g}" for name, value in values.terms if value}
@@ -40,7 +40,7 @@ KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refine
 
 
 def _is_kept(key: str) -> bool:
-    return key in KEPT or key.startswith("round ")
+    return key.strip() in KEPT or key.strip().startswith("round ") or key.startswith("slack of ")
 
 
 def _list_impulses(values: LinkValues) -> dict[str, str]:
