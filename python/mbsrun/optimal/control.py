@@ -127,16 +127,23 @@ class OptimalControl:
         *,
         at: Literal["start", "path", "end"] = "path",
         name: str = "",
+        soft: Any = None,
     ) -> OptimalControl:
         """Return a copy with another constraint: lower <= expression <= upper along the path, or at its start or end.
 
         The expression is a text as in a problem file, or CasADi's in symbols of `quantities()`, where each entry is a
-        constraint; limits are numbers, or one for each entry. Raises ProblemError.
+        constraint; limits are numbers, or one for each entry. `soft` is the price of violating a text, as in a file.
+        Raises ProblemError.
         """
         if isinstance(expression, str):
             limits = make_plain(self.name, {"range": [lower, upper]})["range"]
-            added: Data = {"expression": expression, "range": limits, "at": at}
+            added: dict[str, Data] = {"expression": expression, "range": limits, "at": at}
+            if soft is not None:
+                added |= make_plain(self.name, {"soft": soft})
             return self._restate({**self.data, "constraints": [*_take_list(self.data, "constraints"), added]})
+        if soft is not None:
+            remedy = "write the constraint as a text, or with a control that is its slack"
+            raise ProblemError(self.name, [("constraint", "a soft expression of CasADi", remedy)])
         expressions = self.expressions.with_constraint(expression, lower, upper, at, name, self.name)
         return self._restate(expressions=expressions)
 

@@ -276,6 +276,10 @@ def test_all_keys_together_have_one_optimum_by_both_methods(requires: Callable[[
     assert costs[0] == pytest.approx(costs[1], rel=1e-6)
     with pytest.raises(ProblemError, match="unknown name"):
         swing.with_constraint("rate_u_cart", 0, 1)
+    soft = swing.with_constraint("q_cart", upper=0.5, soft={"quadratic": 2, "name": "far"})
+    assert [control.name for control in soft.value.controls] == ["slack_0", "far"]
+    with pytest.raises(ProblemError, match="a soft expression of CasADi; write the constraint as a text"):
+        swing.with_constraint(swing.quantities().q_cart, upper=0.5, soft=1)
 
 
 # --- faults --------------------------------------------------------------------------------------------------------
