@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import notebooks
+from website import notebooks
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "docs").rglob("*.ipynb"))
@@ -21,7 +21,7 @@ def test_a_notebook_is_among_the_documents() -> None:
 def test_a_notebook_runs_and_shows_its_values(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A value of the project shows itself as a picture or as HTML."""
     monkeypatch.chdir(file.parent)
-    values = notebooks.run(file)
+    values = [value for _, value in notebooks.run(file)]
     own = [value for value in values if type(value).__module__.startswith("mbsrun")]
     assert len(own) >= 5
     for value in own:

@@ -9,9 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import nbformat
 import pytest
 from click.testing import CliRunner
 
+from website import notebooks
 from website.__main__ import main
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
@@ -84,9 +86,10 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
 def test_an_example_shows_its_motion_and_its_files(site: Path) -> None:
     page = (site / "gallery" / "pendulum.html").read_text(encoding="utf-8")
     assert '<iframe src="pendulum/animation.html"' in page
-    for name in ("animation.html", "pendulum.yaml", "trajectory.csv", "plots.png"):
+    for name in ("animation.html", "pendulum.yaml", "trajectory.csv", "plots.png", "pendulum.png"):
         assert (site / "gallery" / "pendulum" / name).stat().st_size > 0
         assert f'href="pendulum/{name}"' in page
+    assert "revolute" in page  # the text of the model
 
 
 def test_references_are_there(site: Path) -> None:
@@ -154,3 +157,20 @@ def test_pages_that_show_files_are_run() -> None:
 def test_the_gallery_is_large() -> None:
     assert len(EXAMPLES) >= 25
     assert len({example.name for example in EXAMPLES}) == len(EXAMPLES)
+    assert 3 * len([example for example in EXAMPLES if example.notebook]) >= len(EXAMPLES)
+
+
+def test_a_notebook_is_valid_and_keeps_the_outputs_of_its_cells(tmp_path: Path) -> None:
+    example = next(example for example in EXAMPLES if example.notebook)
+    nbformat.validate(json.loads(notebooks.write(example)))
+    quick = replace(example, notebook=("print('seen')\n1 + 1", "x = 3"))
+    file = tmp_path / "quick.ipynb"
+    file.write_text(notebooks.write(quick), encoding="utf-8")
+    assert notebooks.execute(file) == [2]
+    found = json.loads(file.read_text(encoding="utf-8"))
+    nbformat.validate(found)
+    shown = [
+        [next(iter(output.keys() & {"text", "data"})) for output in cell["outputs"]] for cell in found["cells"][1:]
+    ]
+    assert shown == [["text", "data"], []]
+    assert found["cells"][1]["outputs"][1]["data"] == {"text/plain": ["2"]}

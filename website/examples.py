@@ -15,7 +15,17 @@ class Example:
     text: str
     commands: str
     picture: str  # a file that they write, or a model's
-    files: tuple[str, ...]  # for download; the first page of HTML is shown
+    files: tuple[str, ...]  # for download; the first page of HTML, and the files of models, are shown
+    notebook: tuple[str, ...] = ()  # cells of Python, run beside the first file of a model
+
+
+def _write_cells(problem: str, *shown: str) -> tuple[str, ...]:
+    """Return the cells of a notebook that solves a problem, and shows its solution by these methods."""
+    return (
+        f'import mbsrun\n\nproblem = mbsrun.read_problem("{problem.rpartition("/")[2]}.ocp.yaml")\nproblem',
+        "solution = problem.solve(watch=True)\nsolution",
+        *(f"solution.{name}()" for name in shown),
+    )
 
 
 def _simulate(name: str, title: str, text: str, model: str, options: str) -> Example:
@@ -24,9 +34,15 @@ def _simulate(name: str, title: str, text: str, model: str, options: str) -> Exa
         name,
         title,
         text,
-        f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n",
-        f"build/{name}/plots.png",
-        (f"build/{name}/animation.html", f"models/{model}.yaml", f"build/{name}/trajectory.csv"),
+        f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n"
+        f"mbsgen show models/{model}.yaml -o build/{name}.png\n",
+        f"build/{name}.png",
+        (
+            f"build/{name}/animation.html",
+            f"models/{model}.yaml",
+            f"build/{name}/plots.png",
+            f"build/{name}/trajectory.csv",
+        ),
     )
 
 
@@ -45,6 +61,7 @@ def _solve(name: str, title: str, text: str, problem: str, model: str, options: 
             f"build/{name}/trajectories.png",
             f"build/{name}/solution.csv",
         ),
+        _write_cells(problem, "plot", "draw", "animate"),
     )
 
 
@@ -251,6 +268,7 @@ _WHOLE = (
         "mbsrun solve models/classics/brachistochrone.ocp.yaml -o build/brachistochrone\n",
         "build/brachistochrone/trajectories.png",
         ("models/classics/brachistochrone.ocp.yaml", "build/brachistochrone/solution.csv"),
+        _write_cells("brachistochrone", "plot"),
     ),
     Example(
         "identification",

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from website import notebooks
 from website.examples import Example
 
 RECORD = "run.json"  # in the folder of a run
@@ -39,6 +40,12 @@ class Result:
     def page(self) -> str:
         """Return the place of its page."""
         return f"gallery/{self.example.name}.md"
+
+    @property
+    def files(self) -> list[str]:
+        """List its files for download, by their paths in the folder."""
+        example = self.example
+        return list(dict.fromkeys((example.picture, *example.files, *_place_notebook(example))))
 
 
 def run(example: Example, root: Path, runs: Path) -> Result:
@@ -69,14 +76,38 @@ def run(example: Example, root: Path, runs: Path) -> Result:
     missing = [name for name in (example.picture, *example.files) if not (folder / name).exists()]
     if missing:
         raise ExampleError(f"{example.name} did not write {', '.join(missing)}")
+    for notebook in _place_notebook(example):
+        _execute(example, folder / notebook)
     known = {"key": key, "output": done.stdout, "seconds": seconds}
     record.write_text(json.dumps(known), encoding="utf-8")
     return Result(example, folder, done.stdout, seconds)
 
 
+def _place_notebook(example: Example) -> list[str]:
+    """Return the path of an example's notebook, beside its problem; none where there are no cells."""
+    first = next((file for file in example.files if file.startswith("models/")), "")
+    return [f"{Path(first).parent.as_posix()}/{example.name}.ipynb"] if example.notebook else []
+
+
+def _execute(example: Example, path: Path) -> None:
+    """Write the notebook of an example, and run it."""
+    path.write_text(notebooks.write(example), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "website.notebooks", str(path)],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+        check=False,
+    )
+    if done.returncode:
+        raise ExampleError(f"{path.name}: {done.stdout}{done.stderr}")
+
+
 def _identify(example: Example, root: Path) -> str:
     """Return a hash of everything that decides the result."""
     found = hashlib.sha256(repr(example).encode())
+    found.update(Path(notebooks.__file__).read_bytes())
     for source in SOURCES:
         for path in sorted((root / source).rglob("*")):
             if path.is_file() and "__pycache__" not in path.parts:
@@ -98,7 +129,7 @@ def write(results: Sequence[Result], target: Path) -> None:
         name = result.example.name
         files = target / "gallery" / name
         files.mkdir(parents=True, exist_ok=True)
-        for each in (result.example.picture, *result.example.files):
+        for each in result.files:
             shutil.copyfile(result.folder / each, files / Path(each).name)
         (target / result.page).write_text(_describe(result), encoding="utf-8")
         cards.append(
@@ -130,6 +161,10 @@ def _describe(result: Result) -> str:
         f"They took {result.seconds:.0f} s here, with generation and compilation where nothing was in the cache.",
         "",
     ]
-    files = dict.fromkeys(Path(file).name for file in (example.picture, *example.files))
-    lines += ["Files: " + ", ".join(f"[{file}]({name}/{file})" for file in files), ""]
+    names = [Path(file).name for file in result.files]
+    lines += ["## Files", "", ", ".join(f"[{file}]({name}/{file})" for file in names) + ".", ""]
+    for file in example.files:
+        if file.startswith("models/") and file.endswith(".yaml"):
+            text = (result.folder / file).read_text(encoding="utf-8").strip()
+            lines += [f"### {Path(file).name}", "", "```yaml", text, "```", ""]
     return "\n".join(lines)
