@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from fmpy.validation import validate_fmu
 
 from mbsgen.pipeline import OptionError, Options, make
 from mbsgen.targets.fmu import list_functions
+from mbsgen.targets.fmu.variables import write_document
 from mbsrun.cli import cli
 from mbsrun.external import Mechanism, load
 from mbsrun.fmu import write_fmu
@@ -267,6 +269,12 @@ def test_a_state_can_be_kept_and_taken_up_again(pendulum: tuple[Mechanism, Path]
         with pytest.raises(Exception, match=r"DoStep"):
             slave.doStep(0.2, float("nan"))
         slave.freeFMUState(kept)
+
+
+def test_names_of_any_text_are_xml() -> None:
+    name = "\ufffe <\"&'> \u00e9"
+    read = ET.fromstring(write_document(ET.Element("a", name=name)).encode())
+    assert read.get("name") == name.replace("\ufffe", "\ufffd")
 
 
 def test_equal_models_give_equal_bytes(tmp_path: Path) -> None:

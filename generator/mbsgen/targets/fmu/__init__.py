@@ -2,13 +2,12 @@
 
 from mbsgen.targets.fmu.layout import FmuError, list_functions
 from mbsgen.targets.fmu.package import STEP, collect, list_compilable, pack, pack_source
-from mbsgen.targets.fmu.versions import VERSIONS, Version
+from mbsgen.targets.fmu.versions import VERSIONS
 
 __all__ = [
     "STEP",
     "VERSIONS",
     "FmuError",
-    "Version",
     "collect",
     "list_compilable",
     "list_functions",

@@ -21,6 +21,9 @@ _UNITS = {
 }
 
 
+_OUTSIDE_XML = {0xFFFE: 0xFFFD, 0xFFFF: 0xFFFD}  # characters of names that XML does not have, replaced
+
+
 @dataclass(frozen=True)
 class Variable:
     """A variable of the model description."""
@@ -114,4 +117,5 @@ def add_log(root: ET.Element) -> None:
 def write_document(root: ET.Element) -> str:
     """Return the text of an XML file."""
     ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    text = ET.tostring(root, encoding="unicode").translate(_OUTSIDE_XML)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
