@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Element, Mass, Point, Touch
+from mbsgen.manifest import Appearance, Axle, Element, Mass, Point, Seat, Touch
 from mbsgen.model.model import BASE, HERE, Body, Contact, ForceElement, Frame, LoopEnd, Model, Placement, Triple
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
@@ -31,6 +31,7 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
         gravity=_triple(gravity),
         masses=tuple(x for body in model.bodies if (x := _weigh(body, seats.find(body.name), values)) is not None),
         axles=tuple(_describe_axle(tree, i) for i in range(1, len(tree.bodies) + 1)),
+        bodies=tuple(_describe_body(body.name, seats.find(body.name)) for body in model.bodies),
         elements=tuple(_describe_element(x, seats) for x in model.forces),
         contacts=tuple(_describe_contact(x, seats, values) for x in model.contacts),
         wrenches=tuple(
@@ -113,6 +114,10 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
     inertia = (xx, yy, zz, xy, xz, yz)
     return Mass(name=body.name, frame=frame, mass=mass, com=_triple(centre), inertia=inertia)
+
+
+def _describe_body(name: str, seat: _Seat) -> Seat:
+    return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=tuple(seat.axes.T.ravel().tolist()))
 
 
 def _describe_axle(tree: Tree, i: int) -> Axle:

@@ -150,6 +150,15 @@ class Mass(_Entry):
     inertia: tuple[float, float, float, float, float, float]  # about com, in the frame: xx yy zz xy xz yz [kg m2]
 
 
+class Seat(_Entry):
+    """The frame of a body of the model, in the frame of the manifest that moves with it."""
+
+    name: str
+    frame: int  # -1: it is fixed to the base
+    at: tuple[float, float, float]  # [m]
+    axes: tuple[float, ...]  # one after the other
+
+
 class Axle(_Entry):
     """The joint of a frame."""
 
@@ -185,6 +194,7 @@ class Appearance(_Entry):
     gravity: tuple[float, float, float]  # in the base frame [m/s2]
     masses: tuple[Mass, ...]
     axles: tuple[Axle, ...]  # of the joint frames, in their order
+    bodies: tuple[Seat, ...] = ()
     elements: tuple[Element, ...] = ()
     contacts: tuple[Touch, ...] = ()
     wrenches: tuple[Point, ...] = ()  # where the open wrenches act, in the manifest's order

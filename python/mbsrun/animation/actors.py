@@ -13,7 +13,7 @@ large inertia do not hide it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Appearance, Manifest, Mass, Point
 from mbsgen.style import PALETTE, mix
-from mbsrun.animation.film import Actor, Course, Kind, Layer, Line, Solid, Triple
+from mbsrun.animation.film import Actor, Course, Kind, Layer, Line, Mesh, Solid, Triple
+from mbsrun.animation.visuals import Visual
 from mbsrun.quaternions import list_quaternions
 from mbsrun.skeleton import Skeleton
 
@@ -52,14 +53,23 @@ def look_alike(color: str) -> Look:
     return Look((mix(color, "#ffffff", 0.25),), mix(color, "#000000", 0.25))
 
 
-def make_actor(name: str, manifest: Manifest, skeleton: Skeleton, look: Look = BY_BODY) -> Actor:
+def make_actor(
+    name: str,
+    manifest: Manifest,
+    skeleton: Skeleton,
+    look: Look = BY_BODY,
+    visuals: tuple[Visual, ...] = (),
+) -> Actor:
     """Make the actor of a mechanism at poses of its motion."""
     appearance, size = manifest.appearance, measure(manifest, skeleton)
     solids: list[Solid] = []
     links = (Line(Course.ROD if x.is_rod else Course.GAP, (_at(x.first), _at(x.second))) for x in skeleton.links)
     lines = [*links]
     if appearance is not None:
-        solids += [*_draw_masses(appearance, size, look), *_draw_joints(manifest, size, look)]
+        solids += _place_visuals(appearance, visuals)
+        drawn = {x.body for x in visuals}
+        solids += [*_draw_masses(appearance, size, look, drawn)]
+        solids += _draw_joints(manifest, size, look) if not drawn else ()
         solids += _draw_contacts(appearance, size)
         kinds = {True: Course.CABLE, False: Course.SPRING}
         lines += [Line(kinds[x.cable], (x.first, x.second)) for x in appearance.elements]
@@ -111,11 +121,30 @@ def fit_solid(mass: float, inertia: tuple[float, ...]) -> Fit:
     return Fit(Kind.BOX, np.sqrt(np.maximum(squares, 0.0)), axes)
 
 
-def _draw_masses(appearance: Appearance, size: float, look: Look) -> Iterator[Solid]:
+def list_meshes(visuals: Sequence[Visual]) -> tuple[Mesh, ...]:
+    """List the meshes of visuals, each once, in the order in which solids count them."""
+    return tuple(dict.fromkeys(x.mesh.mesh for x in visuals if x.mesh is not None))
+
+
+def _place_visuals(appearance: Appearance, visuals: tuple[Visual, ...]) -> Iterator[Solid]:
+    """Place shapes and meshes on the frames that their bodies move with; other bodies' are left out."""
+    seats, meshes = {x.name: x for x in appearance.bodies}, list_meshes(visuals)
+    for each in visuals:
+        seat = seats.get(each.body)
+        if seat is not None:
+            C = np.array(seat.axes).reshape(3, 3).T
+            at, axes = np.array(seat.at) + C @ each.at, tuple((C @ each.axes).T.ravel().tolist())
+            mesh = None if each.mesh is None else meshes.index(each.mesh.mesh)
+            yield Solid(Layer.MESHES, seat.frame, each.kind, _triple(each.size), each.color, _triple(at), axes, mesh)
+
+
+def _draw_masses(appearance: Appearance, size: float, look: Look, drawn: Set[str]) -> Iterator[Solid]:
     masses = appearance.masses
     heaviest = max((x.mass for x in masses), default=0.0)
     colors = _color_bodies(masses, look)
     for each in masses:
+        if each.name in drawn:
+            continue
         fit = fit_solid(each.mass, each.inertia)
         color = colors[each.frame]
         if fit.size.max() > 1e-6 * size:

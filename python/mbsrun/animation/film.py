@@ -161,6 +161,11 @@ class Film:
     is_apart: bool = False  # actors stand side by side
 
     @property
+    def has_visuals(self) -> bool:
+        """Return whether bodies have given shapes; edges are hidden then."""
+        return any(solid.layer is Layer.MESHES for actor in self.actors for solid in actor.solids)
+
+    @property
     def size(self) -> float:
         """Return the length of the diagonal of the bounds."""
         return max(float(np.linalg.norm(np.subtract(self.high, self.low))), 1e-6)

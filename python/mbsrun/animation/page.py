@@ -35,7 +35,7 @@ def write_page(film: Film) -> str:
         "end": float(film.times[-1]),
         "times": len(film.times),
         "parts": [{"name": name, "start": start} for name, start in film.parts],
-        "options": {"apart": film.is_apart},
+        "options": {"apart": film.is_apart, "skeleton": not film.has_visuals},
         "scene": describe_scene(film),
         "courses": [_describe_track(track) for track in film.tracks],
     }

@@ -141,7 +141,8 @@ class _Stage:
                 turn = poses.turn(each.frame) @ np.array(each.axes).reshape(3, 3).T
                 placed = shape.placed(turn, poses.point(each.frame, each.at), np.ones(3))
                 (glassy if each.layer is Layer.CONTACTS else solid).append(_color(placed, each.color))
-            solid += self._draw_edges(actor, poses)
+            if not film.has_visuals:
+                solid += self._draw_edges(actor, poses)
             solid += self._draw_lines(actor, poses)
             solid += self._draw_traces(actor, track, k, self._shifts[i])
             for arrow in track.arrows:

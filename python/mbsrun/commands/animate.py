@@ -8,11 +8,13 @@ from pathlib import Path
 
 import click
 
+from mbsgen.manifest import Manifest
 from mbsrun.animation import Wanted, make_film
 from mbsrun.animation.files import Size, write_film
+from mbsrun.animation.visuals import Visual, give_mesh, read_visuals
 from mbsrun.commands.animated import read_motion
 from mbsrun.commands.console import NumberType, say, show_progress
-from mbsrun.commands.recorded import set_parameters
+from mbsrun.commands.recorded import set_parameters, split_pairs
 from mbsrun.external import load
 from mbsrun.models import Extent
 
@@ -29,8 +31,8 @@ side by side; NAME=MOTION gives one a name:
   mbsrun animate models/cart_pole.yaml cart_pole_swing_up.solution -o swing.gif
   mbsrun animate models/acrobot.yaml optimum=a.solution guess=b.simulation --apart -o both.mp4
 
-Bodies are solids sized from their mass and inertia. Inputs and open wrenches are arrows, paths of sensors are lines,
-and the phases of a problem follow each other.
+Bodies are solids sized from their mass and inertia, or the shapes and meshes of a URDF file or of --mesh. Inputs and
+open wrenches are arrows, paths of sensors are lines, and the phases of a problem follow each other.
 
 \b
 Files, by their suffix
@@ -72,6 +74,17 @@ class SizeType(click.ParamType[Size]):
     type=click.Path(dir_okay=False, path_type=Path),
     help="The file to write; may be given several times. By default NAME.html, for a model NAME.",
 )
+@click.option(
+    "--visuals", type=click.Path(path_type=Path), help="A URDF file whose visuals to show; MODEL, if it is one."
+)
+@click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder of a package that meshes are in (package://NAME/...), or a folder of packages.",
+)
+@click.option("--mesh", "meshes", multiple=True, metavar="BODY=FILE", help="A mesh of a body: STL, OBJ, PLY or glTF.")
 @click.option("--apart", "is_apart", is_flag=True, help="Show several motions side by side.")
 @click.option("--title", help="The title; by default the model's name.")
 @click.option("--size", type=SizeType(), default="640x480", metavar="WxH", help="Of the pictures; 640x480.")
@@ -81,6 +94,9 @@ def animate_command(
     model: Path,
     motions: Sequence[str],
     outputs: Sequence[Path],
+    visuals: Path | None,
+    packages: Sequence[Path],
+    meshes: Sequence[str],
     is_apart: bool,
     title: str | None,
     size: Size,
@@ -92,14 +108,26 @@ def animate_command(
         raise click.BadParameter("give a number above 0, of at most 100", param_hint="--rate")
     mechanism = load(model, extent=DRAWN)
     mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
+    shown = _read_shapes(model, visuals, tuple(packages), meshes, mechanism.manifest)
     read = [read_motion(path, mechanism, name) for name, path in map(_split, motions)]
     markers = tuple(dict.fromkeys(marker for _, own in read for marker in own))
-    film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, rate))
+    film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, shown, rate))
     for out in outputs or (Path(f"{model.stem}.html"),):
         out.parent.mkdir(parents=True, exist_ok=True)
         with show_progress() as report:
             write_film(film, out, size, report)
         say(f"wrote {out}")
+
+
+def _read_shapes(
+    model: Path, visuals: Path | None, packages: tuple[Path, ...], meshes: Sequence[str], manifest: Manifest
+) -> tuple[Visual, ...]:
+    """Read the shapes and meshes of bodies."""
+    source = visuals or (model if model.suffix.lower() == ".urdf" else None)
+    found = [] if source is None else read_visuals(source, packages, lambda text: say(f"warning: {text}"))
+    bodies = [x.name for x in manifest.appearance.bodies] if manifest.appearance else []
+    found += [give_mesh(body, Path(path)) for body, path in split_pairs("mesh", meshes, bodies).items()]
+    return tuple(found)
 
 
 def _split(text: str) -> tuple[str, Path]:
