@@ -33,6 +33,23 @@ end: {pose: {hinge: 1}, velocity: zero}
 """
 
 
+OPEN = (
+    ROD
+    + """\
+loops:
+  - {name: pin, type: hinge, axis: y, from: {body: rod, position: [0, 0, -1]}, to: {body: base, position: [0, 0, -5]}}
+assembly: {hinge: 0}
+"""
+)
+ROBOT = """\
+<robot name="door">
+  <link name="frame"/>
+  <link name="leaf"><inertial><mass value="heavy"/></inertial></link>
+  <joint name="hinge" type="revolt"><parent link="frame"/><child link="leaf"/></joint>
+</robot>
+"""
+
+
 @dataclass(frozen=True)
 class Case:
     """Files, and a command that complains about them."""
@@ -42,6 +59,7 @@ class Case:
     says: str  # a part of the message
     model: str = ROD
     problem: str = SWING
+    robot: str = ROBOT
 
 
 @dataclass(frozen=True)
@@ -117,6 +135,32 @@ CLASSES = (
         ),
     ),
     Class(
+        "robots",
+        "Faults of robots in URDF and MJCF",
+        "A message has the line and the element. Omissions are warnings. The exit code is 2.",
+        (Case("An unknown type of joint", "mbsgen check robot.urdf", "revolt"),),
+    ),
+    Class(
+        "loops",
+        "Loops that cannot close",
+        "Loops are closed before anything is written. The message has the distance that is left. The exit code is 2.",
+        (Case("A pin out of reach", "mbsgen generate model.yaml -o out", "does not close", model=OPEN),),
+    ),
+    Class(
+        "simulations",
+        "Simulations that stop",
+        "The part that was reached is written, and marked as incomplete; the exit code is 1. An input without a value "
+        "is a fault of the settings, with the exit code 2.",
+        (
+            Case(
+                "An input without a value",
+                "mbsrun simulate model.yaml --duration 1 --input hinge=sqrt(0.5-t) -o out",
+                "no finite value",
+            ),
+            Case("Too many steps", "mbsrun simulate model.yaml --duration 1 --max-steps 3 -o out", "3 steps"),
+        ),
+    ),
+    Class(
         "arguments",
         "Arguments of commands",
         "Options are checked by the rules of files. The exit code is 2.",
@@ -146,6 +190,7 @@ def run(case: Case) -> str:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "model.yaml").write_text(case.model, encoding="utf-8")
         (Path(folder) / "problem.yaml").write_text(case.problem, encoding="utf-8")
+        (Path(folder) / "robot.urdf").write_text(case.robot, encoding="utf-8")
         program, *arguments = case.command.split()
         line = [shutil.which(program, path=str(BIN)) or program, *arguments]
         done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
