@@ -13,7 +13,7 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
-from tests.mbsrun.ocp.test_contacts import LEG, SQUAT
+from tests.mbsrun.ocp.legs import LEG, SQUAT
 
 SPINNER = """
 name: spinner
