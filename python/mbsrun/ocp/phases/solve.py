@@ -7,6 +7,7 @@ failure, which has no trajectories; it names the phases and links whose rows sta
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,8 +79,7 @@ class PhasedSolver:
             finding = "the guess has numbers that are not finite"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         x = solve_links(x, self.transcription.defined, self._evaluate, self._differentiate)
-        solver = self._make_solver()
-        run, found, _ = search(x, lambda x: self._call(solver, x, watch))
+        run, found, _ = search(x, lambda x: self._call(self._method, x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
@@ -115,7 +115,8 @@ class PhasedSolver:
     def _differentiate(self, x: Array) -> Matrix:
         return self.program.casadi.jacobian(x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
 
-    def _make_solver(self) -> methods.Solver:
+    @cached_property
+    def _method(self) -> methods.Solver:
         options = self.problem.solver
         scaling = options.objective_scaling or 1 / self.problem.weight
         order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
