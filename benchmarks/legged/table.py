@@ -28,13 +28,14 @@ CHECKS = ("problem", "momentum at impacts", "slip, m", "defect of an interval")
 _TEXT = """\
 # Motions in phases
 
-`python -m benchmarks.legged` solves the problems of [models/legged](../../models/legged): by this project, and written
-in plain CasADi, with IPOPT and MUMPS, on the same mesh, from the same guess, to the same tolerance. The equations of
-the plain programs are a [recursion](../legged/chains.py) that shares nothing with the generator.
+`python -m benchmarks.legged` solves the problems of [models/legged](../../models/legged): by this project's own method
+for [stages](../../docs/solver.md), and written in plain CasADi, with IPOPT and MUMPS, on the same mesh, from the same
+guess, to the same tolerance. The equations of the plain programs are a [recursion](../legged/chains.py) that shares
+nothing with the generator.
 Measured on: {machine}.
 
 Times are of the processor, of the quickest solve ({rounds} of each), without what is done once: reading, code,
-derivatives. "expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
+derivatives, tables. "expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
 and last of the quicker one's time of an iteration to ours. Plain programs are stopped after {limit:.0f} s.
 
 {table}
