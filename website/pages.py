@@ -43,7 +43,14 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
     {"Control": ["controller.md", "cpp.md", "rust.md", "julia.md", "track.md", "microcontroller.md", "acados.md"]},
     {
-        "Trust": ["accuracy.md", "laboratory.md", "reproduction.md", "study/README.md", "laboratory/verdicts.md"],
+        "Trust": [
+            "accuracy.md",
+            "laboratory.md",
+            "reproduction.md",
+            "study/README.md",
+            "study/slice/README.md",
+            "laboratory/verdicts.md",
+        ],
     },
     {
         "Project": ["architecture.md", "contributing.md", "changelog.md"],

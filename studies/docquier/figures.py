@@ -202,3 +202,17 @@ def draw_scatter(
     axes.grid(alpha=0.3)
     axes.legend(fontsize="x-small", ncols=2, title=labels[2])
     return save(figure, title, note)
+
+
+def draw_parts(parts: Sequence[tuple[str, float, float]]) -> Picture:
+    """Draw the time of an iteration as bars: functions and derivatives, and the rest [ms]."""
+    figure = Figure(figsize=(9, 1.2 + 0.35 * len(parts)), layout="constrained")
+    axes = figure.subplots()
+    names, evaluation, rest = zip(*parts, strict=True)
+    axes.barh(names, evaluation, color=COLORS[0], label="functions and derivatives")
+    axes.barh(names, rest, left=evaluation, color="0.8", label="the rest: linear algebra, and the solver itself")
+    axes.invert_yaxis()
+    axes.set_xlabel("CPU time per iteration [ms]")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(fontsize="small")
+    return save(figure, "CPU time per iteration, by the source of derivatives", "The quickest of the rounds.")

@@ -25,7 +25,7 @@ from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import ONE, Interpolation, Place, Study, Trial, is_higher, list_interpolations
 from studies.docquier.differentiated import WAYS, Way
-from studies.docquier.figures import draw_scatter, name_set
+from studies.docquier.figures import draw_parts, draw_scatter, name_set
 from studies.docquier.judges import COLLOCATION
 from studies.docquier.results import Results
 
@@ -193,14 +193,9 @@ def list_derivatives(problem: Problem, folder: Path, representations: Sequence[R
 
 def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[str, int]]) -> Section | None:
     """Compare the quickest rounds; `ways` are the flops of each kernel by the way it was written."""
-    own = [a for a in attempts if a.part == "derivatives" and a.cost is not None]
     rows: list[tuple[Cell, ...]] = []
-    for name in dict.fromkeys(a.task.representation for a in own):
-        quickest: dict[str, Attempt] = {}
-        for a in own:
-            way = a.guess.rpartition(", ")[0]
-            if a.task.representation == name and (way not in quickest or a.cpu_seconds < quickest[way].cpu_seconds):
-                quickest[way] = a
+    found = _find_quickest(attempts)
+    for name, quickest in found.items():
         ours = quickest.get(WAYS[0])
         for way, a in quickest.items():
             evaluating = 1e3 * a.cpu_seconds_evaluating / max(a.iterations, 1)
@@ -218,7 +213,8 @@ def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[s
         f"The quickest of {ROUNDS} rounds, from the interpolation with the inputs of its inverse dynamics. The "
         "equations are the same; programs are assembled in the same way from Jacobians and adjoint Jacobians."
     )
-    items: list[Table | Picture] = [Table("Solves, by the source of derivatives", columns, tuple(rows), note)]
+    items: list[Table | Picture] = [draw_parts(_list_parts(found))]
+    items.append(Table("Solves, by the source of derivatives", columns, tuple(rows), note))
     if ways:
         flops = tuple(
             (kernel, way, count, _round(count / min(by_way.values())))
@@ -228,7 +224,50 @@ def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[s
         note = "tape: differentiated operation by operation, and simplified; the others: by mechanics."
         columns = ("kernel", "way", "flops", "by the least")
         items.append(Table("Flops of derivatives, by the way of writing them", columns, flops, note))
-    return Section("derivatives", "Generated sensitivities against algorithmic differentiation", "", tuple(items))
+    title = "Generated sensitivities against algorithmic differentiation"
+    return Section("derivatives", title, _compare_ways(found), tuple(items))
+
+
+def _find_quickest(attempts: Sequence[Attempt]) -> dict[str, dict[str, Attempt]]:
+    """Return the quickest solve by representation and by the source of derivatives."""
+    found: dict[str, dict[str, Attempt]] = {}
+    for a in attempts:
+        if a.part == "derivatives" and a.cost is not None:
+            quickest = found.setdefault(a.task.representation, {})
+            way = a.guess.rpartition(", ")[0]
+            if way not in quickest or a.cpu_seconds < quickest[way].cpu_seconds:
+                quickest[way] = a
+    return found
+
+
+def _list_parts(found: Mapping[str, Mapping[str, Attempt]]) -> list[tuple[str, float, float]]:
+    """Return the time of an iteration for evaluation and for the rest, in ms, by representation and source."""
+    return [
+        (f"{name}, {way}", scale * a.cpu_seconds_evaluating, scale * (a.cpu_seconds - a.cpu_seconds_evaluating))
+        for name, quickest in found.items()
+        for way, a in quickest.items()
+        for scale in [1e3 / max(a.iterations, 1)]
+    ]
+
+
+def _compare_ways(found: Mapping[str, Mapping[str, Attempt]]) -> str:
+    """Answer in one sentence: how much faster generated derivatives are, alone and in a whole solve."""
+    parts = []
+    for way in WAYS[1:]:
+        pairs = [(quickest[WAYS[0]], quickest[way]) for quickest in found.values() if {WAYS[0], way} <= quickest.keys()]
+        if pairs:
+            alone = [theirs.cpu_seconds_evaluating / ours.cpu_seconds_evaluating for ours, theirs in pairs]
+            whole = [theirs.cpu_seconds / ours.cpu_seconds for ours, theirs in pairs]
+            parts.append(
+                f"by {way}, functions and derivatives take {_span(alone)} times the time of the generated ones, and "
+                f"the whole solve {_span(whole)} times"
+            )
+    return f"Of the same equations: {'; '.join(parts)}." if parts else ""
+
+
+def _span(values: Sequence[float]) -> str:
+    least, most = f"{min(values):.2g}", f"{max(values):.2g}"
+    return least if least == most else f"{least} to {most}"
 
 
 # --- grids ---------------------------------------------------------------------------------------------------------
