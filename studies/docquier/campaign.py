@@ -361,7 +361,8 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
             "statements",
             "Claims of the paper, and verdicts of this run",
             "Each claim of section 4.3 and of the conclusion, beside the numbers of the paper's protocol: one "
-            "stated guess for all representations, the interpolation with inputs 0, and no restart.",
+            "stated guess for all representations, the interpolation with inputs 0, and no restart."
+            + describe_missing(results),
             (tabulate_claims(judgements), *([scatter] if scatter else [])),
         ),
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
@@ -370,6 +371,16 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
     run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_environments(counts)))
     rest = (report_robust(results, states), *_answer(campaign, results, own))
     return sections + [section for section in (*rest, run) if section is not None]
+
+
+def describe_missing(results: Results) -> str:
+    """Describe the costs whose verdicts are of a part of the targets."""
+    whole = len(results.study.targets.places)
+    return "".join(
+        f" Verdicts with {name_set(weights)} are of {len(places)} of {whole} targets, since the record is not complete."
+        for weights, places in results.compared.items()
+        if len(places) < whole
+    )
 
 
 def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:

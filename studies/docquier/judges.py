@@ -174,8 +174,12 @@ def judge_more_without_smoothing(results: Results) -> Finding | None:
         return None
     assert results.rough is not None
     assert results.smooth is not None
-    without, with_ = (sum(_count_higher(results, w).values()) for w in (results.rough, results.smooth))
-    return _find(without > with_, f"tasks in a higher minimum: {without:.0f} without smoothing, {with_:.0f} with")
+    both = results.compared[results.rough] & results.compared[results.smooth]
+    without, with_ = (
+        sum(len(both.intersection(results.higher(w, name))) for name in ALL) for w in (results.rough, results.smooth)
+    )
+    text = f"tasks in a higher minimum: {without} without smoothing, {with_} with, of {len(both) * len(ALL)} each"
+    return _find(without > with_, text)
 
 
 def judge_implicit_trapped(results: Results) -> Finding | None:

@@ -19,11 +19,12 @@ from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.search import Study, Targets
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import spread
+from studies.docquier.campaign import describe_missing
 from studies.docquier.claims import CLAIMS
 from studies.docquier.differentiated import WAYS
 from studies.docquier.growth import Growth
 from studies.docquier.judgement import INSIDE, THRESHOLDS, TURNS, UNMEASURED, judge_all, write_thresholds
-from studies.docquier.judges import COLLOCATION, CONFIRMED, REFUTED
+from studies.docquier.judges import COLLOCATION, CONFIRMED, REFUTED, Finding
 from studies.docquier.questions import answer_derivatives
 from studies.docquier.results import Effort, Results, find_outliers
 
@@ -400,3 +401,14 @@ def test_sources_of_derivatives_are_compared_in_one_sentence() -> None:
         "generated ones, and the whole solve 1.5 to 2.5 times."
     )
     assert isinstance(section.items[0], Picture)
+
+
+def test_costs_are_compared_on_the_targets_that_both_have() -> None:
+    """Of a record in which one cost is not complete, higher minima elsewhere do not count; a sentence says so."""
+    whole = make(cost=at((SMOOTH, ("EXP1-O",), (0, 1), 6.0), (ROUGH, ("IMPL",), (8,), 6.0), rest=5.0))
+    part = replace(whole, attempts=tuple(a for a in whole.attempts if a.task.weights == SMOOTH or a.task.place[0] > 1))
+    judge = next(claim.judge for claim in CLAIMS if claim.key == "fewer-minima")
+    assert judge(whole) == Finding(REFUTED, "tasks in a higher minimum: 1 without smoothing, 2 with, of 54 each")
+    assert judge(part) == Finding(CONFIRMED, "tasks in a higher minimum: 1 without smoothing, 0 with, of 42 each")
+    assert describe_missing(whole) == ""
+    assert "Verdicts with k1 = 1, k2 = 0 are of 7 of 9 targets" in describe_missing(part)
