@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mbsgen.errors import Fault, InputError, MbsError
+from mbsrun.closure import has_loops
 from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
 from mbsrun.measuring.sections import Cell, Section, Table
@@ -223,7 +224,12 @@ class _Count:
 
 
 def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
-    """List the tasks of a question."""
+    """List the tasks of a question, with the linear solver of the campaign."""
+    linear = campaign.study.linear_solver
+    return [replace(t, study=replace(t.study, linear_solver=linear)) for t in _list_tasks(campaign, question)]
+
+
+def _list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
     subject, study = campaign.subject, campaign.study
     if question == "derivatives":
         return questions.list_derivatives(subject.problem, subject.folder, study.representations)
@@ -233,7 +239,8 @@ def list_tasks(campaign: Campaign, question: str) -> list[TaskList]:
     if question == "systems":
         return questions.list_systems([s.system for s in campaign.systems])
     if question == "shooting":
-        return questions.list_shooting(study, subject.folder, [s.system for s in campaign.systems])
+        open_chains = [s.system for s in campaign.systems if not has_loops(s.plant.manifest)]  # shooting takes no loops
+        return questions.list_shooting(study, subject.folder, open_chains)
     if question == "repeats":
         return questions.list_repeats(study, subject.folder)
     return questions.list_guesses(study, subject.folder)
@@ -336,7 +343,7 @@ def describe_extent(campaign: Campaign, out: Path) -> list[str]:
         )
     solvers = Counter(json.loads(text).get("linear_solver") for _, text in rows if text)
     used = ", ".join(f"{name} in {count} solves" for name, count in sorted(solvers.items(), key=str))
-    return [*texts, f"The linear solver of IPOPT was {used}." if used else "It holds no solve."]
+    return [*texts, f"In these solves the linear solver of IPOPT was {used}." if used else "It holds no solve."]
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:

@@ -38,6 +38,7 @@ from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import Progress, Study, Targets, find_lowest, identify
 from mbsrun.ocp.solve import Solver
 from studies.docquier.campaign import (
+    QUESTIONS,
     STORE,
     Campaign,
     Step,
@@ -49,6 +50,7 @@ from studies.docquier.campaign import (
     hold,
     list_attempts,
     list_lowest,
+    list_tasks,
     read_subject,
     report,
 )
@@ -235,6 +237,15 @@ def test_nonzeros_are_counted_by_group(subject: Subject) -> None:
     assert groups.inputs == 2 * 6 + 2 * 5
     assert groups.end == {(0, 0), (0, 1), (1, 1)}
     assert explain_nonzeros(subject.problem, subject.plant) is None
+
+
+def test_questions_take_the_linear_solver_of_the_campaign_and_shoot_at_no_closed_loops(campaign: Campaign) -> None:
+    bar = read_subject(MODELS / "five_bar_reach.ocp.yaml")
+    asked = replace(campaign, systems=(bar,), study=replace(campaign.study, linear_solver="mbs"))
+    for question in QUESTIONS:
+        lists = list_tasks(asked, question)
+        assert {tasks.study.linear_solver for tasks in lists} == {"mbs"}
+        assert any(tasks.folder == bar.folder for tasks in lists) is (question == "systems")
 
 
 def test_an_unreachable_cluster_is_an_error(tmp_path: Path) -> None:
