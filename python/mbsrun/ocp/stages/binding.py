@@ -44,6 +44,20 @@ class Lifted:
     equations: Indices
 
 
+def list_lifted(data: StageProgram) -> tuple[Lifted, ...]:
+    """List the stages with variables of the tables alone."""
+    first, row, found = 0, 0, []
+    for k, number in enumerate(data.kind_of_stage):
+        kind = data.kinds[number]
+        end, last = first + kind.nx + kind.nv, row + kind.ne
+        chosen = data.lifted[(data.lifted >= first) & (data.lifted < end)]
+        rows = data.lifted_rows[(data.lifted_rows >= row) & (data.lifted_rows < last)]
+        if chosen.size:
+            found.append(Lifted(k, np.arange(first, end), chosen, rows - row))
+        first, row = end, last
+    return tuple(found)
+
+
 class Tables:
     """A program in stages in C's memory, which any number of solvers share."""
 
@@ -83,16 +97,7 @@ class Tables:
     @cached_property
     def lifted(self) -> tuple[Lifted, ...]:
         """The stages with variables of the tables alone."""
-        data, first, row, found = self.data, 0, 0, []
-        for k, number in enumerate(data.kind_of_stage):
-            kind = data.kinds[number]
-            end, last = first + kind.nx + kind.nv, row + kind.ne
-            chosen = data.lifted[(data.lifted >= first) & (data.lifted < end)]
-            rows = data.lifted_rows[(data.lifted_rows >= row) & (data.lifted_rows < last)]
-            if chosen.size:
-                found.append(Lifted(k, np.arange(first, end), chosen, rows - row))
-            first, row = end, last
-        return tuple(found)
+        return list_lifted(self.data)
 
     # --- memory ---
 

@@ -20,7 +20,7 @@ from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.problem import Constraint, Cost, Term
 from mbsrun.ocp.stages import formulas
-from mbsrun.ocp.stages.binding import Evaluator
+from mbsrun.ocp.stages.binding import Evaluator, list_lifted
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import FormulaFunction, KernelFunction, StageProgram
@@ -104,7 +104,8 @@ class Apart(Evaluator):
     """An evaluator whose functions are calls of a program."""
 
     def __init__(self, program: Path, data: StageProgram, parameters: Array) -> None:
-        self.tables, self.program, self.parameters = SimpleNamespace(data=data), program, parameters  # type: ignore[assignment]
+        self.tables = SimpleNamespace(data=data, lifted=list_lifted(data))  # type: ignore[assignment]
+        self.program, self.parameters = program, parameters
 
     def run(self, which: int, k: int, sizes: tuple[int, ...], xv: Array, more: Array) -> list[Array]:
         """Call a function; return its results."""
