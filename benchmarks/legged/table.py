@@ -40,7 +40,7 @@ and last of the quicker one's time of an iteration to ours. Plain programs are s
 
 {table}
 The checks use the recursion as well. The balance of momentum is M (v+ - v-) - J' L, relative to the largest impulse.
-Standing feet are held by their velocities at collocation points, so they slip by the error of the discretisation. The
+Standing feet are held by their places at mesh points, where the slip is taken, and by their velocities between. The
 defect is the largest difference at the end of an interval that a tight integrator finds [rad, m, and these per s].
 
 {checks}"""

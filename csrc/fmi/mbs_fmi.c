@@ -389,7 +389,7 @@ size_t mbs_fmi_count_bytes(void)
     return 2 * sizeof(double) + (size_t)MODEL.size * sizeof(mbs_real);
 }
 
-void mbs_fmi_save(const instance *c, unsigned char *bytes)
+static void save(const instance *c, unsigned char *bytes)
 {
     const double two[] = {c->time, c->step};
     memcpy(bytes, two, sizeof two);
@@ -404,4 +404,40 @@ void mbs_fmi_restore(instance *c, const unsigned char *bytes)
     c->time = two[0];
     c->step = two[1];
     c->is_set_up = c->is_known = 0;
+}
+
+int mbs_fmi_take(instance *c, void **state)
+{
+    if (!*state)
+        *state = malloc(mbs_fmi_count_bytes());
+    if (!*state)
+        return mbs_fmi_fail(c, "there is no memory for a state");
+    save(c, *state);
+    return 0;
+}
+
+int mbs_fmi_write(instance *c, const void *state, unsigned char bytes[], size_t size)
+{
+    if (size != mbs_fmi_count_bytes())
+        return mbs_fmi_fail(c, "the size of the state is another");
+    memcpy(bytes, state, size);
+    return 0;
+}
+
+int mbs_fmi_read(instance *c, const unsigned char bytes[], size_t size, void **state)
+{
+    if (size != mbs_fmi_count_bytes())
+        return mbs_fmi_fail(c, "the size of the state is another");
+    if (!*state)
+        *state = malloc(size);
+    if (!*state)
+        return mbs_fmi_fail(c, "there is no memory for a state");
+    memcpy(*state, bytes, size);
+    return 0;
+}
+
+void mbs_fmi_drop(void **state)
+{
+    free(*state);
+    *state = NULL;
 }

@@ -88,7 +88,11 @@ int mbs_fmi_project(mbs_fmi_instance *c);
 int mbs_fmi_advance(mbs_fmi_instance *c, double time, double size);
 
 size_t mbs_fmi_count_bytes(void);
-void mbs_fmi_save(const mbs_fmi_instance *c, unsigned char *bytes);
 void mbs_fmi_restore(mbs_fmi_instance *c, const unsigned char *bytes);
+/* Save to *state, or to new memory where it is NULL; copy a saved state to bytes, and back; free it. */
+int mbs_fmi_take(mbs_fmi_instance *c, void **state);
+int mbs_fmi_write(mbs_fmi_instance *c, const void *state, unsigned char bytes[], size_t size);
+int mbs_fmi_read(mbs_fmi_instance *c, const unsigned char bytes[], size_t size, void **state);
+void mbs_fmi_drop(void **state);
 
 #endif

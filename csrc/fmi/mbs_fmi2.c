@@ -212,12 +212,7 @@ MBS_FMI_API fmi2Status fmi2GetRealStatus(fmi2Component instance, fmi2StatusKind 
 
 MBS_FMI_API fmi2Status fmi2GetFMUstate(fmi2Component instance, fmi2FMUstate *state)
 {
-    if (!*state)
-        *state = malloc(mbs_fmi_count_bytes());
-    if (!*state)
-        return fail(instance, "there is no memory for a state");
-    mbs_fmi_save(instance, *state);
-    return fmi2OK;
+    return end(mbs_fmi_take(instance, state));
 }
 
 MBS_FMI_API fmi2Status fmi2SetFMUstate(fmi2Component instance, fmi2FMUstate state)
@@ -229,8 +224,7 @@ MBS_FMI_API fmi2Status fmi2SetFMUstate(fmi2Component instance, fmi2FMUstate stat
 MBS_FMI_API fmi2Status fmi2FreeFMUstate(fmi2Component instance, fmi2FMUstate *state)
 {
     (void)instance;
-    free(*state);
-    *state = NULL;
+    mbs_fmi_drop(state);
     return fmi2OK;
 }
 
@@ -243,23 +237,13 @@ MBS_FMI_API fmi2Status fmi2SerializedFMUstateSize(fmi2Component instance, fmi2FM
 
 MBS_FMI_API fmi2Status fmi2SerializeFMUstate(fmi2Component instance, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    if (size != mbs_fmi_count_bytes())
-        return fail(instance, "the size of the state is another");
-    memcpy(bytes, state, size);
-    return fmi2OK;
+    return end(mbs_fmi_write(instance, state, bytes, size));
 }
 
 MBS_FMI_API fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte bytes[], size_t size,
                                                fmi2FMUstate *state)
 {
-    if (size != mbs_fmi_count_bytes())
-        return fail(instance, "the size of the state is another");
-    if (!*state)
-        *state = malloc(size);
-    if (!*state)
-        return fail(instance, "there is no memory for a state");
-    memcpy(*state, bytes, size);
-    return fmi2OK;
+    return end(mbs_fmi_read(instance, bytes, size, state));
 }
 
 /* --- the rest of the interface --- */

@@ -3,7 +3,6 @@
 
 #include <stdbool.h>
 #include <stdlib.h>
-#include <string.h>
 
 typedef void *fmi3Instance;
 typedef void *fmi3InstanceEnvironment;
@@ -252,12 +251,7 @@ MBS_FMI_API fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3F
 
 MBS_FMI_API fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
 {
-    if (!*state)
-        *state = malloc(mbs_fmi_count_bytes());
-    if (!*state)
-        return fail(instance, "there is no memory for a state");
-    mbs_fmi_save(instance, *state);
-    return fmi3OK;
+    return end(mbs_fmi_take(instance, state));
 }
 
 MBS_FMI_API fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
@@ -269,8 +263,7 @@ MBS_FMI_API fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state
 MBS_FMI_API fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
 {
     (void)instance;
-    free(*state);
-    *state = NULL;
+    mbs_fmi_drop(state);
     return fmi3OK;
 }
 
@@ -283,23 +276,13 @@ MBS_FMI_API fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMU
 
 MBS_FMI_API fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, uint8_t bytes[], size_t size)
 {
-    if (size != mbs_fmi_count_bytes())
-        return fail(instance, "the size of the state is another");
-    memcpy(bytes, state, size);
-    return fmi3OK;
+    return end(mbs_fmi_write(instance, state, bytes, size));
 }
 
 MBS_FMI_API fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const uint8_t bytes[], size_t size,
                                                fmi3FMUState *state)
 {
-    if (size != mbs_fmi_count_bytes())
-        return fail(instance, "the size of the state is another");
-    if (!*state)
-        *state = malloc(size);
-    if (!*state)
-        return fail(instance, "there is no memory for a state");
-    memcpy(*state, bytes, size);
-    return fmi3OK;
+    return end(mbs_fmi_read(instance, bytes, size, state));
 }
 
 /* --- the rest of the interface --- */
