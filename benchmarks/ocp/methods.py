@@ -22,11 +22,11 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.search import Targets
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.study import Targets
 from mbsrun.ocp.trajectory import Trajectory
 
 MODELS = Path(__file__).parents[2] / "models"

@@ -26,18 +26,10 @@ from mbsrun.models import find_folder, fingerprint_generator
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Record, open_record
-from mbsrun.ocp.search import (
-    Executor,
-    OutOfTimeError,
-    ProtocolName,
-    Search,
-    Study,
-    Targets,
-    Weights,
-    describe,
-    identify,
-)
+from mbsrun.ocp.search import Executor, OutOfTimeError, Search
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.study import Study, Targets, Weights, describe, identify
+from mbsrun.ocp.trials import ProtocolName
 from studies.docquier import questions, spread
 from studies.docquier.differentiated import WAYS, Differentiated
 from studies.docquier.export import Row, list_rows

@@ -28,8 +28,9 @@ from mbsrun.measuring.sections import Section, distinguish, read_folders, write_
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS
 from mbsrun.ocp.problem import Representation, find_conflicts
-from mbsrun.ocp.search import ProtocolName, Study, Targets, Weights
 from mbsrun.ocp.starts import list_turning
+from mbsrun.ocp.study import Study, Targets, Weights
+from mbsrun.ocp.trials import ProtocolName
 from studies.docquier.campaign import (
     QUESTIONS,
     SETS,

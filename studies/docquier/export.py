@@ -11,7 +11,7 @@ from typing import Literal
 
 from mbsgen.errors import MbsError
 from mbsrun.ocp.record import Attempt
-from mbsrun.ocp.search import Study
+from mbsrun.ocp.study import Study
 
 Form = Literal["csv", "parquet"]
 Row = dict[str, object]

@@ -21,7 +21,7 @@ from mbsgen.style import BAD, PALETTE, styled
 from mbsrun.measuring.sections import Picture
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt
-from mbsrun.ocp.search import Weights
+from mbsrun.ocp.study import Weights
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier.judges import list_grids, mean_iterations
 from studies.docquier.results import Results

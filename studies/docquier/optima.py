@@ -10,12 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from mbsrun.measuring.sections import Cell, Section, Table
+from mbsrun.ocp.attempts import find_lowest, is_higher
 from mbsrun.ocp.certificate import Certificate, certify_motion
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt, Record, Task
-from mbsrun.ocp.search import Place, Study, Weights, find_lowest, is_higher
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.structure import Structure, structure
+from mbsrun.ocp.study import Place, Study, Weights
 
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8

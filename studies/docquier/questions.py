@@ -19,11 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from mbsrun.measuring.sections import Cell, Picture, Section, Table
+from mbsrun.ocp.attempts import is_higher
 from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.search import ONE, Interpolation, Place, Study, Trial, is_higher, list_interpolations
+from mbsrun.ocp.study import ONE, Place, Study
+from mbsrun.ocp.trials import Interpolation, Trial, list_interpolations
 from studies.docquier.differentiated import WAYS, Way
 from studies.docquier.figures import draw_parts, draw_scatter, name_set
 from studies.docquier.judges import COLLOCATION

@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsrun.ocp.attempts import find_lowest
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import SAME, Attempt, Task
-from mbsrun.ocp.search import Place, Study, Weights, find_lowest
+from mbsrun.ocp.study import Place, Study, Weights
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier.growth import Growth
 from studies.docquier.spread import Spread

@@ -9,21 +9,12 @@ from itertools import product
 import numpy as np
 
 from mbsrun.measuring.sections import Cell, Section, Table
+from mbsrun.ocp.attempts import count_finds, is_higher, list_turned, summarise
 from mbsrun.ocp.record import SAME, Attempt, Record, Task
-from mbsrun.ocp.search import (
-    COUNTS,
-    Place,
-    Progress,
-    Study,
-    Targets,
-    Weights,
-    count_finds,
-    find_progress,
-    is_higher,
-    list_turned,
-    summarise,
-)
+from mbsrun.ocp.search import Progress, find_progress
 from mbsrun.ocp.starts import describe_turns
+from mbsrun.ocp.study import Place, Study, Targets, Weights
+from mbsrun.ocp.trials import COUNTS
 from studies.docquier.figures import name_set
 from studies.docquier.results import Results
 

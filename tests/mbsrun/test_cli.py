@@ -25,10 +25,10 @@ from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem import Form, Refinement
-from mbsrun.ocp.search import COUNTS
 from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.status import ACCEPTABLE
+from mbsrun.ocp.trials import COUNTS
 from tests.mbsrun.peer_arm import peer_arm
 from tests.sample import write_sample
 
@@ -288,8 +288,8 @@ SWEEP = ("sweep", "task.ocp.yaml", "--radius", "0.64", "--azimuths", "0", "0.02"
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search from few random starts."""
-    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", {kind: (int(kind == "bumps"),) * 2 for kind in COUNTS})
-    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (1, 1))
+    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", {kind: (int(kind == "bumps"),) * 2 for kind in COUNTS})
+    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (1, 1))
 
 
 @pytest.mark.usefixtures("few")

@@ -26,24 +26,15 @@ from mbsrun.commands.console import (
 )
 from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.attempts import Summary, describe_search, list_open_tasks, summarise
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
-from mbsrun.ocp.search import (
-    OutOfTimeError,
-    ProtocolName,
-    Search,
-    Study,
-    Summary,
-    Targets,
-    describe,
-    describe_search,
-    identify,
-    list_open_tasks,
-    summarise,
-)
+from mbsrun.ocp.search import OutOfTimeError, Search
 from mbsrun.ocp.starts import list_turning
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.study import Study, Targets, describe, identify
+from mbsrun.ocp.trials import ProtocolName
 
 SWEEP_HELP = """Solve PROBLEM for a grid of targets, in several representations, and sum up.
 

@@ -1,7 +1,7 @@
 """Execute the trials of a search in this process: each attempt solves one problem from one start.
 
-`search` plans trials and records outcomes. A `Worker` builds a program once for each structure of a problem, and solves
-it again and again. `cluster` starts workers in many processes.
+`trials` plans them, and `search` records outcomes. A `Worker` builds a program once for each structure of a problem,
+and solves it again and again. `cluster` starts workers in many processes.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.search import MULTISTART, Found, Hop, Order, Outcome, Trial, Varied
+from mbsrun.ocp.search import Order, Outcome
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import coarsen, count_turns, hop, vary
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.trials import MULTISTART, Found, Hop, Trial, Varied
 
 Environment = Mapping[str, str | int]
 

@@ -19,31 +19,17 @@ from types import FrameType
 from mbsgen.manifest import Manifest
 from mbsrun.environment import describe_environment
 from mbsrun.models import find_folder
+from mbsrun.ocp.attempts import is_higher
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.executor import LocalExecutor, Worker
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
-from mbsrun.ocp.search import (
-    MULTISTART,
-    ONE,
-    Executor,
-    Found,
-    Hop,
-    Interpolation,
-    Order,
-    OutOfTimeError,
-    Search,
-    Study,
-    Trial,
-    Varied,
-    describe,
-    identify,
-    is_higher,
-    list_hops,
-)
+from mbsrun.ocp.search import Executor, Order, OutOfTimeError, Search
 from mbsrun.ocp.solution import Failure, Solution, Start, Starts
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
+from mbsrun.ocp.study import ONE, Study, describe, identify
+from mbsrun.ocp.trials import MULTISTART, Found, Hop, Interpolation, Trial, Varied, list_hops
 
 Watch = Callable[[Starts], None]
 GUESS = "guess"

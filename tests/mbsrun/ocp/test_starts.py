@@ -14,6 +14,7 @@ from mbsrun.external import load_on_demand
 from mbsrun.lab.optimisation import state_swing_up
 from mbsrun.ocp import record as records
 from mbsrun.ocp import schemes
+from mbsrun.ocp.attempts import count_finds, describe_search, find_lowest, list_open_tasks, list_turned, summarise
 from mbsrun.ocp.executor import Worker
 from mbsrun.ocp.guess import find_pose, interpolate, scatter_poses
 from mbsrun.ocp.multistart import describe_starts, gather, list_starts, state_study
@@ -21,21 +22,12 @@ from mbsrun.ocp.pictures import plot_starts
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Task, open_record
-from mbsrun.ocp.search import (
-    COUNTS,
-    Order,
-    Targets,
-    count_finds,
-    describe_search,
-    find_lowest,
-    list_open_tasks,
-    list_turned,
-    plan_round,
-    summarise,
-)
+from mbsrun.ocp.search import Order
 from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import Kind, Variation, add_waves, coarsen, count_turns, describe_turns, list_turning, vary
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.study import Targets
+from mbsrun.ocp.trials import COUNTS, plan_round
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator

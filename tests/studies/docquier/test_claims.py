@@ -16,7 +16,7 @@ import pytest
 from mbsrun.measuring.sections import Picture
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.search import Study, Targets
+from mbsrun.ocp.study import Study, Targets
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import spread
 from studies.docquier.campaign import describe_missing

@@ -32,11 +32,13 @@ from mbsrun.measuring.sections import (
     write_outline,
     write_table,
 )
+from mbsrun.ocp.attempts import find_lowest
 from mbsrun.ocp.cluster import ClusterError, open_workers
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
-from mbsrun.ocp.search import Progress, Study, Targets, find_lowest, identify
+from mbsrun.ocp.search import Progress
 from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.study import Study, Targets, identify
 from studies.docquier.campaign import (
     QUESTIONS,
     STORE,
@@ -63,7 +65,7 @@ from studies.docquier.robustness import State, describe_outcome, find_state, lis
 
 MODELS = Path(__file__).parents[3] / "models"
 COUNTS = {"bumps": (6, 2), "noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
-FEW = f"import mbsrun.ocp.search as s; s.COUNTS, s.HOPS = {COUNTS}, (0, 0); from mbsrun.cli import main; main()"
+FEW = f"import mbsrun.ocp.trials as s; s.COUNTS, s.HOPS = {COUNTS}, (0, 0); from mbsrun.cli import main; main()"
 AZIMUTHS = (0.7, 1.3, 7)
 SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
 
@@ -87,8 +89,8 @@ def subject(problem: Path) -> Subject:
 @pytest.fixture
 def campaign(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Campaign:
     """State the robust protocol for seven targets, with few starts."""
-    monkeypatch.setattr("mbsrun.ocp.search.COUNTS", COUNTS)
-    monkeypatch.setattr("mbsrun.ocp.search.HOPS", (0, 0))
+    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", COUNTS)
+    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (0, 0))
     targets = Targets(0.55, tuple(np.linspace(*AZIMUTHS).tolist()), (0.0,))
     study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1))
     return Campaign(subject, study, ("robust",), (), (), is_quick=True)
