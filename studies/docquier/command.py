@@ -189,7 +189,8 @@ def study_command(
             raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
     bumped = tuple(subject.plant.manifest.actuated)
     turning = list_turning(problem, subject.plant.manifest)
-    study = Study(problem, find_sensor(problem, file), grid, costs or SETS, representations, bumped, turning, linear)
+    sensor = find_sensor(problem, file)
+    study = Study(problem, sensor, grid, costs or SETS, representations, bumped, turning, linear, method="mbs")
     chosen = bool(protocols or asked)
     campaign = Campaign(
         subject=subject,

@@ -28,37 +28,43 @@ from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import coarsen, count_turns, hop, vary
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.structure import Structure, structure
+from mbsrun.ocp.study import Study
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.trials import MULTISTART, Found, Hop, Trial, Varied
 
 Environment = Mapping[str, str | int]
 
-# IPOPT begins with a barrier that would push a motion out of a shallow minimum. These options keep the motion in it.
+# Methods begin with a barrier that would push a motion out of a shallow minimum. These options keep the motion in it.
 HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
+HOLD_STAGES = (("barrier", 1e-6), ("push", 1e-8))
 DIGITS = 12  # of the hash of the generated code, as outcomes keep it
 SOLVERS = 12  # kept for the next trial: the representations, with the standard form and others
 
 
-def choose_options(problem: Problem, trial: Trial, linear_solver: str = MUMPS) -> Problem:
-    """Add the options of IPOPT that a trial requires and the problem does not state: linear solver, staying near.
+def choose_options(problem: Problem, trial: Trial, study: Study) -> Problem:
+    """Choose the method of a trial, and add the options that it requires and the problem does not state.
 
-    Searches for optima use the fastest linear solver. The other protocols compare times with the paper's, so they use
-    the given one, by default MUMPS. A problem that states an option of MUMPS takes MUMPS.
+    The robust protocol takes the method of the study, unless the problem states options of IPOPT. Searches for optima
+    take the fastest linear solver. The other protocols compare times with the paper's, so they take the study's linear
+    solver. A problem that states an option of MUMPS takes MUMPS.
     """
     solver = problem.solver
+    is_held = isinstance(trial.start, Found) and trial.start.is_held
     if solver.method != "ipopt":
         return problem
-    wanted = OWN if trial.protocol in ("robust", MULTISTART) else linear_solver
+    if trial.protocol == "robust" and study.method == "mbs" and not solver.options:
+        return replace(problem, solver=replace(solver, method="mbs", options=HOLD_STAGES if is_held else ()))
+    wanted = OWN if trial.protocol in ("robust", MULTISTART) else study.linear_solver
     is_bound = any(name.startswith(MUMPS) for name, _ in solver.options)
     told: dict[str, float | int | str] = {LINEAR_SOLVER: MUMPS if is_bound else choose(wanted)}
-    if isinstance(trial.start, Found) and trial.start.is_held:
+    if is_held:
         told |= HOLD
     return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
 
 
 def state(order: Order) -> Problem:
-    """State the problem of an order, with the options of its solver."""
-    return choose_options(order.study.state(order.trial.task), order.trial, order.study.linear_solver)
+    """State the problem of an order, with its method and options."""
+    return choose_options(order.study.state(order.trial.task), order.trial, order.study)
 
 
 class Worker:

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.linear import MUMPS
-from mbsrun.ocp.problem import Point, Problem, Representation, cylindrical
+from mbsrun.ocp.problem import Point, Problem, Representation, SolverName, cylindrical
 from mbsrun.ocp.record import Task
 
 Place = tuple[int, int]
@@ -69,6 +69,7 @@ class Study:
     bumped: tuple[int, ...]  # coordinates that bumps move
     turning: tuple[int, ...] = ()  # entries of q to which the robust protocol adds whole turns
     linear_solver: str = MUMPS  # of IPOPT, for all protocols except the robust one, which takes the fastest
+    method: SolverName = "ipopt"  # of the robust protocol
 
     def state(self, task: Task) -> Problem:
         """State the problem of a task."""

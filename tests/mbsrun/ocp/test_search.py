@@ -24,7 +24,7 @@ from mbsrun.ocp.search import Order, Outcome, OutOfTimeError, Search
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.study import Study, Targets, identify
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.trials import Found, ProtocolName, Trial, plan_round
+from mbsrun.ocp.trials import MULTISTART, Found, ProtocolName, Trial, plan_round
 from tests.mbsrun.peer import Peer
 
 TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
@@ -139,17 +139,20 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
     """A solve from another solution has a low barrier; the problem's own options are kept."""
     task = Task((0, 0), (1.0, 10.0), "IMPL")
 
-    def tell(problem: Problem, *, is_held: bool) -> dict[str, object]:
-        start = Found(task, is_held)
-        return dict(choose_options(problem, Trial(task, "robust", "", "", start)).solver.options)
+    def tell(problem: Problem, *, is_held: bool, protocol: str = "robust") -> dict[str, object]:
+        trial = Trial(task, protocol, "", "", Found(task, is_held))
+        chosen = choose_options(problem, trial, replace(study, method="mbs")).solver
+        return {"method": chosen.method, **dict(chosen.options)}
 
     own = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
     assert tell(own, is_held=True)["linear_solver"] == "mbs"
-    assert tell(study.problem, is_held=True)["mu_init"] == 1e-6
-    assert "mu_init" not in tell(study.problem, is_held=False)
+    assert tell(study.problem, is_held=True) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
+    assert tell(study.problem, is_held=False) == {"method": "mbs"}
+    assert tell(study.problem, is_held=True, protocol=MULTISTART)["mu_init"] == 1e-6
+    assert "mu_init" not in tell(study.problem, is_held=False, protocol=MULTISTART)
     assert tell(own, is_held=True)["mu_init"] == 0.5
     pivots = replace(own, solver=replace(own.solver, options=(("mumps_pivtol", 0.1),)))
-    assert tell(pivots, is_held=False) == {"linear_solver": "mumps", "mumps_pivtol": 0.1}
+    assert tell(pivots, is_held=False) == {"method": "ipopt", "linear_solver": "mumps", "mumps_pivtol": 0.1}
     best = {task: Best(1.0, 0), replace(task, representation="SEMI"): Best(1.1, 0)}
     one = replace(study, targets=replace(TARGETS, every=(3, 1)), representations=(*Representation,)[:2])
     (trial,) = plan_round(replace(one, costs=(task.weights,)), "robust", 1, best, ())
