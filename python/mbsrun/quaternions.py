@@ -114,19 +114,19 @@ def turn(start: Array, a: Array, w: Array, b: Array, r: Array) -> tuple[Array, A
 
     def seen(v: Array) -> Array:
         """Turn a vector into the axes of the body, which the second turn moves."""
-        return _multiply(_multiply(back, _pure(v)), second)[..., :3]
+        return multiply(multiply(back, _pure(v)), second)[..., :3]
 
-    q = _multiply(_multiply(start, _raise(w * a)), second)
+    q = multiply(multiply(start, _raise(w * a)), second)
     carried = seen(wd * a)
     spin = carried + rd * b
     slope = seen(wdd * a) - np.cross(rd * b, carried) + rdd * b
-    first = _multiply(q, _pure(spin)) / 2
-    return q, first, _multiply(q, _pure(slope)) / 2 - (spin**2).sum(axis=-1, keepdims=True) * q / 4
+    first = multiply(q, _pure(spin)) / 2
+    return q, first, multiply(q, _pure(slope)) / 2 - (spin**2).sum(axis=-1, keepdims=True) * q / 4
 
 
 def find_turn(start: Array, end: Array) -> Array:
     """Return the rotation vector, in the axes at `start`, of the shorter turn to `end`; both are (4,), of length 1."""
-    between = _multiply(start * [-1.0, -1.0, -1.0, 1.0], end)
+    between = multiply(start * [-1.0, -1.0, -1.0, 1.0], end)
     v, s = (between[:3], between[3]) if between[3] >= 0 else (-between[:3], -between[3])
     sine = float(np.linalg.norm(v))
     return v * (2 * np.arctan2(sine, s) / sine) if sine else np.zeros(3)
@@ -143,8 +143,13 @@ def _pure(vector: Array) -> Array:
     return np.concatenate((vector, np.zeros_like(vector[..., :1])), axis=-1)
 
 
-def _multiply(p: Array, q: Array) -> Array:
+def multiply(p: Array, q: Array) -> Array:
     """Multiply quaternions (..., 4)."""
     (a, s), (b, t) = (p[..., :3], p[..., 3:]), (q[..., :3], q[..., 3:])
     dot = (a * b).sum(axis=-1, keepdims=True)
     return np.concatenate((s * b + t * a + np.cross(a, b), s * t - dot), axis=-1)
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Turn vectors v (..., 3) by quaternions q (..., 4) of length 1."""
+    return multiply(multiply(q, _pure(v)), q * [-1.0, -1.0, -1.0, 1.0])[..., :3]

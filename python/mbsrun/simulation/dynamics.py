@@ -116,6 +116,17 @@ class Dynamics:
         K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
         return K, C, M
 
+    def linearise(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        """Evaluate the residual without the forces of loops, and differentiate it by q, qd and qdd, as above."""
+        self.effort.evaluations += _states(q)
+        self.effort.jacobians += _states(q)
+        name = name_kernel(self._evaluated.function, Order.LINEARISATION)
+        count = len(self.kernels.manifest.owners)
+        lam = np.zeros((*q.shape[:-1], count)) if count else None
+        blocks = self.call(name, q, qd, v, qdd, lam)
+        K, C, M = self._take(blocks, "Phi", ("q", "qd", "qdd"), q)
+        return blocks["Phi"], K, C, M
+
     def input_slopes(self, q: Array, qd: Array, qdd: Array, v: Array, lam: Array | None = None) -> Array:
         """Differentiate the residual by the inputs, in which it is linear: states (K, ...) -> (K, n, m)."""
         K, m = v.shape
@@ -169,7 +180,9 @@ class Dynamics:
 
     def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
         """Call a Jacobian kernel; blocks without an entry are 0."""
-        blocks = self.call(name, q, *rest)
+        return self._take(self.call(name, q, *rest), result, by, q)
+
+    def _take(self, blocks: Mapping[str, Array], result: str, by: tuple[str, ...], q: Array) -> tuple[Array, ...]:
         shapes = ((*q.shape[:-1], self.size, self.places if x == "q" else self.size) for x in by)
         names = (name_derivative(result, x) for x in by)
         return tuple(blocks.get(name, np.zeros(shape)) for name, shape in zip(names, shapes, strict=True))

@@ -18,8 +18,8 @@ Phi(q, w, 0) = dM/dt w - dL/dq - Q, the equation is, with B = d(M w)/dq = dPhi/d
 
 Where coordinates change by rates(q, qd), with quaternions, velocities alone follow from the accelerations by these
 formulas, and coordinates from the velocities: at the stages of a collocation they solve its own equations; generalised
-alpha turns by the mean velocity of the step, as it does on groups (Bruls, Cardona, Journal of Computational and
-Nonlinear Dynamics 5 (2010), 031002), with the midpoint rule for the exponential.
+alpha moves by the mean velocity of the step on the group of the coordinates (`groups`; Bruls, Cardona, Journal of
+Computational and Nonlinear Dynamics 5 (2010), 031002; Arnold, Bruls, Cardona, Numerische Mathematik 129 (2015)).
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import DriveError, Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.explicit import SINGULAR, count_steps, describe_singularity, place_steps
+from mbsrun.simulation.groups import find_group
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 
 Array = NDArray[np.float64]
@@ -172,7 +173,7 @@ def _describe(error: Exception, time: float) -> Halt:
     return Halt(time, None, SINGULAR, "start elsewhere, or keep away from this configuration")
 
 
-def _consistent(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
+def find_start(dynamics: Dynamics, piece: Piece, q: Array, qd: Array) -> Array:
     """Solve the residual at the piece's start for the accelerations; it is linear in them."""
     v, rest = piece.at(piece.start, q, qd), np.zeros_like(qd)
     M = dynamics.stiffnesses(q, qd, rest, v)[2]
@@ -232,33 +233,31 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     gamma = 0.5 + alpha_f - alpha_m
     beta = 0.25 * (gamma + 0.5) ** 2
     ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
-    places = Places(dynamics, np.array([[0.5]]), np.array([1.0]))  # from the mean velocity, at the step's middle
+    group = find_group(dynamics.kernels)
     loop, memory = _Loop(dynamics, piece), dict[str, Array]()
 
     def step(state: State, time: float, h: float) -> State:
         a, end = memory.get("a", state.qdd), np.array([time + h])
 
-        def advance(qdd: Array) -> tuple[Array, Array, Array, Array, Array]:
-            """Return q, qd and a at the end, and the middle of the way with its velocity."""
+        def advance(qdd: Array) -> tuple[Array, Array, Array, Array]:
+            """Return q, qd and a at the end, and the way of the step along the group."""
             new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
-            mean = (state.qd + h * ((0.5 - beta) * a + beta * new))[None]
-            middle = places.stages(state.q, mean, h)
-            q = places.end(state.q, middle, mean, h)
-            return q, state.qd + h * ((1 - gamma) * a + gamma * new), new, middle, mean
+            way = h * (state.qd + h * ((0.5 - beta) * a + beta * new))
+            return group.move(state.q, way), state.qd + h * ((1 - gamma) * a + gamma * new), new, way
 
         def correct(qdd: Array) -> Array:
-            q, qd, _, middle, mean = advance(qdd)
+            q, qd, _, way = advance(qdd)
             at = (end, q[None], qd[None], qdd[None])
             K, C, M = (x[0] for x in loop.stiffnesses(*at))
-            by_mean = 2 * places.stiffen(K[None], middle, mean, h)[0, 0]  # the end is as far from the middle as that is
-            matrix = M + ratio * (h * gamma * C + h * beta * by_mean)
+            along = K if group.is_flat else K @ dynamics.rate_slopes(q, qd)[1] @ group.carry(way)
+            matrix = M + ratio * (h * gamma * C + h * h * beta * along)
             return -np.asarray(np.linalg.solve(matrix, loop.residual(*at)[0]))
 
         qdd = iterate(dynamics, correct, state.qdd, scale_changes(state, h))
         q, qd, memory["a"], *_ = advance(qdd)
         return State(q, qd, qdd, np.stack((state.q, q)), np.stack((state.qd, qd)))
 
-    return Scheme(partial(_consistent, dynamics, piece), step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
+    return Scheme(partial(find_start, dynamics, piece), step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
 
 
 def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
@@ -289,7 +288,7 @@ def make_collocation(family: schemes.Family, dynamics: Dynamics, piece: Piece, s
         Q, V = advance(z)
         return State(places.end(state.q, Q, V, h), state.qd + h * b @ z, values @ z, Q, V)
 
-    return Scheme(partial(_consistent, dynamics, piece), step, c, b)
+    return Scheme(partial(find_start, dynamics, piece), step, c, b)
 
 
 def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> Scheme:
@@ -308,12 +307,12 @@ def make_symplectic(dynamics: Dynamics, piece: Piece, _: Settings) -> Scheme:
             residual = M[0] @ (w - qd) + h * (dynamics.residual(q, w, rest, v) - B @ w)
             return -np.asarray(np.linalg.solve(M[0] + h * (damping - B.T), residual))
 
-        w = iterate(dynamics, correct, qd, 1 / (1 + np.abs(qd)) + h / (1 + np.abs(q)))
+        w = iterate(dynamics, correct, qd, scale_velocities(state, h))
         end, rest = q + h * w, np.zeros(n)
         M = dynamics.stiffnesses(np.array([q, end]), np.zeros((2, n)), np.zeros((2, n)), np.tile(v, (2, 1)))[2]
         return State(end, dynamics.solve(M[1], M[0] @ w), rest, end[None], w[None])
 
-    return Scheme(partial(_consistent, dynamics, piece), step)
+    return Scheme(partial(find_start, dynamics, piece), step)
 
 
 def extrapolate(points: Array) -> Array:
@@ -327,8 +326,13 @@ def extrapolate(points: Array) -> Array:
 
 def scale_changes(state: State, h: float) -> Array:
     """Return the change of the state in a step by a unit acceleration, relative to the state, or 1 with quaternions."""
+    return h * scale_velocities(state, h)
+
+
+def scale_velocities(state: State, h: float) -> Array:
+    """Return the change of the state in a step by a unit change of velocity, relative to the state, as above."""
     sizes = np.abs(state.q) if state.q.shape == state.qd.shape else 0.0
-    return np.asarray(h / (1 + np.abs(state.qd)) + h * h / (1 + sizes))
+    return np.asarray(1 / (1 + np.abs(state.qd)) + h / (1 + sizes))
 
 
 def iterate(

@@ -8,7 +8,7 @@ from functools import partial
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes
-from mbsrun.simulation import adaptive, closed, explicit, implicit, multipliers
+from mbsrun.simulation import adaptive, closed, explicit, implicit, multipliers, variational
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family, Integrator, Method
 from mbsrun.simulation.motion import Keeping, Settings
@@ -74,6 +74,16 @@ METHODS: Mapping[str, Method] = {
         (*_STEP, "rho"),
         closed=_implicit(multipliers.make_alpha),
         keeps=(Keeping.INDEX_3,),
+    ),
+    "variational": Method(
+        Family.IMPLICIT,
+        2,
+        "variational steps in momenta, on the Lie group of the coordinates",
+        _implicit(variational.make),
+        _STEP,
+        needs_residual=True,
+        closed=_implicit(variational.make),
+        keeps=(Keeping.RATTLE,),
     ),
     "radau-iia": Method(
         Family.IMPLICIT,

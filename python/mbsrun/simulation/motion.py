@@ -29,6 +29,7 @@ class Keeping(Enum):
     BAUMGARTE = "baumgarte"  # by accelerations that make open loops close, with given gains
     GGL = "ggl"  # stabilised index 2: by multipliers of positions and of velocities
     INDEX_3 = "index-3"  # by multipliers of positions
+    RATTLE = "rattle"  # by impulses at both ends of a step: one closes positions, one velocities
 
 
 @dataclass(frozen=True)

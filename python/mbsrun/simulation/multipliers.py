@@ -33,6 +33,7 @@ from mbsrun.simulation import radau
 from mbsrun.simulation.course import place_driven
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.groups import find_group
 from mbsrun.simulation.implicit import (
     CONVERGED,
     ITERATIONS,
@@ -66,7 +67,7 @@ class _Slopes:
 
 
 @dataclass(frozen=True)
-class _Loops:
+class Loops:
     """The equations of motion with multipliers, under the inputs of a piece."""
 
     dynamics: Dynamics
@@ -146,8 +147,8 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     gamma = 0.5 + alpha_f - alpha_m
     beta = 0.25 * (gamma + 0.5) ** 2
     ratio = (1 - alpha_f) / (1 - alpha_m)  # d a / d qdd
-    places = Places(dynamics, np.array([[0.5]]), np.array([1.0]))
-    loops, memory = _Loops(dynamics, piece), dict[str, Array]()
+    group = find_group(dynamics.kernels)
+    loops, memory = Loops(dynamics, piece), dict[str, Array]()
 
     def start(q: Array, qd: Array) -> Array:
         memory["a"], memory["lam"] = loops.start(q, qd)
@@ -156,23 +157,23 @@ def make_alpha(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     def step(state: State, time: float, h: float) -> State:
         a, end = memory["a"], np.array([time + h])
 
-        def advance(z: Array) -> tuple[Any, Array, Array, Array]:
-            """Return q, qd, qdd and lam at the end, the method's acceleration, and the middle of the way."""
+        def advance(z: Array) -> tuple[Any, Array, Array]:
+            """Return q, qd, qdd and lam at the end, the method's acceleration, and the way along the group."""
             qdd = z[None, :n].copy()
             new = ((1 - alpha_f) * qdd + alpha_f * state.qdd - alpha_m * a) / (1 - alpha_m)
-            mean = state.qd + h * ((0.5 - beta) * a + beta * new)
-            middle = places.stages(state.q, mean, h)
-            q = places.end(state.q, middle, mean, h)[None]
+            way = h * (state.qd + h * ((0.5 - beta) * a + beta * new))[0]
+            q = group.move(state.q, way)[None]
             qd = state.qd + h * ((1 - gamma) * a + gamma * new)
             loops.guide(end, q, qd, qdd)
-            return (q, qd, qdd, z[None, n:]), new[0], middle, mean
+            return (q, qd, qdd, z[None, n:]), new[0], way
 
         def correct(z: Array) -> Array:
-            at, _, middle, mean = advance(z)
+            at, _, way = advance(z)
             (Phi, gap, _), slopes = loops.linearise(end, *at)
-            by_mean = 2 * places.stiffen(np.concatenate((slopes.K, slopes.h), axis=1), middle, mean, h)[0, 0]
+            by_q = np.concatenate((slopes.K[0], slopes.h[0]))
+            along = by_q if group.is_flat else by_q @ dynamics.rate_slopes(at[0][0], at[1][0])[1] @ group.carry(way)
             matrix = np.zeros((1, len(z), 1, len(z)))
-            matrix[0, :, 0, :n] = ratio * h * beta * by_mean
+            matrix[0, :, 0, :n] = ratio * h * h * beta * along
             matrix[0, :n, 0, :n] += slopes.M[0] + ratio * h * gamma * slopes.C[0]
             matrix[0, :n, 0, n:] = slopes.lam[0]
             loops.fix(matrix)
@@ -192,7 +193,7 @@ def make_radau(dynamics: Dynamics, piece: Piece, settings: Settings) -> Scheme:
     """Unknown: v', lam and mu at the stages."""
     scheme = schemes.build(schemes.Family.RADAU, settings.stages)
     A, c, s, n = scheme.integration, scheme.points, scheme.degree, dynamics.size
-    places, values, loops = Places(dynamics, A, scheme.weights), extrapolate(c), _Loops(dynamics, piece)
+    places, values, loops = Places(dynamics, A, scheme.weights), extrapolate(c), Loops(dynamics, piece)
     e, memory = loops.size, dict[str, Array]()
     stepper = _make_stepper(dynamics, A) if radau.is_taken(dynamics, piece) else None
 

@@ -126,14 +126,15 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
     jacobian = name_kernel(evaluated.function, Order.JACOBIAN)
     needed = {evaluated.function, "energy", "power", "frames"}
     needed |= set() if evaluated.mass in (None, jacobian) else {evaluated.mass}
+    linearised = name_kernel(evaluated.function, Order.LINEARISATION)
     if is_closed:
-        linearised = name_kernel(evaluated.function, Order.LINEARISATION)
         needed |= {"semi", "semi_res"} if is_explicit else {jacobian, linearised}
         needed |= {"loops", "loop_rates", "loop_jacobian"} if kernels.manifest.loops else set()
         needed |= {"lin_loops", "lin_loop_rates"} if kernels.manifest.loops and not is_explicit else set()
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
+        needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
     if missing:
