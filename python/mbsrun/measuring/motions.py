@@ -51,6 +51,7 @@ FAMILIES: tuple[tuple[str, Formulation], ...] = (
     *((method, EXP2) for method in ("euler", "symplectic-euler", "rk45", "lsoda", "bdf", "radau")),
     *((method, formulation) for method in ("gauss", "radau-iia") for formulation in Formulation),
     ("generalized-alpha", IMPL),
+    ("variational", IMPL),
 )
 
 

@@ -1,7 +1,7 @@
 """Coordinates as a Lie group: numbers add, turns are composed.
 
-A velocity v, held for a time h, moves q to q + x, q * exp(x), ... with x = h v: for short q tau(x). A ball turns by w; a
-free body turns by w, and shifts by d along the mean of both attitudes, so that tau(-x) is the inverse of tau(x):
+A velocity v, held for a time h, moves q to q tau(x), x = h v, which is q + x for numbers. A ball turns by w; a free
+body turns by w, and shifts by d along the mean of both attitudes, so that tau(-x) is the inverse of tau(x):
 
     SO(3): the quaternion q becomes q * exp(w / 2)
     SO(3) and shift: the place moves by R (1 + exp(w~)) d / 2 = R (d + (2 c x d + c x (c x d)) / (4 + c.c)) as well
@@ -185,7 +185,7 @@ class Group:
         return found
 
     def gyrate(self, v: Array, p: Array) -> Array:
-        """Return the terms (n,) of the equations of motion by which momenta p in moving axes differ from their rates."""
+        """Return the terms (n,) that moving axes add to the rates of momenta p in the equations of motion."""
         found = np.zeros(self.size)
         for attitude in self.attitudes:
             found[attitude.velocities] = attitude.gyrate(v, p)

@@ -11,8 +11,8 @@ and the discrete momenta at both ends of the step, p = M(q) qd, give with x = h 
 
 where G are the derivatives of L along the group, and the forces: half of their impulse acts at each end. (1) is solved
 for w and lam by Newton's method, (2) is linear in qd1 and lam1. The method is symmetric, so of order 2; without forces
-it keeps the canonical form of q and p, so that the error of energy stays bounded, and momenta of symmetries to rounding.
-Loops and their rates are closed to rounding at every step, and quaternions have length 1.
+it keeps the canonical form of q and p, so that the error of energy stays bounded, and momenta of symmetries stay to
+rounding. Loops and their rates are closed to rounding at every step, and quaternions have length 1.
 
 Marsden, West, Acta Numerica 10 (2001), sections 1.3 and 3.5; Leimkuhler, Skeel, Journal of Computational Physics 112
 (1994); on groups Hante, Arnold, Journal of Computational and Applied Mathematics 387 (2021), "RATTLie".

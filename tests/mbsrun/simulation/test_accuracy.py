@@ -59,6 +59,7 @@ ORDERS = {
     "generalised alpha": ({"method": "generalized-alpha"}, 2, 0.01),
     "generalised alpha, no damping": ({"method": "generalized-alpha", "rho": 1.0}, 2, 0.01),
     "generalised alpha, all damping": ({"method": "generalized-alpha", "rho": 0.0}, 2, 0.01),
+    "variational": ({"method": "variational"}, 2, 0.01),
     "implicit Euler": ({"method": "radau-iia", "stages": 1}, 1, 2e-3),
     "Radau 2": ({"method": "radau-iia", "stages": 2}, 3, 0.02),
     "Radau 3": ({"method": "radau-iia", "stages": 3}, 5, 0.05),
@@ -208,20 +209,28 @@ def test_the_midpoint_rule_bounds_energy_but_not_phase(bench: Mechanism) -> None
     assert errors[middle:].max() > 1.5 * errors[:middle].max()
 
 
-def step_in_momenta(kernels: Mechanism, x: Any, h: float, formulation: Formulation) -> Any:
-    """Take one step of symplectic Euler from x = (q, p) to (q', p'), with p = M(q) qd."""
+def step_in_momenta(kernels: Mechanism, x: Any, h: float, method: str, formulation: Formulation) -> Any:
+    """Take one step of a method from x = (q, p) to (q', p'), with p = M(q) qd."""
     q, p = np.split(x, 2)
     qd = np.linalg.solve(kernels("semi", q=q, qd=np.zeros_like(q))["M"], p)
     drive = hold(np.zeros(len(kernels.manifest.actuated)))
-    motion = simulate(kernels, drive, q, qd, Settings(h, "symplectic-euler", formulation, step=h))
+    motion = simulate(kernels, drive, q, qd, Settings(h, method, formulation, step=h))
     assert motion.effort.steps == 1
     q, qd = motion.q[-1], motion.qd[-1]
     return np.concatenate((q, kernels("semi", q=q, qd=qd)["M"] @ qd))
 
 
-@pytest.mark.parametrize("formulation", [Formulation.IMPL, Formulation.SEMI])
-def test_symplectic_euler_is_symplectic_in_momenta(
-    double_pendulum: Mechanism, lock: Mechanism, formulation: Formulation
+@pytest.mark.parametrize(
+    ("method", "formulation"),
+    [
+        ("symplectic-euler", Formulation.IMPL),
+        ("symplectic-euler", Formulation.SEMI),
+        ("variational", Formulation.IMPL),
+        ("variational", Formulation.SEMI),
+    ],
+)
+def test_symplectic_steps_are_symplectic_in_momenta(
+    double_pendulum: Mechanism, lock: Mechanism, method: str, formulation: Formulation
 ) -> None:
     """The Jacobian J of a step keeps the canonical form: J^T W J = W, though M depends on q.
 
@@ -232,7 +241,7 @@ def test_symplectic_euler_is_symplectic_in_momenta(
     for kernels, x in ((double_pendulum, [1.5, 1.0, 2.0, -1.0]), (lock, [0.3, 0.5, -0.4, 2.0, -3.0, 1.0])):
         n = len(x) // 2
         ends = [
-            [step_in_momenta(kernels, np.array(x) + sign * e * unit, h, formulation) for sign in (1, -1)]
+            [step_in_momenta(kernels, np.array(x) + sign * e * unit, h, method, formulation) for sign in (1, -1)]
             for unit in np.eye(2 * n)
         ]
         J = np.array([(a - b) / (2 * e) for a, b in ends]).T

@@ -144,6 +144,7 @@ ORDERS = [
     *[({"method": "rk4", "loops": keeping}, 4, 0.02) for keeping in EXPLICIT],
     ({"method": "euler"}, 1, 2e-3),
     ({"method": "generalized-alpha"}, 2, 0.02),
+    ({"method": "variational"}, 2, 0.02),
     ({"method": "radau-iia", "stages": 1}, 1, 5e-3),
     ({"method": "radau-iia", "stages": 2}, 3, 1e-2),
     ({"method": "radau-iia", "stages": 3}, 5, 0.05),
@@ -226,6 +227,7 @@ COURSE = follow([parse("0.3 + 0.5*sin(2*t)")], ["q1"], {})
         {"method": "dop853", "loops": Keeping.PARTITIONING},
         {"method": "radau-iia", "step": 0.02},
         {"method": "generalized-alpha", "step": 2e-3},
+        {"method": "variational", "step": 2e-3},
     ],
 )
 def test_driven_joints_move_as_given_and_show_their_force(driven: Mechanism, settings: dict[str, Any]) -> None:
