@@ -33,11 +33,14 @@ from mbsgen.importing import import_model
 from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsrun.external import Mechanism
 from mbsrun.models import Extent, find_folder
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.recordings import Treatment, fit, read_column, read_recording
 from mbsrun.simulation.statement import read_statement
+from mbsrun.tracking.statement import TrialStatement
 from tests.shipped import CLOSED
 
 ROOT = Path(__file__).parents[2]
@@ -47,6 +50,7 @@ SMALL = 4  # bodies of a model that is generated too
 WITH_LOOPS = Extent(
     ("impl", "sensors", "loops", "loop_rates", "loop_jacobian"), derivatives=1
 )  # for problems, whose starts are closed
+WITH_CONTACTS = Extent(("impl", "sensors", "motion", "semi"), derivatives=1)  # whose points and forces are compared
 ONE_TRIAL = Reductions(trials=1)
 OUT = "out"  # what is written beside an input
 
@@ -84,6 +88,21 @@ KEYS = (
     "assembly",
     "from",
     "length",
+    "states",
+    "controls",
+    "inputs",
+    "soft",
+    "largest",
+    "delay",
+    "phases",
+    "links",
+    "impact",
+    "map",
+    "contacts",
+    "wrenches",
+    "unknowns",
+    "references",
+    "rate",
 )
 
 
@@ -386,6 +405,146 @@ SETTINGS = (
     "duration: 1\nconstants: {k: 2}\nmethod: gauss\nstages: 2\nstep: 0.01\noutput_step: 0.1\ninputs: {first: k*t}\n",
     "duration: 1\nmethod: dop853\nrtol: 1e-8\natol: 1e-8\nmax_steps: 1000\nformulation: exp2\n",
 )
+PROBLEMS = (
+    """\
+constants: {g: 9.81, k: 0.5}
+references: {walk: {file: walk.csv, columns: {knee: "q[knee]"}, start: 0.1, degree: 3, gap: 0.3, noise: 0.01}}
+unknowns: {p: {guess: 1, range: [0, 2]}}
+horizon: 0.3
+intervals: 6
+scheme: radau
+degree: 3
+states:
+  x: {rate: v*sin(theta), start: 0, end: pi}
+  v: {rate: g*cos(theta) - p*lag, start: 0, end: [0, null], range: [-9, 9], guess: [0, 6]}
+controls:
+  theta: {range: [0, pi], guess: 1, rate: {range: [-5, 5], weight: 0.1}}
+  lag: {range: [-1, 1], delay: 0.1, history: 0.2}
+integrals: [{expression: v**2, range: [null, 5]}]
+cost:
+  terminal: [{expression: T + p, weight: 2}]
+  running: [{expression: known_walk_knee*(x - ref_walk_knee)**2}]
+  largest: [{expression: v, weight: 2, absolute: true, name: peak}]
+constraints:
+  - {expression: v - peak, range: [null, 3], soft: {linear: 10, quadratic: 50, name: miss}}
+  - {expression: x, range: [1, 1], at: end, soft: 5}
+refine: {accuracy: 1e-5, rounds: 2}
+""",
+    """\
+model: block.yaml
+horizon: {guess: 1, range: [0.1, 3]}
+intervals: 5
+scheme: radau
+degree: 1
+states: {act: {rate: (a - act)/0.1, start: 0, range: [0, 1]}}
+controls: {a: {range: [0, 1]}}
+forces: {x: 20*act - 0.1*qd_x}
+contacts: [{sensor: block, axes: xz, friction: 0.4, mode: complementarity, height: 0}]
+relaxation: {first: 0.1, last: 1e-6, factor: 0.1}
+start: {pose: {x: null}, velocity: {}}
+end: {pose: {x: 1}, velocity: zero, sensor_velocities: {block: {x: 0.1}}}
+guess: {motion: line, start: {x: 0.1}, inputs: zero}
+cost: {terminal: [{expression: T}]}
+""",
+    """\
+model: block.yaml
+horizon: 1
+intervals: 10
+scheme: radau
+degree: 3
+inputs: {course: polynomial, delay: 0.2, history: {x: 0.5}}
+references: {walk: {file: walk.csv, time: normalised, columns: {knee: "q[knee]"}}}
+wrenches: {block: {force: [0, 0, {range: [0, 60], guess: 20}], moment: null}}
+contacts: [{sensor: block, axes: z, normal: z}]
+bounds: {velocities: {x: [-3, 3]}, inputs: [-20, 20], input_rates: {x: [-100, 100]}}
+start: {pose: {}}
+end: {sensors: {block: {x: 0.4, y: 0, z: 0}}}
+cost:
+  inputs: 1
+  input_rates: 0.1
+  track: [{reference: walk, coordinates: {x: knee}, weight: 3}]
+  largest: [{expression: u_x}]
+""",
+)
+PHASES = (
+    """\
+constants: {g: 1.5}
+unknowns: {h: {guess: 2, range: [0, 9]}}
+scheme: radau
+degree: 2
+intervals: 4
+horizon: {guess: 1, range: [0.1, 3]}
+cost: {terminal: [{expression: T, weight: 0.1}]}
+phases:
+  - name: fall
+    states: {x: {rate: v, start: null}, v: {rate: -g, start: 0}}
+    constraints: [{expression: x - h, range: [0, 0], at: start}]
+  - name: brake
+    states: {x: {rate: v, start: null, end: 0}, v: {rate: b - g, start: null, end: 0}}
+    controls: {b: {range: [0, 3], rate: {range: [-9, 9]}}}
+    constraints: [{expression: v, range: [-2, null], soft: {linear: 3, name: haste}}]
+links:
+  - from: fall
+    to: brake
+    conditions: [{expression: end_T + start_T, range: [null, 4]}]
+    cost: [{expression: (end_v - start_v)**2, weight: 2}]
+""",
+    """\
+model: block.yaml
+scheme: radau
+degree: 2
+intervals: 4
+horizon: 0.5
+cost: {inputs: 1}
+bounds: {inputs: [-20, 20]}
+phases:
+  - name: flight
+    start: {pose: {z: 0.3}}
+    wrenches: {block: {force: [0, 0, 0]}}
+  - name: stance
+    horizon: {guess: 0.5, range: [0.1, 2]}
+    contacts: [{sensor: block, axes: xz, friction: 0.8}]
+    end: {pose: {x: 1}}
+links:
+  - from: flight
+    to: stance
+    map: {x: x - 0.1}
+    velocities: {x: null}
+    impact: {contacts: [block], restitution: 0}
+    conditions: [{expression: jz_block - end_qd_x, range: [0, null]}]
+""",
+)
+TRIALS = (
+    """\
+constants: {c: 0.1}
+duration: 2
+rate: 20
+delay: 1
+predict: true
+fallback: hold
+start: {pose: {second: c}, velocity: {first: 0.2}}
+plant: {scale: {l: 1.1}, method: rk4, step: 0.001}
+noise: {coordinates: 1e-3, velocities: {first: 0.01}, inputs: 0.1, seed: 3}
+kicks: [{time: 0.5, velocity: {second: 0.8}}, {time: 0.5, velocity: {first: -c}}]
+wrenches: [{wrench: push, from: 0.2, until: 0.4, force: [sin(t), 0, 1]}]
+updates: {aim: 0.1*t}
+references: {q_first: sin(t)}
+measures: [{name: lean, expression: abs(q_first) + t, from: 0.5, until: 1, most: 0.6}]
+horizon: {end: 2, least: 0.5}
+""",
+)
+TRACKED = b"""\
+model: pair.yaml
+constants: {aim: 0}
+horizon: 1
+intervals: 4
+scheme: radau
+degree: 2
+start: {pose: {}}
+wrenches: {push: {force: [0, 0, 0]}}
+cost: {inputs: 1, running: [{expression: (q_first - aim)**2}]}
+"""
+WALK = b"t,q[knee]\n0,1\n0.1,1.5\n0.2,1.8\n0.3,2\n0.4,2.1\n0.5,2\n"
 URDF = """<robot name="pair"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 0.5" rpy="0 0.1 0"/>
 <mass value="2"/><inertia ixx="0.1" ixy="0.01" ixz="0" iyy="0.1" iyz="0" izz="0.02"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 1" rpy="0 0 0.3"/>
@@ -478,6 +637,20 @@ def _use_problem(file: Path) -> None:
     read_problem(file, lambda path: _MECHANISMS.get(path.name, _MECHANISMS["pair.yaml"]))
 
 
+def _use_whole(file: Path) -> None:
+    read_problem(file, lambda _: _MECHANISMS["block.yaml"], NO_MECHANISM)
+
+
+def _use_phases(file: Path) -> None:
+    read_phased_problem(file, lambda _: _MECHANISMS["block.yaml"])
+
+
+def _use_trial(file: Path) -> None:
+    plant = _MECHANISMS["pair.yaml"]
+    problem, _ = read_problem(file.parent / "problem.ocp.yaml", lambda _: plant)
+    TrialStatement(file, {}).trial(problem, plant.manifest, plant.parameters)
+
+
 def _use_settings(file: Path) -> None:
     read_statement(file, {}, _describe(MODEL.encode()))
 
@@ -504,6 +677,22 @@ def _list_problems() -> Sources:
             _MECHANISMS[name] = Mechanism(find_folder(MODELS / name, WITH_LOOPS))
             read_problem(MODELS / problem, lambda path: _MECHANISMS[path.name])  # compiles: a search sees no process
     return problems
+
+
+def _list_with_contacts(name: str, texts: Sequence[str], use: Callable[[Path], None]) -> Sources:
+    """List problems of a block that touches the ground; they are read once, which compiles."""
+    _MECHANISMS["block.yaml"] = Mechanism(find_folder(MODELS / "contact" / "block.yaml", WITH_CONTACTS))
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "walk.csv").write_bytes(WALK)
+        for text in texts:
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+            use(Path(folder) / name)
+    return _texts(name, texts)
+
+
+def _list_trials() -> Sources:
+    _MECHANISMS["pair.yaml"] = _Described(_describe(MODEL.encode()))
+    return _texts("trial.yaml", TRIALS)
 
 
 def _list_settings() -> Sources:
@@ -569,6 +758,9 @@ KINDS: Mapping[str, Kind] = {
     "linkages": Kind(lambda: _texts("linkage.yaml", LINKAGES), _use_model),
     "scenes": Kind(lambda: _texts("scene.yaml", SCENES), _use_scene, {"model.yaml": MODEL.encode()}),
     "problems": Kind(_list_problems, _use_problem),
+    "wholes": Kind(lambda: _list_with_contacts("whole.ocp.yaml", PROBLEMS, _use_whole), _use_whole, {"walk.csv": WALK}),
+    "phases": Kind(lambda: _list_with_contacts("phases.ocp.yaml", PHASES, _use_phases), _use_phases),
+    "trials": Kind(_list_trials, _use_trial, {"problem.ocp.yaml": TRACKED}),
     "settings": Kind(_list_settings, _use_settings),
     "solutions": Kind(_list_solutions, _use_solution),
     "manifests": Kind(_list_manifests, _use_manifest),
