@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from benchmarks.ocp.rows import OURS, POINTS, Row
+from benchmarks.ocp.rows import OURS, POINTS, STAGES, Row
 from benchmarks.table import Quickest
 
 RESULTS = Path(__file__).parent / "results"
@@ -81,9 +81,18 @@ def _list_solves(ocp: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
     whole = [row for row in rows if row.way.startswith("CasADi, compiled")]
     if ours and points and whole:
         evaluating = (f"{min(row.evaluating for row in some) / ours.evaluating:#.3g}" for some in (points, whole))
-        solving = (f"{min(row.cpu_seconds for row in some) / ours.cpu_seconds:#.3g}" for some in (points, whole))
-        cells = ["evaluation {} ({})".format(*evaluating), "whole solve {} ({})".format(*solving)]
-        yield "optimal control of the arm", [*cells, "–", "–"]
+        stages = [row for row in rows if row.way == f"{OURS}, {STAGES}"]
+        by_stages = "by stages {} ({})".format(*_compare_solves(stages[0], points, whole)) if stages else "–"
+        cells = [
+            "evaluation {} ({})".format(*evaluating),
+            "by IPOPT {} ({})".format(*_compare_solves(ours, points, whole)),
+        ]
+        yield "optimal control of the arm", [*cells, by_stages, "–"]
+
+
+def _compare_solves(ours: Row, *peers: Sequence[Row]) -> tuple[str, ...]:
+    """Write the ratios of the quickest solve of each group of peers to ours."""
+    return tuple(f"{min(row.cpu_seconds for row in some) / ours.cpu_seconds:#.3g}" for some in peers)
 
 
 @click.command()

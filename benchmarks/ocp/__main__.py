@@ -19,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
-from benchmarks.ocp.rows import LONG, OURS, POINTS, Figures, Measured, Row, show, write_figures
+from benchmarks.ocp.rows import LONG, OURS, POINTS, STAGES, Figures, Measured, Row, show, write_figures
 from benchmarks.study import DisagreementError
 from benchmarks.symbolic import read_tape
 from mbsgen.manifest import FILE_NAME, Kernel
@@ -74,14 +74,18 @@ def make_ours(name: str, problem: Problem, plant: Plant, guess: Trajectory) -> W
 
 
 def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
-    """List our ways, by name: all forms that go with a representation, linear solvers and barriers."""
+    """List our ways, by name: all forms that go with a representation; IPOPT with linear solvers and barriers, and the
+    method by stages.
+    """
     for form in Form:
         chosen = replace(problem, form=form)
         if find_conflicts(chosen):
             continue
+        words = [OURS, *([f"{form.value} form"] * (form is not Form.STANDARD))]
         for options in ({**algebra, **barrier} for algebra in list_algebras() for barrier in BARRIERS):
-            name = ", ".join([OURS, *([f"{form.value} form"] * (form is not Form.STANDARD)), *options.values()])
+            name = ", ".join([*words, *options.values()])
             yield name, replace(chosen, solver=replace(problem.solver, options=tuple(options.items())))
+        yield ", ".join([*words, STAGES]), replace(chosen, solver=replace(problem.solver, method="mbs", options=()))
 
 
 def list_algebras() -> list[Mapping[str, str]]:

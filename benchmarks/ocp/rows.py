@@ -14,6 +14,7 @@ from benchmarks.ocp.peer import FLAGS
 
 SAME = 1e-6  # relative difference of costs within which two optima are one
 OURS = "mbsgen"
+STAGES = "by stages"  # the project's own method, in the place of IPOPT
 POINTS = "CasADi, by points, compiled"
 LONG = 3.0  # s; what takes longer is solved once
 COLUMNS = ("build [s]", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [s]", "optimum")

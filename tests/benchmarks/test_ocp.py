@@ -156,7 +156,7 @@ def test_a_quick_run_measures_both(
 def test_ours_are_all_forms_solvers_and_barriers(problem: Problem) -> None:
     """The linear solver that is taken anyway is not named."""
     found = dict(list_variants(replace(problem, representation=Representation.EXP1_O)))
-    names = ["", ", adaptive", ", mumps", ", mumps, adaptive"]
+    names = ["", ", adaptive", ", mumps", ", mumps, adaptive", ", by stages"]
     assert list(found) == [
         f"mbsgen{form}{name}" for form in ("", ", integral form", ", shooting form") for name in names
     ]
