@@ -79,10 +79,10 @@ METHODS: Mapping[str, Method] = {
         Family.IMPLICIT,
         2,
         "variational steps in momenta, on the Lie group of the coordinates",
-        _implicit(variational.make),
+        variational.integrate,
         _STEP,
         needs_residual=True,
-        closed=_implicit(variational.make),
+        closed=variational.integrate,
         keeps=(Keeping.RATTLE,),
     ),
     "radau-iia": Method(

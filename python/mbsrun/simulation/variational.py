@@ -26,20 +26,28 @@ with rates N(q) w of q, and dG/dw = B^T + dQ/dw. Of forces that are even in w, N
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.closure import GAP
+from mbsrun.limits import Allowance, LimitError
+from mbsrun.simulation import implicit, rattle
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.explicit import count_steps, place_steps, sample
 from mbsrun.simulation.groups import find_group
-from mbsrun.simulation.implicit import Scheme, State, find_start, iterate, scale_velocities
-from mbsrun.simulation.motion import Settings
+from mbsrun.simulation.implicit import CONVERGED, ITERATIONS, Scheme, State, find_start, iterate, scale_velocities
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 from mbsrun.simulation.multipliers import NOISE, Loops, solve_step
 
 Array = NDArray[np.float64]
+
+STEPS = 4096  # taken in C at a time
+END = (CONVERGED, NOISE, ITERATIONS)  # of Newton's method in C
+POINTS, WEIGHTS = np.array([0.0, 1.0]), np.array([0.5, 0.5])  # of the power of forces in a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +77,10 @@ class _Mechanism:
             return find_start(self.dynamics, self.piece, q, qd)
         qdd, self.lam = self.loops.start(q, qd)
         return qdd
+
+    def start_lam(self, q: Array, qd: Array) -> Array:
+        """Return the multipliers at the start of the piece."""
+        return self.loops.start(q, qd)[1] if self.is_closed else self.lam
 
     def place(self, q: Array, w: Array) -> _End:
         """Evaluate an end of a step."""
@@ -141,4 +153,46 @@ class _Mechanism:
 def make(dynamics: Dynamics, piece: Piece, _: Settings) -> Scheme:
     """Unknown: the velocity w of the step, and the multipliers at its start."""
     mechanism = _Mechanism(dynamics, piece)
-    return Scheme(mechanism.start, mechanism.step, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
+    return Scheme(mechanism.start, mechanism.step, POINTS, WEIGHTS)
+
+
+def integrate(
+    dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
+    """Go through a piece by steps of equal length, at most `settings.step`; yield the steps.
+
+    Steps are taken in C where that takes the model. The first one that fails there is repeated in Python, with all that
+    follow. Raises HaltError where a kernel fails, or Newton's method does, or the allowance is used up.
+    """
+    if not rattle.is_taken(dynamics, piece):
+        yield from implicit.integrate(make, dynamics, piece, q, qd, settings, allowance)
+        return
+    if "stepper" not in dynamics.kept:
+        dynamics.kept["stepper"] = rattle.Stepper(dynamics, find_group(dynamics.kernels), END)
+    stepper: rattle.Stepper = dynamics.kept["stepper"]
+    count, taken, row = count_steps(piece, settings.step), 0, np.concatenate((q, qd))
+    h, guess = (piece.end - piece.start) / count, np.concatenate((qd, _Mechanism(dynamics, piece).start_lam(q, qd)))
+    while taken < count:
+        steps = min(STEPS, count - taken, max(1, allowance.steps))
+        times = place_steps(piece, taken + np.arange(steps + 1), count)
+        try:
+            allowance.spend(steps)
+        except LimitError as error:
+            raise HaltError(Halt(float(times[0]), None, error.finding, error.remedy)) from None
+        done, states, speeds = stepper.run(h, sample(piece, times), row, guess, steps)
+        dynamics.effort.steps += done
+        taken += done
+        if done:
+            yield _bundle(times[: done + 1], states, speeds, dynamics.places)
+            row = states[-1]
+        if done < steps:
+            rest = replace(piece, start=float(times[done]))
+            yield from implicit.integrate(make, dynamics, rest, *np.split(row, [dynamics.places]), settings, allowance)
+            return
+
+
+def _bundle(times: Array, states: Array, speeds: Array, places: int) -> Chunk:
+    """Make a chunk of steps; the power of forces is taken at both ends of a step, at its velocity."""
+    q, qd = np.split(states, [places], axis=1)
+    ends, both = np.stack((q[:-1], q[1:]), axis=1), np.repeat(speeds[:, None], 2, axis=1)
+    return Chunk(times, q, qd, stages=Stages(np.stack((times[:-1], times[1:]), axis=1), ends, both, WEIGHTS))

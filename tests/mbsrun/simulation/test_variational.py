@@ -20,10 +20,11 @@ import numpy as np
 import pytest
 from scipy.special import ellipj
 
+from mbsgen.expressions import parse
 from mbsrun import Mechanism
 from mbsrun.models import Extent, find_folder
-from mbsrun.simulation import Motion, Settings, control, simulate
-from mbsrun.simulation.drive import hold
+from mbsrun.simulation import Motion, Settings, control, rattle, simulate
+from mbsrun.simulation.drive import express, hold
 from mbsrun.simulation.groups import find_group
 
 TOP = """
@@ -91,16 +92,16 @@ def test_the_closed_form_is_the_top_s(top: Mechanism) -> None:
     assert rise(motion).min() < -0.5
 
 
-@pytest.mark.parametrize(("method", "error"), [("variational", 2e-3), ("generalized-alpha", 2e-2)])
+@pytest.mark.parametrize(("method", "error"), [("variational", 1e-3), ("generalized-alpha", 1e-2)])
 def test_steps_on_groups_have_order_2(top: Mechanism, method: str, error: float) -> None:
     """A quarter of the error by half of the step, along the whole way; quaternions have length 1 to one rounding."""
     errors = []
-    for step in (2e-3, 1e-3):
+    for step in (1e-3, 5e-4):
         motion = spin(top, 0.2, method, step=step, rho=1.0)
         errors.append(np.abs(rise(motion) - height(motion.t)).max())
         assert np.abs(np.linalg.norm(motion.q, axis=1) - 1).max() <= 4 * np.finfo(float).eps
     assert errors[1] < error
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.15)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
 
 
 @pytest.mark.parametrize("method", ["variational", "generalized-alpha"])
@@ -114,16 +115,49 @@ def test_a_pinned_free_body_is_the_ball(top: Mechanism, pinned: Mechanism, metho
     assert other.closure.velocity.max() < (1e-11 if method == "variational" else 1e-3)
 
 
-def test_energy_stays_and_momenta_are_kept(top: Mechanism) -> None:
-    """Energy swings with the fall, by O(h^2), and comes back; the moment about z and the spin about y stay."""
-    motion = spin(top, 3.0, step=5e-3, output_step=5e-3)
+def test_energy_does_not_drift_in_a_million_steps(top: Mechanism) -> None:
+    """Energy swings with the fall, by O(h^2), and comes back; the moment about z and the spin about y stay.
+
+    A million roundings of some 1e-14 of a moment of 70 add up to 1e-9 at most. The classical Runge-Kutta method loses
+    28 J with the same steps.
+    """
+    motion = spin(top, 1000.0, step=1e-3, output_step=0.05)
+    assert motion.effort.steps == 1_000_000
     assert motion.energy is not None
-    error, half = motion.energy.drift, len(motion.t) // 2
-    assert 1 < np.abs(error).max() < 10, "of 5,400 J"
-    assert np.abs(error[half:]).max() == pytest.approx(np.abs(error[:half]).max(), rel=0.05)
+    parts = np.array_split(motion.energy.drift, 10)
+    assert np.abs(parts[0]).max() == pytest.approx(0.2586, abs=1e-3), "of 5,400 J, with a fall of 147 J"
+    assert np.ptp([np.abs(x).max() for x in parts]) < 1e-4
+    assert np.ptp([x.mean() for x in parts]) < 2e-4
     vertical = top("energy", q=motion.q, qd=motion.qd)["angular_momentum"][:, 2]
     assert np.abs(vertical - vertical[0]).max() < 1e-9
-    assert np.abs(motion.qd[:, 1] - SPIN).max() < 1e-9
+    assert np.abs(motion.qd[:, 1] - SPIN).max() < 1e-8
+    assert np.abs(np.linalg.norm(motion.q, axis=1) - 1).max() <= 4 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("name", ["top", "pinned"])
+def test_steps_in_c_are_the_ones_in_python(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With moments over time, or a loop: the same results, to the rounding of both."""
+    kernels = request.getfixturevalue(name)
+    texts = ["20*sin(9*t)", "3", "-t"] if name == "top" else []
+    q = [0.0] * (len(kernels.manifest.positions) - 1) + [1.0]
+    qd = [0.0] * (len(kernels.manifest.coordinates) - 3) + [0.0, SPIN, TURN]
+    motions = []
+    for is_taken in (True, False):
+        if not is_taken:
+            monkeypatch.setattr(rattle, "is_taken", lambda *_: False)
+        settings = Settings(0.02, "variational", step=1e-3, output_step=1e-3)
+        motions.append(simulate(kernels, express([parse(x) for x in texts], texts, {}), q, qd, settings))
+    first, other = motions
+    assert first.is_complete
+    assert other.is_complete
+    assert np.abs(first.q - other.q).max() < 1e-11
+    assert np.abs(first.qd - other.qd).max() < 1e-9
+    assert first.energy is not None
+    assert other.energy is not None
+    assert np.abs(first.energy.drift - other.energy.drift).max() < 1e-8
+    assert np.ptp(first.qd[:, -3]) > 1e-2
 
 
 def test_moments_act_with_order_2(top: Mechanism) -> None:
