@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 
+from mbsgen.formulations import ports
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
 from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order, Role
@@ -17,7 +18,7 @@ from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Output, Sparsity
 from mbsgen.targets.contract import Family
 from mbsgen.verification.functions import Comparison, largest
-from mbsgen.verification.geometry import STEP, ZERO, dot, slope
+from mbsgen.verification.geometry import ONE, STEP, ZERO, dot, slope
 from mbsgen.verification.states import Numbers, draw
 
 Arguments = Callable[[Computation], dict[str, Numbers]]  # the arguments of a function at a state
@@ -58,7 +59,7 @@ def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iter
     along = slope_of(plain.value, arguments(plain.value), way)
     found, expected = (evaluate(f, arguments(f), DECIMALS) for f in (lin.value, plain.value))
     for name in expected:
-        yield Comparison(name, found[name], expected[name])
+        yield Comparison(name, found[name], expected[name], _floor(plain.value, name))
     for name, product in _products(plain, lin.value, arguments, way, lin.staged):
         yield Comparison(name, product, along[name], _size(plain.value, arguments, name))
 
@@ -134,4 +135,9 @@ def _multiply(
 
 
 def _size(tape: Computation, arguments: Arguments, name: str) -> Decimal:
-    return largest(evaluate(tape, arguments(tape), DECIMALS)[name])
+    return max(_floor(tape, name), largest(evaluate(tape, arguments(tape), DECIMALS)[name]))
+
+
+def _floor(tape: Computation, name: str) -> Decimal:
+    """Return the least size of a result: 1 rad or 1 m of closed coordinates, which may be rounding about 0."""
+    return ONE if any(o.name == name and o.port is ports.CLOSED for o in tape.outputs) else ZERO
