@@ -9,13 +9,14 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from mbsrun.library import find_compiler
-from tests.csrc.stage_problems import far_guesses, nonlinear, too_weak
+from tests.csrc.stage_problems import assemble, far_guesses, free, nonlinear, too_weak
 from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem, random_sizes
-from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close, sources
+from tests.csrc.stages import STRICT, Answer, Array, Kind, Library, Problem, Quadratic, Solver, clashes, close, sources
 
 
 @pytest.fixture(params=["library", "single"], ids=["double", "float"])
@@ -188,6 +189,17 @@ def test_nonlinear_problems_have_the_optimum_of_ipopt(library: Library, problem:
     assert answer.status == "solved"
     assert abs(answer.result.cost - solution["f"][0]) <= 1e-8 * (1 + abs(solution["f"][0]))
     assert max(problem.residuals(*answer.point)) < 1e-7
+
+
+@pytest.mark.parametrize("most", [1e-1, 1e-6])
+def test_violations_of_rows_end_below_their_tolerance_in_the_units_of_rows(library: Library, most: float) -> None:
+    """Of 1e6 (x.x - 1): scaled by its derivatives, a row is smaller; a loose tolerance of that leaves it too large."""
+    x = ca.SX.sym("x", 2)
+    kind = Kind(x, ca.SX(0, 1), (x[0] - 2) ** 2 + x[1] ** 4, e=1e6 * (ca.sumsqr(x) - 1))
+    problem = assemble("circle", [kind], [0], [(-free(2), free(2))], [], [np.array([3.0, 2.0])])
+    answer = Solver(library, problem).solve(tolerance=1e-1, violation_tolerance=most)
+    assert answer.status == "solved"
+    assert abs(1e6 * (answer.w @ answer.w - 1)) <= most
 
 
 def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
