@@ -87,6 +87,7 @@ _IMPORTING = (
     click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, MJCF's own, or 0,0,-9.81."),
     click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
     click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
+    click.option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
     click.option(
         "--mimic",
         type=click.Choice(["couple", "lock", "free"]),
@@ -125,6 +126,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
         gravity: str | None,
         sensors: tuple[str, ...],
         locks: tuple[str, ...],
+        lock_massless: bool,
         mimic: Mimic,
         quaternions: bool,
         friction_speed: float,
@@ -138,6 +140,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
             gravity=None if gravity is None else _read_gravity(gravity),
             sensors=tuple(dict.fromkeys(sensors)),
             locked=tuple(map(_read_lock, locks)),
+            lock_massless=lock_massless,
             mimic=mimic,
             quaternions=quaternions,
             friction_speed=friction_speed,

@@ -261,7 +261,9 @@ def test_a_state_can_be_kept_and_taken_up_again(pendulum: tuple[Mechanism, Path]
         written = slave.serializeFMUState(kept)
         slave.doStep(0.1, 0.1)
         later = slave.getFloat64([places["q_q1"], places["qd_q2"]])
+        assert slave.getFloat64([places["time"]]) == pytest.approx([0.2])
         slave.setFMUState(slave.deserializeFMUState(written))
+        assert slave.getFloat64([places["time"]]) == pytest.approx([0.1])
         slave.doStep(0.1, 0.1)
         assert slave.getFloat64([places["q_q1"], places["qd_q2"]]) == later
         with pytest.raises(Exception, match=r"SetFloat64"):

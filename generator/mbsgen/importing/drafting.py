@@ -67,6 +67,7 @@ class Choices:
     gravity: tuple[float, float, float] | None = None  # None: the file's, or 9.81 m/s2 down the z axis
     sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
     locked: tuple[tuple[str, float], ...] = ()  # joints that are held, with their coordinates [rad or m]
+    lock_massless: bool = False  # hold joints whose accelerations nothing determines, at 0
     mimic: Mimic = "couple"  # the treatment of joints that follow others
     quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
@@ -80,6 +81,14 @@ class Imported:
 
     model: Model
     notices: tuple[Notice, ...]  # changes and omissions; effects on the motion first
+
+
+class MasslessError(Exception):
+    """Raised where the choices ask that joints be held which move nothing: their names in the file."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self.joints = joints
+        super().__init__(", ".join(joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +211,10 @@ class Draft:
             self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
 
     def finish(self, name: str, gravity: Sequence[float], root: Element) -> Imported:
-        """Complete the model and check it. Raises InputError with all faults of the file."""
+        """Complete the model and check it.
+
+        Raises InputError with all faults of the file, MasslessError for joints that are then to be held.
+        """
         self._check_choices()
         allowed = self._check_solids()
         if self.findings.faults:
@@ -434,12 +446,17 @@ class Draft:
 
     def _check_model(self, model: Model, root: Element) -> None:
         """Report faults of the model at the elements that cause them."""
-        for found in find_faults(model):
+        faults = [*find_faults(model)]
+        massless = [self._name_in_file(model, x.place) for x in faults if "moves nothing:" in x.finding]
+        if self.choices.lock_massless and (named := [name for name in massless if name is not None]):
+            raise MasslessError([name for name in named if name not in self.closing.rules] or named)
+        for found in faults:
             remedy, finding = found.remedy, self._name_twin(found.finding)
             if found.finding == "nothing moves":
                 remedy = "give it a joint that is not fixed, or free its root link (--base floating)"
             if "moves nothing" in found.finding:
-                remedy += ", or hold it where it is (--lock)"
+                every = "; --lock-massless: all such joints" if "moves nothing:" in found.finding else ""
+                remedy += f", or hold it where it is (--lock JOINT=VALUE{every})"
             self.findings.fault(self._locate(model, found.place) or root, finding, remedy)
         if self.findings.faults:
             raise self.findings.refuse()
@@ -447,6 +464,19 @@ class Draft:
     def _name_twin(self, finding: str) -> str:
         """Replace the place of a loop in the model by its line in the file."""
         return re.sub(r"\bloops\[(\d+)\]", lambda x: f"line {self.closing.closures[int(x[1])].source.line}", finding)
+
+    def _name_in_file(self, model: Model, place: Place) -> str | None:
+        """Return the file's name of the joint at a place; None where the file gives none."""
+        match place:
+            case ("bodies", int(i), "joint", *rest):
+                body = model.bodies[i]
+                joint = (
+                    body.joint[rest[0]] if isinstance(body.joint, tuple) and isinstance(rest[0], int) else body.joint
+                )
+                assert isinstance(joint, Joint), "only joints move"
+                own = joint.name or body.name
+                return next((file for file, name in self._called.items() if name == own), None)
+        return None
 
     def _locate(self, model: Model, place: Place) -> Element | None:
         match place:

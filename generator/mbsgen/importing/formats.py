@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
-from mbsgen.importing.drafting import Choices, Imported
-from mbsgen.importing.findings import Findings
+from mbsgen.importing.drafting import Choices, Imported, MasslessError
+from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element, read_markup
 from mbsgen.importing.mjcf import read_mjcf
 from mbsgen.importing.urdf import read_urdf
@@ -76,13 +76,29 @@ def is_foreign(path: Path) -> bool:
     return any(path.suffix.lower() in known.suffixes for known in FORMATS)
 
 
+def _read(known: Format, source: Source, choices: Choices) -> Imported:
+    """Read a file; joints that move nothing are held, if the choices ask for it, until none is left."""
+    held: list[str] = []
+    while True:
+        try:
+            found = known.read(source, replace(choices, locked=(*choices.locked, *((name, 0.0) for name in held))))
+        except MasslessError as error:
+            held += error.joints
+        else:
+            break
+    if not held:
+        return found
+    notice = Notice(str(source.path), 0, "", f"held at 0, since they move nothing: {', '.join(held)}", alters=True)
+    return replace(found, notices=(notice, *found.notices))
+
+
 def import_model(path: Path, choices: Choices = DEFAULT) -> Imported:
     """Read a file of one of FORMATS as a model. Raises InputError with all faults of the file."""
     source, suffix = Source(path), path.suffix.lower()
     likely = [known for known in FORMATS if suffix in known.suffixes] or FORMATS
     for known in likely:
         if known.recognise(source):
-            return known.read(source, choices)
+            return _read(known, source, choices)
     *most, last = (f"{known.name} ({known.mark})" for known in likely)
     remedy = f"give a file of {', '.join(most)}{' or ' if most else ''}{last}"
     if suffix not in _MARKUP:

@@ -73,6 +73,31 @@ def test_the_equations_are_pinocchios(tmp_path: Path, floating: bool, locked: di
             assert miss < TOLERANCE, name
 
 
+HANDS = "\n".join(
+    [
+        link("trunk", 0),
+        link("arm", 2),
+        '<link name="palm"/><link name="finger"/><link name="thumb"/>',
+        joint("turn", "revolute", "trunk", "arm", f'<axis xyz="0 1 0"/>{LIMIT}'),
+        joint("wrist", "revolute", "arm", "palm", f'<axis xyz="0 0 1"/>{LIMIT}'),
+        joint("grip", "revolute", "palm", "finger", f'<axis xyz="1 0 0"/>{LIMIT}'),
+        joint("oppose", "revolute", "palm", "thumb", f'<axis xyz="1 0 0"/>{LIMIT}<mimic joint="grip" multiplier="2"/>'),
+    ]
+)
+
+
+def test_joints_that_move_nothing_are_held_where_the_choices_say_so(tmp_path: Path) -> None:
+    """The model is the one with each of them locked at 0; joints that follow them keep their law."""
+    path = write(tmp_path, HANDS)
+    remedy = "(--lock JOINT=VALUE; --lock-massless: all such joints)"
+    assert all(fault.endswith(remedy) for fault in faults_of(path))
+    found = import_model(path, Choices(lock_massless=True))
+    by_name = import_model(path, Choices(locked=(("wrist", 0.0), ("grip", 0.0))))
+    assert found.model == by_name.model
+    assert told(found)[0].strip() == "warning: held at 0, since they move nothing: wrist, grip"
+    assert import_model(write(tmp_path, TREE), Choices(lock_massless=True)) == import_model(write(tmp_path, TREE))
+
+
 def test_what_is_written_is_read_as_the_same_model(tmp_path: Path) -> None:
     imported = import_model(write(tmp_path, TREE), Choices(base="floating", sensors=("tool",)))
     file = tmp_path / "machine.yaml"
