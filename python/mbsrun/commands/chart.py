@@ -211,11 +211,11 @@ def chart_fronts_command(model: Path, out: Path | None, accuracy: float, quick: 
         advice = [surveys.survey_control(model, out, accuracy, quick, report)]
         course = motions.read_course(model, None, None)
         advice.append(surveys.survey_simulation(course, out, accuracy, quick, report))
-        if mechanism.manifest.actuated:
+        if solves.can_reach(mechanism.manifest):
             case, title = solves.state_reach(mechanism), "a reach from rest to rest in 1 s, stated for any model"
             advice.append(surveys.survey_optimisation(case, title, out, accuracy, quick, report))
-    if not mechanism.manifest.actuated:
-        say("note: nothing is actuated, so there is no panel of optimal control")
+    if not solves.can_reach(mechanism.manifest):
+        say("note: no joint of one coordinate is actuated, so there is no panel of optimal control")
     _print_written(draw_overview(advice, out))
     write_captions("fronts", mechanism.manifest.model, out)
 

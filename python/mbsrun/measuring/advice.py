@@ -124,9 +124,7 @@ def advise_simulation(course: Course, standard: Standard, points: Sequence[Motio
         )
         for p in points
     ]
-    motion = (
-        "the settings file's" if course.facts != "drawn" else "one from a pose that was drawn, at rest, without inputs"
-    )
+    motion = "the settings file's" if course.facts != "drawn" else "one that starts in a drawn pose, without inputs"
     return Advice(
         course.mechanism.manifest.model,
         "simulate",

@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.documents import Data, read_document
-from mbsgen.errors import InputError
+from mbsgen.errors import InputError, MbsError
 from mbsgen.expressions import FLOATS, evaluate, parse
 from mbsgen.manifest import Argument, Manifest
 from mbsgen.roles import Axis
 from mbsrun.forms import VALUES
 from mbsrun.measuring.candidates import Candidate, add_hidden, compile_kernel
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states, refuse_unmeasured
+from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states
 from mbsrun.measuring.points import Cost
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import Watch, measure_costs
@@ -89,7 +89,8 @@ def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> 
 
     Raises InputError for files that cannot be read, MbsError for a model that is not measured.
     """
-    refuse_unmeasured(manifest)
+    if manifest.configuration:
+        raise MbsError(f"{manifest.model}: reductions of joints with quaternions are not measured")
     data = read_document(model).data
     if not scenes:
         return list(_list_usual(data, manifest))

@@ -16,6 +16,7 @@ from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.models import Extent, find_folder
+from mbsrun.quaternions import list_quaternions, normalise
 
 Array = NDArray[np.float64]
 
@@ -70,9 +71,10 @@ def write_chain(size: int, folder: Path) -> Path:
 
 
 def refuse_unmeasured(manifest: Manifest) -> None:
-    """Raise MbsError for a model with quaternions."""
-    if manifest.configuration:
-        raise MbsError(f"{manifest.model}: joints with quaternions are not measured; take `spherical` joints")
+    """Raise MbsError for a model with loops and quaternions: its random states are not closed."""
+    if manifest.configuration and has_loops(manifest):
+        finding = "joints with quaternions are not measured with loops"
+        raise MbsError(f"{manifest.model}: {finding}; take `spherical` joints")
 
 
 def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]:
@@ -80,8 +82,9 @@ def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]
 
     With closed loops, independent coordinates are drawn, or go as far to a drawn value as the loops can follow; all
     velocities and accelerations belong to the independent ones, which are `yd` and `ydd`. All numbers except the
-    parameters are exact in single precision, so that kernels of both precisions get the same; loops are closed to that
-    precision. Raises MbsError for models that are not measured.
+    parameters and quaternions are exact in single precision, so that kernels of both precisions get the same; loops are
+    closed to that precision. Quaternions have length 1, which few numbers in single precision do. Raises MbsError for
+    models that are not measured.
     """
     manifest = kernels.manifest
     refuse_unmeasured(manifest)
@@ -91,14 +94,29 @@ def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]
     sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": wrench}
     sizes |= {"lam": len(manifest.owners)} if manifest.owners else {}
     sizes |= {"tau": len(manifest.driven), "a": len(manifest.driven)} if manifest.driven else {}
-    q = np.column_stack([rng.uniform(*_range(c.motion, c.lower, c.upper), count) for c in manifest.coordinates])
+    q = _draw_coordinates(manifest, rng, count)
     states = {"q": q} | {name: rng.uniform(-RANGES[name], RANGES[name], (count, k)) for name, k in sizes.items()}
     states = {name: values.astype(np.float32).astype(np.float64) for name, values in states.items()}
+    states["q"] = normalise(states["q"], manifest)
     if has_loops(manifest):
         states |= _close(Closure(kernels), states)
     for name, given in (("p", manifest.parameters), ("theta", manifest.design)):
         states[name] = np.tile([kernels.parameters[p.name] for p in given], (count, 1))
     return states
+
+
+def _draw_coordinates(manifest: Manifest, rng: np.random.Generator, count: int) -> Array:
+    """Draw coordinates (count, nq); every direction of a quaternion is as likely."""
+    if not manifest.configuration:
+        return np.column_stack([rng.uniform(*_range(c.motion, c.lower, c.upper), count) for c in manifest.coordinates])
+    known = {c.name: c for c in manifest.coordinates}
+    turns = {i for x in list_quaternions(manifest) for i in x.entries}
+    return np.column_stack(
+        [
+            rng.normal(size=count) if i in turns else rng.uniform(*_range(c.motion, c.lower, c.upper), count)
+            for i, c in enumerate(known.get(name, manifest.coordinates[0]) for name in manifest.positions)
+        ]
+    )
 
 
 def _close(closure: Closure, states: Mapping[str, Array]) -> dict[str, Array]:
@@ -119,3 +137,10 @@ def _range(motion: str, lower: float | None, upper: float | None) -> tuple[float
     if upper is not None:
         return upper - width, upper
     return -width / 2, width / 2
+
+
+def list_ranges(manifest: Manifest) -> list[tuple[float, float]]:
+    """List the limits of all entries of q; infinite ones where there are none."""
+    known = {c.name: (c.lower, c.upper) for c in manifest.coordinates}
+    limits = [known.get(name, (None, None)) for name in manifest.positions]
+    return [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in limits]

@@ -21,11 +21,12 @@ from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism, load
 from mbsrun.forms import FUNCTIONS
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import CLOSING, draw_states, refuse_unmeasured
+from mbsrun.measuring.mechanisms import CLOSING, draw_states, list_ranges, refuse_unmeasured
 from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
 from mbsrun.models import Extent, find_folder
+from mbsrun.quaternions import neutral, normalise
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.course import Course as Guide
 from mbsrun.simulation.course import is_constrained
@@ -37,7 +38,7 @@ from mbsrun.simulation.statement import read_statement
 
 Array = NDArray[np.float64]
 
-EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1, optional=CLOSING[:3])
+EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1, optional=(*CLOSING[:3], "rates"))
 TIGHT = 1e-13  # the tolerance of the check of the reference
 PATIENCE = 5.0  # s; what takes longer is run once
 ANGLE = 0.2  # the share of the range of a coordinate in which a motion starts
@@ -103,16 +104,20 @@ QUICK = MotionScope((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), 
 
 
 def draw_course(mechanism: Mechanism, duration: float) -> Course:
-    """Return the motion from a random but fixed pose, at rest, without inputs."""
+    """Return the motion from a random but fixed pose, without inputs: at rest, or turning where there are quaternions.
+
+    A model with quaternions may float where nothing would move it.
+    """
     manifest = mechanism.manifest
-    q = draw_states(mechanism, 1)["q"][0]
+    drawn = draw_states(mechanism, 1)
+    q, qd = drawn["q"][0], drawn["qd"][0] if manifest.quaternions else np.zeros(len(manifest.coordinates))
     if has_loops(manifest):
         pose, y = np.array(manifest.pose), list(manifest.independent)
         q = Closure(mechanism).spread(pose, y, (pose + ANGLE * (q - pose))[None, y])[0]
     else:
-        q = _move_within(ANGLE * q, manifest)
+        q = _move_within(ANGLE * q + (1 - ANGLE) * neutral(manifest), manifest)
     inputs = hold(np.zeros(len(manifest.inputs)))
-    return Course(mechanism, q, np.zeros(len(q)), inputs, duration, "drawn")
+    return Course(mechanism, q, qd, inputs, duration, "drawn")
 
 
 def read_course(model: Path, file: Path | None, duration: float | None) -> Course:
@@ -156,15 +161,18 @@ def find_standard(course: Course) -> Standard:
     check = _reach(course, Settings(course.duration, rtol=TIGHT, atol=TIGHT))
     step, is_closed = course.duration / (4 * max(pace, 10)), is_constrained(course.mechanism.manifest)
     method, stages = ("radau-iia", 5) if is_closed else ("gauss", 6)
-    state = _end(_reach(course, Settings(course.duration, method, Formulation.IMPL, step, stages=stages)))
-    standard = Standard(state, float(np.abs(state - _end(check)).max()), max(pace, 10), course.duration)
+    manifest = course.mechanism.manifest
+    state = _end(_reach(course, Settings(course.duration, method, Formulation.IMPL, step, stages=stages)), manifest)
+    standard = Standard(state, float(np.abs(state - _end(check, manifest)).max()), max(pace, 10), course.duration)
     return replace(standard, title=CLOSED_TITLE) if is_closed else standard
 
 
 def _takes(family: tuple[str, Formulation], course: Course) -> bool:
-    """Return whether a method takes a model's loops and driven joints, by a formulation that it does not replace."""
+    """Return whether a method takes a model, by a formulation that it does not replace."""
     method, formulation = family
     settings, manifest = Settings(course.duration, method, formulation), course.mechanism.manifest
+    if manifest.quaternions and not METHODS[method].takes_quaternions:
+        return False
     if not is_constrained(manifest):
         return True
     completed = complete_settings(settings, is_closed=True)
@@ -196,12 +204,13 @@ class MethodSeries:
     def _judge(self, value: float, motion: Motion, seconds: Array) -> MotionPoint:
         settings, energy = motion.settings, motion.energy
         is_adaptive = METHODS[settings.method].family is Family.ADAPTIVE
-        error = np.abs(_end(motion) - self.standard.state).max() if motion.is_complete else np.nan
+        manifest = self.course.mechanism.manifest
+        error = np.abs(_end(motion, manifest) - self.standard.state).max() if motion.is_complete else np.nan
         drift = np.nan
         if energy is not None:
             drift = np.abs(energy.drift).max() / (np.ptp(energy.kinetic) + np.ptp(energy.potential) or 1.0)
         return MotionPoint(
-            mechanism=self.course.mechanism.manifest.model,
+            mechanism=manifest.model,
             method=settings.method,
             formulation=settings.formulation.value,
             setting="tolerance" if is_adaptive else "step",
@@ -232,13 +241,10 @@ def _reach(course: Course, settings: Settings) -> Motion:
     return motion
 
 
-def _end(motion: Motion) -> Array:
-    return np.concatenate((motion.q[-1], motion.qd[-1]))
+def _end(motion: Motion, manifest: Manifest) -> Array:
+    return np.concatenate((normalise(motion.q[-1], manifest), motion.qd[-1]))
 
 
 def _move_within(q: Array, manifest: Manifest) -> Array:
     """Return a pose within the limits of the coordinates."""
-    bounds = [
-        (-np.inf if c.lower is None else c.lower, np.inf if c.upper is None else c.upper) for c in manifest.coordinates
-    ]
-    return np.asarray(np.clip(q, *np.array(bounds).T))
+    return normalise(np.clip(q, *np.array(list_ranges(manifest)).T), manifest)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from mbsrun.measuring.advice import Advice, Option
 from mbsrun.measuring.fronts import Mark, find_front
-from mbsrun.measuring.pictures import COLORS, EXACT, plain, prepare, save_picture
+from mbsrun.measuring.pictures import COLORS, EXACT, plain, prepare, save_picture, space_ticks
 from mbsrun.measuring.sections import Cell, Table, write_table
 
 ACROSS = 3  # panels in a row
@@ -90,6 +90,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     unit = panel.options[0].unit
     axes.set_xlabel(f"{UNITS.get(unit, unit)}\n{textwrap.fill(text, LINE)}", fontsize=8)
     axes.set_ylabel("largest error", fontsize=8)
+    space_ticks(axes)
     axes.set_title(f"{panel.advice.task}: {panel.need}", fontsize=9)
     axes.legend(fontsize=7)
 

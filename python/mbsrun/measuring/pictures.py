@@ -15,7 +15,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from PIL import Image
 
 from mbsgen.style import PALETTE, styled
@@ -31,6 +31,7 @@ SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s"}
+NARROW, TICKS = 8, 4  # a span of times with few labels
 EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
 
@@ -269,7 +270,15 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
     front = find_front(marks)
     if front:
         _draw_front(axes, [place(m) for m in front], [m.label for m in front])
+    space_ticks(axes)
     return describe_front(marks, unit)
+
+
+def space_ticks(axes: Axes) -> None:
+    """Label few times where the axis spans less than a decade: labels between powers of 10 would overlap."""
+    low, high = axes.get_xlim()
+    if high < NARROW * low:
+        axes.xaxis.set_major_locator(MaxNLocator(TICKS))
 
 
 def prepare(axes: Axes) -> None:

@@ -18,6 +18,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism
+from mbsrun.measuring.mechanisms import list_ranges
 from mbsrun.measuring.points import SolvePoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
@@ -27,6 +28,7 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import solve
+from mbsrun.quaternions import neutral
 
 Array = NDArray[np.float64]
 
@@ -63,13 +65,10 @@ def state_reach(mechanism: Mechanism) -> Case:
     Raises MbsError where nothing is actuated.
     """
     manifest = mechanism.manifest
-    if not manifest.actuated:
-        raise MbsError(f"{manifest.model}: nothing is actuated, so there is nothing to optimise")
-    ranges = [
-        (-math.inf if c.lower is None else c.lower, math.inf if c.upper is None else c.upper)
-        for c in manifest.coordinates
-    ]
-    start = np.array(manifest.pose) if has_loops(manifest) else np.array([np.clip(0.0, *bounds) for bounds in ranges])
+    if not can_reach(manifest):
+        raise MbsError(f"{manifest.model}: no joint of one coordinate is actuated, so there is no reach to optimise")
+    ranges, n = list_ranges(manifest), len(manifest.coordinates)
+    start = np.array(manifest.pose) if has_loops(manifest) else np.clip(neutral(manifest), *np.array(ranges).T)
     goals = _find_goals(mechanism, start)
     free = (-math.inf, math.inf)
     problem = Problem(
@@ -80,14 +79,19 @@ def state_reach(mechanism: Mechanism) -> Case:
         degree=4,
         cost=Cost(inputs=1.0),
         start_q=tuple(start.tolist()),
-        start_qd=(0.0,) * len(start),
-        bounds=Bounds(tuple(ranges), (free,) * len(start), (free,) * len(manifest.actuated)),
+        start_qd=(0.0,) * n,
+        bounds=Bounds(tuple(ranges), (free,) * n, (free,) * len(manifest.actuated)),
         end=End(
             coordinates=tuple(goals.items()),
-            velocities=tuple((i, 0.0) for i in goals),
+            velocities=tuple((_find_velocity(manifest, i), 0.0) for i in goals),
         ),
     )
     return Case(problem, mechanism)
+
+
+def can_reach(manifest: Manifest) -> bool:
+    """Return whether a joint of one coordinate is actuated: reaches do not turn quaternions."""
+    return any(manifest.coordinates[i].name in manifest.positions for i in manifest.actuated)
 
 
 def measure_solves(
@@ -152,9 +156,11 @@ def _solve(mechanism: Mechanism, problem: Problem, repeats: int) -> SolvePoint:
 
 
 def _find_goals(mechanism: Mechanism, start: Array) -> dict[int, float]:
-    """Return goals of the actuated joints; where loops relate them, of joints that can have any value."""
+    """Return goals of the actuated joints, by entries of q; of joints that are free where loops relate them."""
     manifest = mechanism.manifest
-    goals = {i: _find_goal(manifest, i, float(start[i])) for i in manifest.actuated}
+    places = manifest.positions
+    names = [manifest.coordinates[i].name for i in manifest.actuated if manifest.coordinates[i].name in places]
+    goals = {k: _find_goal(manifest, k, float(start[k])) for k in map(places.index, names)}
     if not has_loops(manifest):
         return goals
     closure = Closure(mechanism)
@@ -165,10 +171,15 @@ def _find_goals(mechanism: Mechanism, start: Array) -> dict[int, float]:
 
 def _find_goal(manifest: Manifest, i: int, start: float) -> float:
     """Go up, where there is room, or down."""
-    coordinate = manifest.coordinates[i]
+    coordinate = manifest.coordinates[_find_velocity(manifest, i)]
     way = REACH if coordinate.motion == "revolute" else REACH / 5
     upper = math.inf if coordinate.upper is None else coordinate.upper
     lower = -math.inf if coordinate.lower is None else coordinate.lower
     if start + way <= upper:
         return start + way
     return max(start - way, (start + lower) / 2) if math.isfinite(lower) else start - way
+
+
+def _find_velocity(manifest: Manifest, i: int) -> int:
+    """Return the entry of qd that belongs to entry i of q."""
+    return [c.name for c in manifest.coordinates].index(manifest.positions[i])

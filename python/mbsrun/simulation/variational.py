@@ -186,8 +186,8 @@ def integrate(
             yield _bundle(times[: done + 1], states, speeds, dynamics.places)
             row = states[-1]
         if done < steps:
-            rest = replace(piece, start=float(times[done]))
-            yield from implicit.integrate(make, dynamics, rest, *np.split(row, [dynamics.places]), settings, allowance)
+            rest, (q, qd) = replace(piece, start=float(times[done])), np.split(row, [dynamics.places])
+            yield from implicit.integrate(make, dynamics, rest, q, qd, settings, allowance)
             return
 
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError, MbsError
+from mbsgen.manifest import Loop
 from mbsgen.model.construction import body, floating, frame, free, make_model, revolute
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
-from mbsrun.measuring.mechanisms import draw_states
+from mbsrun.measuring.mechanisms import draw_states, refuse_unmeasured
+from mbsrun.measuring.reference import Reference
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import Formulation, Settings, simulate
 from mbsrun.simulation.drive import hold
@@ -146,5 +148,17 @@ def test_what_takes_no_quaternions_says_so(loose: Mechanism) -> None:
     _, qd = start(loose)
     with pytest.raises(ValueError, match="a quaternion of q is 0"):
         simulate(loose, hold(np.zeros(0)), [0.0] * 8, qd, Settings(0.1))
-    with pytest.raises(MbsError, match="joints with quaternions are not measured"):
-        draw_states(loose, 1)
+    pin = Loop(name="pin", cut="ball", equations=("x",))
+    looped = loose.manifest.model_copy(update={"loops": (pin,), "dependent": (0,), "independent": (1, 2, 3, 4, 5, 6)})
+    with pytest.raises(MbsError, match="joints with quaternions are not measured with loops"):
+        refuse_unmeasured(looped)
+
+
+def test_random_states_are_the_reference_s(loose: Mechanism, tmp_path: Path) -> None:
+    """Drawn quaternions have length 1; there the kernels' derivatives by their entries are the ones in 50 digits."""
+    states = draw_states(loose, 2)
+    np.testing.assert_allclose(np.linalg.norm(states["q"][:, 3:7], axis=1), 1, atol=1e-15)
+    moment = Reference(write(bird(free()), tmp_path)).at({name: values[1] for name, values in states.items()})
+    given = {name: states[name][1] for name in ("q", "qd", "qdd", "u") if states[name].size}
+    found = loose("jac_impl", **given)["jac_Phi_q"]
+    np.testing.assert_allclose(found, np.array(moment.slopes("q"), dtype=float).T, atol=1e-12)
