@@ -5,6 +5,7 @@
 //   model.set("coordinate", [0.1, 0.2]);          // one array for each role, which all functions read
 //   const { M, c } = model.call("semi");          // results by name, full matrices column by column
 //   model.step("exp2", 0.001);                    // the classical Runge-Kutta method, on coordinates and velocities
+//   model.move(0, 0.3);                           // one coordinate, with the loops closed
 //
 // Numbers lie in the module's own memory, behind everything that it uses itself. Results are those of the C in double
 // precision, without fused multiply-add; nothing is computed by the browser's own functions.
@@ -65,14 +66,83 @@ async function loadModel(data) {
     return Object.fromEntries(functions[name].results.map((result) => [result.name, read(result)]));
   }
 
+  // --- closed loops: the independent joints determine the others ---
+
+  const { independent, loops } = data, n = data.joints.length;
+  const LONGEST = 0.05, FARTHEST = 0.5; // steps of a coordinate on its way, and of the others meanwhile [rad, m]
+  let failed = 0; // the status of the last function that failed
+
+  function explain() { // the reason of the last failure
+    if (failed > n && failed <= n + loops.length) return `the loop ${loops[failed - n - 1]} does not close, or is singular here`;
+    if (failed > 0 && failed <= n) return `the equations cannot be solved for the joint ${data.joints[failed - 1].name} here`;
+    return loops.length ? "the loops do not close here" : "numbers beyond all bounds";
+  }
+
+  function complete() { // velocities from those of the independent joints; returns whether loops admit them
+    if (!loops.length) return true;
+    const v = view("velocity");
+    view("independent_velocity").set(independent.map((i) => v[i]));
+    failed = run("close_rates");
+    if (!failed) v.set(read(functions.close_rates.results[0]));
+    return !failed;
+  }
+
+  function correct(by) { // the coordinates, by a function; returns whether the loops close without a jump
+    const q = view("coordinate");
+    failed = run(by);
+    if (failed) return false;
+    const closed = read(functions[by].results[0]);
+    if (!closed.every((x, i) => Math.abs(x - q[i]) <= FARTHEST)) return false;
+    q.set(closed);
+    return true;
+  }
+
+  function close() { // the loops near the coordinates: the independent ones stay, unless the others cannot follow
+    return !loops.length || (!data.quaternions.length && correct("close")) || correct("project_plain");
+  }
+
+  function place(index, value) { // a coordinate near its own, where the loops are closed; returns whether it gets there
+    const q = view("coordinate");
+    for (let k = 0; k < 100; k++) { // once, unless the others cannot follow
+      q[index] = value;
+      if (!close()) return false;
+      if (Math.abs(q[index] - value) <= 1e-9) return true;
+    }
+    return false;
+  }
+
+  function move(index, value) { // one coordinate to a value, step by step; returns whether it arrives
+    const q = view("coordinate"), from = q[index], v0 = view("velocity").slice();
+    const count = loops.length ? Math.max(1, Math.ceil(Math.abs(value - from) / LONGEST)) : 1;
+    for (let k = 1; k <= count; k++) {
+      const before = q.slice();
+      if (place(index, from + (value - from) * k / count)) continue;
+      q.set(before);
+      complete();
+      return false;
+    }
+    if (complete()) return true;
+    view("velocity").set(v0.fill(0));
+    return false;
+  }
+
+  function project() { // the nearest closed state; returns whether there is one
+    failed = run("project_plain");
+    if (failed) return false;
+    const [q, v] = functions.project_plain.results.map(read);
+    view("coordinate").set(q);
+    view("velocity").set(v);
+    return true;
+  }
+
   function set(role, values) { // returns the status of the set-up that parameters need
     view(role).set(values);
     return role === "parameter" && "setup" in functions ? run("setup") : 0;
   }
 
   function slope(form) { // rates of coordinates and velocities, or null
-    const status = run(form), rated = "rates" in functions && run("rates");
-    if (status || rated) return null;
+    failed = run(form) || ("rates" in functions && run("rates"));
+    if (failed) return null;
     const qt = "rates" in functions ? read(functions.rates.results[0]) : view("velocity").slice();
     return [qt, read(functions[form].results[0])];
   }
@@ -93,13 +163,14 @@ async function loadModel(data) {
       rates.forEach((part, k) => part.forEach((x, i) => { mean[k][i] += weight * x; }));
     }
     move(h, mean);
+    if (loops.length && !project()) return stay();
     return [...q, ...v].every(Number.isFinite) || stay();
   }
 
   set("coordinate", data.start);
   set("parameter", data.parameters.map((p) => p.value));
   set("design", data.design.map((p) => p.value));
-  return { data, set, get: (role) => view(role).slice(), run, call, step };
+  return { data, set, get: (role) => view(role).slice(), run, call, step, move, close, complete, explain };
 }
 
 async function loadController(data) {

@@ -15,7 +15,7 @@
 
   // --- rows of sliders ----------------------------------------------------------------------------------------------
 
-  function addRow(place, { name, unit, lower, upper, value }, changed) { // a slider beside a number; returns its setter
+  function addRow(place, { name, unit, lower, upper, value, follows = false }, changed) { // a slider beside a number; returns its setter
     const row = document.createElement("div"), [label, suffix] = ["span", "span"].map((tag) => document.createElement(tag));
     const slider = document.createElement("input"), number = document.createElement("input");
     row.className = "row";
@@ -23,7 +23,10 @@
     suffix.textContent = unit;
     Object.assign(slider, { type: "range", min: lower, max: upper, step: (upper - lower) / 1000 || 1e-3 });
     Object.assign(number, { type: "number", step: "any" });
-    for (const input of [slider, number]) input.setAttribute("aria-label", `${place} of ${name}`);
+    for (const input of [slider, number]) {
+      input.setAttribute("aria-label", `${place} of ${name}`);
+      if (follows) Object.assign(input, { disabled: true, title: "The loops determine it." });
+    }
     const put = (x) => {
       if (x < Number(slider.min)) slider.min = x;
       if (x > Number(slider.max)) slider.max = x;
@@ -41,14 +44,32 @@
     return put;
   }
 
+  const looped = machine.loops.length > 0;
+  const ruling = looped ? machine.independent : machine.joints.map((_, i) => i); // joints that determine the others
+  const leads = (i) => !looped || machine.quaternions.length > 0 || ruling.includes(i); // whether a coordinate has a slider
+
   const change = (role, index) => (x) => {
-    const values = model.get(role);
+    const values = model.get(role), kept = values.slice();
     values[index] = x;
-    if (role === "coordinate") normalise(values);
-    say(model.set(role, values) ? "these parameters are out of the range that the functions accept" : "");
+    say(put(role, values, kept, index));
     if (role === "coordinate" || role === "velocity") began = null;
     refresh();
   };
+
+  function put(role, values, kept, index) { // sets an array, and closes the loops; returns a complaint, or ""
+    if (role === "coordinate" && !machine.quaternions.length) {
+      return model.move(index, values[index]) ? "" : `it moves no further: ${model.explain()}`;
+    }
+    if (role === "coordinate") normalise(values);
+    if (model.set(role, values)) return "these parameters are out of the range that the functions accept";
+    if (role === "velocity" || role === "coordinate" || role === "parameter" || role === "design") {
+      if ((role === "velocity" || model.close()) && model.complete()) return "";
+      model.set(role, kept);
+      model.complete();
+      return `the change is undone: ${model.explain()}`;
+    }
+    return "";
+  }
 
   function normalise(q) { // quaternions, each of four entries
     for (const first of machine.quaternions) {
@@ -65,6 +86,11 @@
 
   function findReach() { // of inputs: twice the forces at rest in some poses, and a few accelerations
     const q = model.get("coordinate"), most = new Float64Array(n);
+    if (looped) {
+      const [rest, , mass] = inverse();
+      ruling.forEach((i, k) => { most[i] = rest && mass ? 2 * Math.abs(rest[k]) + 5 * mass[k * ruling.length + k] : 0; });
+      return [...most].map((x) => nice(x || Math.max(...most)));
+    }
     for (let k = 0; k < 12; k++) {
       const spread = machine.positions.map((p, i) => p.lower + (p.upper - p.lower) * ((0.618034 * (k + 1) * (i + 1)) % 1));
       normalise(Object.assign(spread, { subarray: Array.prototype.slice }));
@@ -76,26 +102,34 @@
     return [...most].map(nice);
   }
 
-  const rows = { coordinate: [], velocity: [], acceleration: [], force: [] };
+  const rows = { coordinate: [], velocity: [], acceleration: [], force: [], drive: [] };
   const reach = findReach();
   machine.positions.forEach((p, i) => rows.coordinate.push(
-    addRow("coordinates", { ...p, value: machine.start[i] }, change("coordinate", i))));
+    addRow("coordinates", { ...p, value: machine.start[i], follows: !leads(i) }, change("coordinate", i))));
   machine.joints.forEach((joint, i) => {
     const speed = joint.speed || 5;
     const { name, unit } = joint;
-    rows.velocity.push(addRow("velocities", { name, unit: `${unit}/s`, lower: -speed, upper: speed, value: 0 }, change("velocity", i)));
-    rows.acceleration.push(
+    const follows = !ruling.includes(i);
+    rows.velocity.push(
+      addRow("velocities", { name, unit: `${unit}/s`, lower: -speed, upper: speed, value: 0, follows }, change("velocity", i)));
+    if (!follows) rows.acceleration.push(
       addRow("accelerations", { name, unit: `${unit}/s²`, lower: -10, upper: 10, value: 0 }, change("acceleration", i)));
   });
   actuated.forEach((i, k) => {
     const { name, force: unit, strength } = machine.joints[i], most = strength || reach[i];
     rows.force.push(addRow("inputs", { name, unit, lower: -most, upper: most, value: 0 }, change("force", k)));
   });
+  machine.driven.forEach((i, k) => {
+    const { name, unit } = machine.joints[i];
+    rows.drive.push(addRow("inputs",
+      { name: `${name} (driven)`, unit: `${unit}/s²`, lower: -10, upper: 10, value: 0 }, change("drive", k)));
+  });
   for (const [role, listed] of [["parameter", machine.parameters], ["design", machine.design]]) {
     listed.forEach(({ name, value }, i) => addRow("parameters",
       { name, unit: "", lower: Math.min(0, 2 * value), upper: Math.max(2 * value, value ? 0 : 1), value }, change(role, i)));
   }
-  byId("inputs-part").hidden = !actuated.length;
+  byId("inputs-part").hidden = !(actuated.length + machine.driven.length);
+  byId("loops-note").hidden = !looped;
   byId("parameters-part").hidden = !(machine.parameters.length + machine.design.length);
 
   // --- tables -------------------------------------------------------------------------------------------------------
@@ -115,20 +149,30 @@
   function inverse() {
     const kept = model.get("force"), qdd = model.get("acceleration");
     model.set("force", new Float64Array(kept.length));
-    const impl = model.call("impl"), semi = model.call("semi");
+    if (looped) {
+      const v = model.get("velocity");
+      model.set("independent_velocity", ruling.map((i) => v[i]));
+      model.set("independent_acceleration", ruling.map((i) => qdd[i]));
+    }
+    const [impl, semi] = ["impl", "semi"].map((name) => model.call(looped ? `${name}_red` : name));
     model.set("force", kept);
-    const sum = semi && machine.joints.map((_, i) => machine.joints.reduce((s, _, j) => s + semi.M[j * n + i] * qdd[j], semi.c[i]));
+    const sum = semi && ruling.map((_, i) => ruling.reduce((s, at, j) => s + semi.M[j * ruling.length + i] * qdd[at], semi.c[i]));
     return [impl && impl.Phi, sum, semi && semi.M];
   }
 
   function tables() {
     const [impl, semi, M] = inverse(), [exp1, exp2] = ["exp1", "exp2"].map((name) => model.call(name));
     const at = (values, i) => (values ? show(values[i]) : "fails");
-    fill("inverse", ["joint", "IMPL", "SEMI", ""], machine.joints.map((joint, i) => [joint.name, at(impl, i), at(semi, i), joint.force]));
-    fill("forward", ["joint", "EXP1", "EXP2", ""], machine.joints.map((joint, i) =>
-      [joint.name, at(exp1 && exp1.qdd, i), at(exp2 && exp2.qdd, i), `${joint.unit}/s²`]));
-    fill("mass", ["", ...machine.joints.map((joint) => joint.name)], machine.joints.map((joint, i) =>
-      [joint.name, ...machine.joints.map((_, j) => (M ? show(M[j * n + i]) : "fails"))]));
+    fill("inverse", ["joint", "IMPL", "SEMI", ""], ruling.map((joint, i) =>
+      [machine.joints[joint].name, at(impl, i), at(semi, i), machine.joints[joint].force]));
+    const forward = (name, result, i, unit) => [name, at(exp1 && exp1[result], i), at(exp2 && exp2[result], i), unit];
+    fill("forward", ["joint", "EXP1", "EXP2", ""], [
+      ...machine.joints.map((joint, i) => forward(joint.name, "qdd", i, `${joint.unit}/s²`)),
+      ...machine.driven.map((i, k) => forward(`force of ${machine.joints[i].name}`, "tau", k, machine.joints[i].force)),
+      ...machine.equations.map((name, i) => forward(`force of loop ${name}`, "lam", i, "")),
+    ]);
+    const names = ruling.map((i) => machine.joints[i].name);
+    fill("mass", ["", ...names], names.map((name, i) => [name, ...names.map((_, j) => (M ? show(M[j * names.length + i]) : "fails"))]));
     const found = energies();
     const lines = [["kinetic", show(found.T)], ["potential", show(found.V)], ["sum", show(found.T + found.V)]];
     lines.push(["change since the start", began === null ? "–" : (found.T + found.V - began).toExponential(2)]);
@@ -175,7 +219,7 @@
   }
 
   function refresh() {
-    for (const role of ["coordinate", "velocity", "force"]) model.get(role).forEach((x, i) => rows[role][i](x));
+    for (const role of ["coordinate", "velocity", "force", "drive"]) model.get(role).forEach((x, i) => rows[role][i](x));
     byId("clock").textContent = `${seconds.toFixed(2)} s`;
     tables();
     draw();
@@ -189,19 +233,20 @@
   const wrap = (x, turns) => (turns ? x - 2 * Math.PI * Math.round(x / (2 * Math.PI)) : x);
   const drives = [
     ["sliders", () => null],
-    ["hold against gravity", () => { // inverse dynamics at rest
+    ...(actuated.every((i) => ruling.includes(i)) ? [["hold against gravity", () => { // inverse dynamics at rest
       const [kept, v, a] = ["force", "velocity", "acceleration"].map((role) => [role, model.get(role)]);
       for (const [role, values] of [kept, v, a]) model.set(role, new Float64Array(values.length));
-      const found = model.call("impl");
+      const [found] = inverse();
       for (const [role, values] of [kept, v, a]) model.set(role, values);
-      return found && actuated.map((i) => found.Phi[i]);
-    }],
+      return found && actuated.map((i) => found[ruling.indexOf(i)]);
+    }]] : []),
     ...controllers.map((each) => [each.name, each.kind === "regulator" ? () => regulate(each) : () => predict(each)]),
   ];
   drives.forEach(([name], i) => byId("drive").append(new Option(name, String(i))));
 
-  function regulate({ pose, inputs, gains }) {
-    const x = [...model.get("coordinate")].map((q, i) => wrap(q - pose[i], machine.positions[i].turns)).concat([...model.get("velocity")]);
+  function regulate({ pose, inputs, joints, gains }) {
+    const q = model.get("coordinate"), v = model.get("velocity");
+    const x = [...joints.map((i) => wrap(q[i] - pose[i], machine.positions[i].turns)), ...joints.map((i) => v[i])];
     return inputs.map((u, k) => u - gains[k].reduce((sum, gain, i) => sum + gain * x[i], 0));
   }
 
@@ -221,7 +266,7 @@
   }
 
   byId("drive").addEventListener("change", async () => {
-    const told = controllers[Number(byId("drive").value) - 2];
+    const told = controllers[Number(byId("drive").value) - (drives.length - controllers.length)];
     say("");
     isPlanned = false;
     due = seconds;
@@ -238,7 +283,7 @@
       const u = drives[Number(byId("drive").value)][1]();
       if (u) model.set("force", u);
       if (!model.step(form, h)) {
-        say("no accelerations here, or numbers beyond all bounds: reset, or take a shorter step");
+        say(`${model.explain()}: reset, or take a shorter step`);
         owed = 0;
         return false;
       }
@@ -269,7 +314,8 @@
   function reset() {
     setRunning(false);
     model.set("coordinate", machine.start);
-    for (const role of ["velocity", "force"]) model.set(role, new Float64Array(model.get(role).length));
+    model.close(); // where parameters were changed
+    for (const role of ["velocity", "force", "drive"]) model.set(role, new Float64Array(model.get(role).length));
     [seconds, due, owed, began, isPlanned] = [0, 0, 0, null, false];
     say("");
     refresh();
@@ -280,8 +326,9 @@
   byId("measure").addEventListener("click", measure);
   byId("push").addEventListener("click", () => {
     const v = model.get("velocity");
-    v[n - 1] += 1;
+    v[ruling[ruling.length - 1]] += 1;
     model.set("velocity", v);
+    if (!model.complete()) say(`no push: ${model.explain()}`);
     began = null;
     refresh();
   });

@@ -13,7 +13,7 @@ from mbsrun.external import load
 from mbsrun.kernel import Kernels
 from mbsrun.linearisation import balance, find_pose, linearise
 from mbsrun.models import Extent
-from mbsrun.playground.machine import FUNCTIONS, OPTIONAL, describe_controller, describe_regulator
+from mbsrun.playground.machine import FUNCTIONS, LOOPED, OPTIONAL, describe_controller, describe_regulator
 from mbsrun.playground.page import write_playground
 
 PLAYGROUND_HELP = """Write one HTML page on which MODEL moves, computed by its own C in WebAssembly.
@@ -27,7 +27,8 @@ inverse and forward dynamics in all formulations, the mass matrix, energies, and
 simulated on the page. With --controller, a controller that `mbsrun controller` wrote runs there, too; with --regulate,
 linear feedback about the pose of --pose, as `mbsrun linearise` finds it.
 
-Zig compiles the C (pip install 'mbsgen[compiler]'). Mechanisms with closed loops are refused.
+Zig compiles the C (pip install 'mbsgen[compiler]'). Loops are kept closed; driven joints move with the
+accelerations of their sliders.
 
 \b
 Exit codes
@@ -60,10 +61,8 @@ def playground_command(
     """Generate, compile, write."""
     if poses and weight is None:
         raise click.UsageError("--pose is the pose of --regulate; give both")
-    functions = FUNCTIONS if weight is None else (*FUNCTIONS, "sensors")
-    kernels = load(
-        model, extent=Extent(functions[:6], 0 if weight is None else 1, optional=(*OPTIONAL, *functions[6:]))
-    )
+    optional = (*OPTIONAL, *LOOPED, "loop_jacobian", *(() if weight is None else ("sensors",)))
+    kernels = load(model, extent=Extent(FUNCTIONS, 0 if weight is None else 1, optional=optional))
     controllers = [describe_controller(folder, kernels.manifest) for folder in folders]
     if weight is not None:
         controllers.append(_regulate(kernels, poses, weight))

@@ -1,6 +1,7 @@
 """The mechanism as the page's script calls it: the module, the functions with their arguments, the joints.
 
 Arguments are passed by their roles: the script keeps one array for each role, and every function reads the same ones.
+Velocities and accelerations of the independent joints of closed loops have separate arrays.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from mbsrun.webassembly import compile_module
 
 FUNCTIONS = ("impl", "semi", "exp1", "exp2", "frames", "energy")  # the page calls these
 OPTIONAL = ("rates",)  # of quaternions
+LOOPED = ("impl_red", "semi_red", "loops", "close", "close_rates", "project_plain")  # of closed loops
+INDEPENDENT = {"yd": "independent_velocity", "ydd": "independent_acceleration"}  # the arrays of these arguments
 CONTROLLER = ("bytes", "create", "get_data", "solve", "prepare", "feedback", "get_plan", "get_period", "explain")
 
 
@@ -31,7 +34,7 @@ class PlaygroundError(MbsError):
 
 
 def describe_machine(kernels: Kernels) -> dict[str, Any]:
-    """Return the mechanism for the script. Raises PlaygroundError for closed loops and missing functions."""
+    """Return the mechanism for the script. Raises PlaygroundError for missing functions."""
     manifest = kernels.manifest
     used = list(_select(manifest))
     sources = [source for kernel in used for source in kernel.sources]
@@ -46,6 +49,10 @@ def describe_machine(kernels: Kernels) -> dict[str, Any]:
         "positions": [_describe_position(manifest, i) for i in range(len(manifest.positions))],
         "joints": [_describe_joint(joint) for joint in manifest.coordinates],
         "quaternions": list(manifest.quaternions),
+        "loops": [loop.name for loop in manifest.loops],
+        "equations": list(manifest.equations),
+        "independent": list(manifest.independent),
+        "driven": list(manifest.driven),
         "start": [float(x) for x in pose],
         "parameters": [{"name": p.name, "value": kernels.parameters[p.name]} for p in manifest.parameters],
         "design": [{"name": p.name, "value": kernels.parameters[p.name]} for p in manifest.design],
@@ -64,6 +71,7 @@ def describe_regulator(manifest: Manifest, found: Linearisation, weight: float) 
         "name": f"linear-quadratic regulator, weight {weight:g}",
         "pose": found.equilibrium.q.tolist(),
         "inputs": found.equilibrium.u.tolist(),
+        "joints": list(manifest.independent or range(len(manifest.coordinates))),
         "gains": found.regulate(weight).tolist(),
     }
 
@@ -97,30 +105,35 @@ def describe_controller(folder: Path, manifest: Manifest) -> dict[str, Any]:
 
 def _select(manifest: Manifest) -> Iterator[Kernel]:
     """Yield the functions that the page calls; the set-up of parameters comes first."""
-    if manifest.loops or manifest.driven:
-        raise PlaygroundError(
-            f"{manifest.model} has closed loops or driven joints, which the page cannot keep closed; "
-            "simulate it with mbsrun simulate"
-        )
     if manifest.setup is not None:
         yield manifest.setup
-    for name in (*FUNCTIONS, *(OPTIONAL if manifest.configuration else ())):
+    for name in list_functions(manifest):
         kernel = manifest.find(name, Order.VALUE)
         if kernel is None:
             raise PlaygroundError(f"{manifest.model} was generated without {name}; give the model file, or generate it")
         yield kernel
 
 
+def list_functions(manifest: Manifest) -> tuple[str, ...]:
+    """Name the functions that the page of a model calls."""
+    return (*FUNCTIONS, *(OPTIONAL if manifest.configuration else ()), *(LOOPED if manifest.loops else ()))
+
+
+def name_array(argument: Argument) -> str:
+    """Return the name of the script's array for an argument."""
+    return INDEPENDENT.get(argument.name, argument.role.value)
+
+
 def _count(kernels: Sequence[Kernel]) -> Mapping[str, int]:
     """Return the size of each role's array."""
-    return {argument.role.value: argument.nnz for kernel in kernels for argument in kernel.inputs}
+    return {name_array(argument): argument.nnz for kernel in kernels for argument in kernel.inputs}
 
 
 def _describe(kernel: Kernel) -> dict[str, Any]:
     totals = kernel.flops.model_dump()
     return {
         "symbol": kernel.symbol,
-        "arguments": [argument.role.value for argument in kernel.inputs],
+        "arguments": [name_array(argument) for argument in kernel.inputs],
         "results": [_describe_result(argument) for argument in kernel.outputs],
         "flops": {name: totals[name] for name in ("add", "mul", "div", "neg", "sqrt", "trig", "other", "paper")},
     }

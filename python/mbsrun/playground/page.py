@@ -23,7 +23,7 @@ SCRIPTS = ("renderer.js", "kernels.js", "playground.js")
 def write_playground(path: Path, kernels: Mechanism, controllers: Sequence[Mapping[str, Any]] = ()) -> None:
     """Write the page of a mechanism, with controllers of `machine`. The same mechanism gives the same bytes.
 
-    Raises PlaygroundError for closed loops, CompileError where ziglang is not installed.
+    Raises PlaygroundError for missing functions, CompileError where ziglang is not installed.
     """
     path.write_text(render_playground(kernels, controllers), encoding="utf-8")
 

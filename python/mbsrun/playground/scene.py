@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mbsrun.animation import RATE, Motion, Part, make_film
 from mbsrun.animation.page import describe_scene
+from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import normalise
 
@@ -20,11 +21,14 @@ SAMPLES = 100  # poses over the ranges of the coordinates
 def describe_picture(kernels: Mechanism, start: Array, lower: Array, upper: Array) -> dict[str, Any]:
     """Return the scene, and the frames that the kernel `frames` does not compute: centres of mass at the ends.
 
-    Poses spread over the ranges of the coordinates, the same ones each time, decide its bounds.
+    Poses spread over the ranges of the coordinates, with loops closed, the same ones each time, decide its bounds.
     """
     spread = np.random.default_rng(0).random((SAMPLES - 1, start.size))
-    poses = np.vstack((start, lower + (upper - lower) * spread))
-    poses = np.array([normalise(pose, kernels.manifest) for pose in poses])
+    manifest = kernels.manifest
+    poses = np.array([start, *(normalise(pose, manifest) for pose in lower + (upper - lower) * spread)])
+    if manifest.loops:
+        closure, given = Closure(kernels), [] if manifest.configuration else list(manifest.independent)
+        poses = np.vstack((start, closure.spread(start, given, poses[1:, given])))
     film = make_film([Motion((Part(kernels, np.arange(SAMPLES) / RATE, poses),))])
     ends = [(i, frame.com) for i, frame in enumerate(kernels.manifest.frames) if frame.com is not None]
     return {"scene": describe_scene(film), "added": [{"frame": i, "at": list(com)} for i, com in ends]}

@@ -6,11 +6,11 @@ const content = JSON.parse(fs.readFileSync(page, "utf8").match(/id="content">(.*
 const plain = (found) => Object.fromEntries(Object.entries(found).map(([name, values]) => [name, [...values]]));
 
 (async () => {
-  const { states, parameters, start, steps, h } = JSON.parse(fs.readFileSync(requests, "utf8"));
+  const { states, parameters, start, steps, h, moves = [] } = JSON.parse(fs.readFileSync(requests, "utf8"));
   const model = await loadModel(content.machine);
   model.set("parameter", parameters);
   const put = (state) => Object.entries(state).forEach(([role, values]) => model.set(role, values));
-  const found = { values: [], motion: [], control: [] };
+  const found = { values: [], motion: [], control: [], moved: [] };
   for (const state of states) {
     put(state);
     const names = Object.keys(content.machine.functions).filter((name) => name !== "setup");
@@ -20,6 +20,9 @@ const plain = (found) => Object.fromEntries(Object.entries(found).map(([name, va
   for (let k = 0; k < steps; k++) {
     if (!model.step("exp2", h)) throw new Error(`step ${k} failed`);
     found.motion.push([...model.get("coordinate"), ...model.get("velocity")]);
+  }
+  for (const [index, value] of moves) {
+    found.moved.push({ arrives: model.move(index, value), at: [...model.get("coordinate")], gap: [...model.call("loops").gap] });
   }
   for (const told of content.controllers.filter((each) => start.coordinate && each.kind === "controller")) {
     const controller = await loadController(told);
