@@ -13,6 +13,7 @@ from mbsgen.families import Functions, write_families, write_functions
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import ball, body, frame, free, inertia, make_model, revolute, runtime, wrench
 from mbsgen.model.model import Model
+from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.request import Options, Request
@@ -137,6 +138,16 @@ def test_parameters_that_no_function_depends_on_are_no_obstacle() -> None:
     product = pipeline.make(kite(), replace(OPTIONS, functions=("frames",), derivatives=0))
     assert [kernel.name for kernel in product.manifest.kernels] == ["frames"]
     assert set(product.report.verification.deviations) == {"frames"}
+
+
+def test_a_derivative_that_differences_cannot_see_is_no_fault(tmp_path: Path) -> None:
+    """Half a metre above a hard ground the slope of its force is some 1e-2000 of the weight."""
+    text = "name: drop\ngravity: [0, 0, -9.81]\nbodies:\n"
+    text += "  - {name: b, joint: {type: prismatic, axis: z, actuated: false}, mass: 0.2}\n"
+    text += "contacts:\n  - {name: ground, body: b, radius: 0.03, stiffness: 1e5, exponent: 1}\n"
+    (tmp_path / "drop.yaml").write_text(text)
+    product = pipeline.make(read_model(tmp_path / "drop.yaml"), replace(OPTIONS, functions=("exp2",), derivatives=1))
+    assert max(product.report.verification.deviations.values()) <= TOLERANCE
 
 
 def test_the_report_says_what_was_compared() -> None:

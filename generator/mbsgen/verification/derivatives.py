@@ -25,6 +25,7 @@ Arguments = Callable[[Computation], dict[str, Numbers]]  # the arguments of a fu
 Vectors = dict[str, Numbers]  # by result or by input
 
 ROUNDING = Decimal("1e-30")  # of an adjoint, relative to the others
+LOST = Decimal("1e-12")  # of a result: differences over STEP round a derivative that is smaller off below the tolerance
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
 
 
@@ -42,7 +43,8 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
         adjoint = evaluate(family.adj1, given, DECIMALS)
         gradient = [dot(adjoint[o.name], way.take(by.name, o.sparsity.nnz)) for o, by in _adjoints(family.adj1)]
         weighted = [dot(given[i.name], along[i.port.of.name]) for i in family.adj1.inputs if i.port.of]
-        scale = max(largest(gradient), largest(weighted))
+        sizes = [_size(value, arguments, i.port.of.name) for i in family.adj1.inputs if i.port.of]
+        scale = max(largest(gradient), largest(weighted), LOST * largest(sizes))
         yield family.adj1.name, Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
         if family.jac_adj1:
             way = _Direction(family, of_adjoint=True)
