@@ -8,7 +8,20 @@ from __future__ import annotations
 
 from functools import partial
 
-from mbsrun.lab import chains, compilation, derivatives, expressions, inertias, integration, locks, loops, optimisation
+from mbsrun.lab import (
+    chains,
+    compilation,
+    derivatives,
+    events,
+    expressions,
+    inertias,
+    integration,
+    locks,
+    loops,
+    modelling,
+    optimisation,
+    orientations,
+)
 from mbsrun.lab.case import Case, Trial
 from mbsrun.ocp.problem import Representation
 
@@ -45,7 +58,7 @@ CASES: tuple[Case, ...] = (
         "The chain of F02; the last rod's mass and inertia times 1e4, 1e8, 1e12.",
         "Backward errors of 1e-14 at most; errors of 10 u times the condition of M scaled to a diagonal of ones; "
         "`condition` estimates the lost digits to a factor of 16. EXP1 may fail only where a pivot is below n u 1000 "
-        "of its entry of M, and so fewer than three digits are left.",
+        "of its entry of M, and so fewer than three digits are left; EXP2 only where three digits are not sure.",
         tuple(
             Trial(f"{n} links, times {r:.0e}", partial(chains.measure_heavy_tip, size=n, ratio=r), n > 10)
             for n in (10, 50)
@@ -64,8 +77,9 @@ CASES: tuple[Case, ...] = (
         "joints that lock",
         "One body on three axes through a point, or at an elbow, 0.1 to 1e-12 rad from a lock, and at it.",
         "An error of 1e-6 at most, or a status that names the joint, but only where 1e-6 is not sure; never a wrong "
-        "number in silence. EXP2 has 1e-11 down to 1e-7 rad from a Cardan joint's lock; residuals are right to 1e-14 "
-        "everywhere. `condition` estimates the loss, to a factor of 16.",
+        "number in silence. EXP2 has 1e-11 down to 1e-12 rad from the lock of a Cardan joint or a wrist; at the lock, "
+        "less than a rounding of the angle away, a status is due. Residuals are right to 1e-14 everywhere. "
+        "`condition` estimates the loss, to a factor of 16.",
         (
             *(Trial(name, partial(locks.measure_lock, lock=name)) for name in ("Cardan", "wrist", "elbow")),
             Trial("a smaller bound", locks.measure_small_bound),
@@ -103,8 +117,8 @@ CASES: tuple[Case, ...] = (
         "F09",
         "a distant centre of mass",
         "A body of 1 kg and 1 kg m2 whose centre of mass is 1 to 1e8 m from its origin, in single precision to 1e4 m.",
-        "The loss is 4 u (1 + m c2 / I) at most, with all reductions and with none; a status only where that is "
-        "more than 1e-3.",
+        "The loss is 4 u (1 + m c2 / I) at most, with all reductions and with none. A status of EXP1 only where that "
+        "is more than 1e-6, as at all joints without inertia of their own (F05); of EXP2 only above 1e-3.",
         tuple(
             Trial(f"{c:g} m away, {kind}", partial(inertias.measure_offset, offset=c, precision=kind))
             for kind, offsets in inertias.OFFSETS_OF.items()
@@ -275,5 +289,78 @@ CASES: tuple[Case, ...] = (
         "Jacobians agree with differences of fourth order to 1e-10; Taylor's remainder is of order 2; Hessians are "
         "symmetric to 1e-13; no entry of a pattern vanishes everywhere.",
         (Trial("4 links", partial(derivatives.measure_derivatives, size=4)),),
+    ),
+    Case(
+        "F26",
+        "quaternions off length 1",
+        "A free body, five states, its quaternion times -1, 1 + 1e-6, 0.5, 1e-3, 1e3, 1e-100 and 1e100.",
+        "Errors of 1e-14 at most, against the closed form: a quaternion and its opposite are one attitude.",
+        (Trial("lengths", orientations.measure_lengths),),
+    ),
+    Case(
+        "F27",
+        "a floating base near the lock of its angles",
+        "A symmetric top without forces, whose pitch passes close to pi/2, for 10 s: with a quaternion, with three "
+        "angles; and accelerations at the lock itself.",
+        "Orientations as in closed form: to 1e-8 with a quaternion, to 1e-6 with angles and an adaptive method, to "
+        "1e-5 by RK4 with a quaternion; at the lock a status names a turn of the base.",
+        (Trial("past the lock", orientations.measure_lock),),
+    ),
+    Case(
+        "F28",
+        "a pulse between steps",
+        "A mass of 1 kg, and a force of 1 kN for 1 ms within 1 s.",
+        "Place and speed after 1 s to 1e-8, by every method.",
+        (Trial("1 ms", events.measure_pulse),),
+    ),
+    Case(
+        "F29",
+        "smooth friction that should stick",
+        "A block under 4 N, with friction of 5 N that is smooth over 0.01 and 0.001 m/s.",
+        "The block creeps with the speed at which friction is 4 N, to 1e-6. Explicit methods need short steps.",
+        tuple(Trial(f"{v:g} m/s", partial(events.measure_friction, speed=v)) for v in events.SPEEDS),
+    ),
+    Case(
+        "F30",
+        "lengths that vanish",
+        "A spring between two points that meet, or are 1e-3 to 1e-300 m apart.",
+        "Force and slope to 1e-15, also where the points meet; with a rest length, a status names the spring.",
+        (Trial("a spring", modelling.measure_vanishing_length),),
+    ),
+    Case(
+        "F31",
+        "inertias from CAD programs",
+        "Twenty plates in random attitudes, written with 3 to 9 digits; a tensor with a missing decimal point.",
+        "Every plate is taken, with a warning where its rounded tensor belongs to no body; the tensor is refused.",
+        (Trial("plates", modelling.measure_rounded_inertias),),
+    ),
+    Case(
+        "F32",
+        "expressions that explode",
+        "Accelerations of chains of 2 to 5 links, by Lagrange's equations in CasADi; operations of 12 and 24 links.",
+        "Equal to 1e-10; operations grow with order 3 (EXP1) and 1.4 (EXP2) at most.",
+        (Trial("chains", modelling.measure_growth),),
+    ),
+    Case(
+        "F33",
+        "other units",
+        "Two slides and two turns, with numbers in mm and g, km and kt, nm and t, Mm and mg.",
+        "The same accelerations to 1e-12, and no status.",
+        (Trial("units", modelling.measure_units),),
+    ),
+    Case(
+        "F34",
+        "an angle and the same angle",
+        "An arm of 1 kg m2 is to turn to 350 degrees in 1 s with the least integral of the squared torque.",
+        "By the direction as target, the cost of 10 degrees the other way, to 1e-7; by the value, of 350 degrees.",
+        (Trial("350 degrees", orientations.measure_turns),),
+    ),
+    Case(
+        "F35",
+        "hard contacts and long steps",
+        "A ball of 0.2 kg falls 0.5 m on ground of 1e5 N/m without losses, and bounces for 3 s; a contact takes 4 ms.",
+        "Energy to 1e-6 by adaptive methods, to 1e-3 by RK4 with 50 steps in a contact; where steps are too long, a "
+        "warning.",
+        (Trial("bounces", events.measure_bounces),),
     ),
 )

@@ -7,7 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbsrun.lab.case import Finding, Loss, Workspace, check, demand
-from mbsrun.lab.digits import KERNELS, RESIDUAL, Specimen, U, check_estimate, measure_losses, read, relate, specimen
+from mbsrun.lab.digits import (
+    ABOVE,
+    KERNELS,
+    RESIDUAL,
+    Specimen,
+    U,
+    check_estimate,
+    measure_losses,
+    read,
+    relate,
+    specimen,
+)
 from mbsrun.lab.interpretation import LongChain, eliminate
 from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single, write
 
@@ -103,9 +114,13 @@ def measure_heavy_tip(workspace: Workspace, size: int, ratio: float) -> list[Fin
 
 
 def _check_failure(loss: Loss) -> Finding:
-    """Accept a status of EXP1 where a pivot is below n u 1000 of its entry of M: the estimate is then 1e-3 / n."""
-    least = 1e-3 / loss.joints
-    is_due = loss.way == "EXP1" and loss.failed.startswith("q") and (loss.estimate is None or loss.estimate >= least)
+    """Accept a status of EXP1 where a pivot is below n u 1000 of its entry of M: the estimate is then 1e-3 / n.
+
+    Accept a status of EXP2 where an error may exceed 1e-3, by the estimate, and by the bound 10 u times the condition.
+    """
+    least = 1e-3 / loss.joints if loss.way == "EXP1" else 1e-3 / ABOVE
+    is_lost = loss.estimate is None or loss.estimate >= least
+    is_due = is_lost and loss.failed.startswith("q") and (loss.way == "EXP1" or 10 * ROUNDING * loss.scaled > 1e-3)
     estimate = "no digit" if loss.estimate is None else f"an error of {loss.estimate:.0e}"
     return demand(loss.way, "status where digits are gone", is_due, f"status at {loss.failed}; {estimate} is told")
 

@@ -27,7 +27,8 @@ from mbsrun.models import Extent, find_folder
 DISTANCES = (*(10.0**-k for k in range(1, 13)), 0.0)  # rad
 SIX_DIGITS = 1e-6
 SEEDS = range(5)
-SAFE = 1e-7  # rad: how close to the lock of a Cardan joint EXP2 has to get
+SAFE = 1e-12  # rad: how close to the lock of a Cardan joint or a wrist EXP2 has to get
+TURNING = 2.0**-53  # rad: half a rounding of an angle near pi/2
 FIRST = "q1"  # the joint that locks
 
 _ARM = """
@@ -77,7 +78,7 @@ def measure_lock(workspace: Workspace, lock: str, distances: Sequence[float] = D
         chosen, states, losses = approach(workspace, lock, distance)
         findings += [_check_loss(x) for x in losses]
         findings += [check_estimate(x) for x in losses if x.error is not None]
-        if lock == "Cardan" and distance >= SAFE:
+        if lock in LOCKS and distance >= SAFE:
             findings += [_check_safe(x) for x in losses if x.way == "EXP2"]
         findings += _check_residuals(chosen, states)
     return findings
@@ -133,7 +134,8 @@ def _check_refusal(model: Path) -> Finding:
 def _check_loss(loss: Loss) -> Finding:
     where = f"{loss.number:.0e} from the lock"
     if loss.error is None:
-        is_due = loss.estimate is None or ABOVE * loss.estimate > SIX_DIGITS
+        is_sure = loss.estimate is not None and ABOVE * loss.estimate <= SIX_DIGITS
+        is_due = not is_sure or loss.number <= TURNING
         estimate = "no digit" if loss.estimate is None else f"an error of {loss.estimate:.0e}"
         remark = f"{where}: status at {loss.failed}, {estimate} is told"
         return demand(loss.way, "status where six digits are not sure", loss.failed == FIRST and is_due, remark)
@@ -144,7 +146,7 @@ def _check_safe(loss: Loss) -> Finding:
     where = f"{loss.number:.0e} from the lock"
     if loss.error is None:
         return demand(loss.way, "status not too early", False, where)
-    return check(loss.way, "error down to 1e-7", loss.error, 1e-11, where)
+    return check(loss.way, "error down to 1e-12", loss.error, 1e-11, where)
 
 
 def _check_residuals(chosen: Specimen, states: States) -> list[Finding]:

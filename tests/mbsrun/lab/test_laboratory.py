@@ -16,7 +16,19 @@ import pytest
 
 from mbsrun import cli
 from mbsrun.commands import lab as lab_commands
-from mbsrun.lab import chains, derivatives, digits, integration, interpretation, locks, loops, maps, optimisation
+from mbsrun.lab import (
+    chains,
+    derivatives,
+    digits,
+    integration,
+    interpretation,
+    locks,
+    loops,
+    maps,
+    modelling,
+    optimisation,
+    orientations,
+)
 from mbsrun.lab.case import Case, Finding, Loss, Trial, Workspace, check, demand, find_worst, judge, show_failure
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
@@ -47,8 +59,14 @@ SLICE: dict[str, str | Measure] = {  # of each case a short trial, or a smaller 
     "F20": "weights",
     "F24": partial(loops.measure_passages, bars=1),
     "F25": partial(derivatives.measure_derivatives, size=2),
+    "F26": "lengths",
+    "F28": "1 ms",
+    "F30": "a spring",
 }
-ELSEWHERE = ("F09", "F12", "F19", "F21", "F22", "F23")  # in tests/mbsgen/failures, simulation and ocp
+ELSEWHERE = (  # in tests/mbsgen/failures, simulation and ocp; and below, in part
+    *("F09", "F12", "F19", "F21", "F22", "F23"),
+    *("F27", "F29", "F31", "F32", "F33", "F34", "F35"),
+)
 
 
 def quiet(*_: object) -> None:
@@ -61,7 +79,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
 
 
 def test_every_case_is_run() -> None:
-    assert [case.id for case in CASES] == [f"F{k:02}" for k in range(1, 26)]
+    assert [case.id for case in CASES] == [f"F{k:02}" for k in range(1, 36)]
     assert all(case.trials for case in CASES)
     for case in CASES:
         assert len({trial.name for trial in case.trials}) == len(case.trials)
@@ -147,6 +165,25 @@ def test_close_to_the_level_pose_digits_are_lost_or_a_loop_is_named(workspace: W
     assert {x.quantity for x in found} == {"error without a status", "status names a loop, and not too early"}
 
 
+def test_lagranges_equations_are_right_and_their_length_is_counted() -> None:
+    """A thin rod under gravity: (1/3) q'' = u - (9.81/2) cos q, in two products, a sum, a cosine and a quotient."""
+    lagrange, length = modelling.derive(1)
+    assert abs(float(lagrange(0.3, 2.0, 0.5)) - 3 * (0.5 - 4.905 * np.cos(0.3))) < 1e-13
+    assert modelling.derive(2)[1] > 10 * length > 0
+
+
+def test_the_reference_of_quaternions_is_a_rotation() -> None:
+    """A quarter turn about z, of any length and sign."""
+    for length in (1.0, -1.0, 7.0):
+        R = orientations.turn(length * np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
+        np.testing.assert_allclose(R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
+
+
+def test_the_price_of_a_turn_nears_the_smooth_one() -> None:
+    """12 times the squared angle, by the Euler-Lagrange equations; constant inputs cost a little more."""
+    assert 12 < orientations._price(1.0) < 12 * 1.01
+
+
 LOSS = Loss("Cardan", 3, 1e-9, 0, "EXP1", 1e18, 1e18, 1e-3, 0.99, 1e-16)
 
 
@@ -166,9 +203,12 @@ def test_a_heavy_tip_may_fail_only_where_digits_are_gone() -> None:
     failed = replace(LOSS, error=None, failed="q1")
     assert chains._check_failure(failed).is_met
     assert chains._check_failure(replace(failed, estimate=None)).is_met
+    far = replace(failed, way="EXP2", estimate=1e-4)  # times 16, more than 1e-3
+    assert chains._check_failure(far).is_met
     for other in (
         replace(failed, estimate=1e-4),
-        replace(failed, way="EXP2"),
+        replace(far, estimate=1e-5),
+        replace(far, scaled=1e10),
         replace(failed, failed="nothing: not a number"),
     ):
         assert not chains._check_failure(other).is_met
