@@ -26,7 +26,7 @@ OFFSETS_OF: Mapping[Precision, Sequence[float]] = {  # m, up to where all of the
     "float32": tuple(10.0**k for k in range(5)),
 }
 
-# The loss from which on a status is due: EXP1 keeps six digits at joints without inertia of their own, or fails.
+# The loss from which on a status is due: EXP1 keeps six digits at joints whose own body has no inertia, or fails.
 LEAST = {"EXP1": 1e-6, "EXP2": 1e-3, "IMPL": np.inf, "SEMI": np.inf}
 
 _BODY = """
