@@ -167,7 +167,8 @@ MBSRUN = Package(
         "lab.case lab.mechanisms",
         "lab.digits lab.integration lab.optimisation lab.runs",
         "lab.interpretation",
-        "lab.chains lab.compilation lab.derivatives lab.expressions lab.inertias lab.locks lab.loops",
+        "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.locks lab.loops "
+        "lab.modelling lab.orientations",
         "lab.cases lab.maps",
         "lab",
         "commands.console",

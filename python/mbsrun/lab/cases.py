@@ -118,7 +118,7 @@ CASES: tuple[Case, ...] = (
         "a distant centre of mass",
         "A body of 1 kg and 1 kg m2 whose centre of mass is 1 to 1e8 m from its origin, in single precision to 1e4 m.",
         "The loss is 4 u (1 + m c2 / I) at most, with all reductions and with none. A status of EXP1 only where that "
-        "is more than 1e-6, as at all joints without inertia of their own (F05); of EXP2 only above 1e-3.",
+        "is more than 1e-6, as at all joints whose body has no inertia (F05); of EXP2 only above 1e-3.",
         tuple(
             Trial(f"{c:g} m away, {kind}", partial(inertias.measure_offset, offset=c, precision=kind))
             for kind, offsets in inertias.OFFSETS_OF.items()
