@@ -73,7 +73,7 @@ Parts, in this order; all, unless some are chosen
   --question grids        Radau and Legendre points, degrees 1 to 5, N from 25 to 200
   --question systems      the problems of --system, in all representations
   --question shooting     multiple shooting beside collocation, here and for --system
-  --question guess        inputs 0, statics, inverse dynamics
+  --question guess        inputs 0, and the inputs of the guessed motion
   --question repeats      the same tasks for targets that differ by rounding: the scatter of iterations
   --protocol robust       a search for lower minima from many starts, with the number of finds
 

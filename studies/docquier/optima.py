@@ -1,7 +1,8 @@
 """The lowest optimum of every target and cost in a record, with a certificate of its optimality.
 
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
-motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist.
+motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist. Motions
+with whole turns of joints without limits are listed apart: the paper's motions make none.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from mbsrun.measuring.sections import Cell, Section, Table
-from mbsrun.ocp.attempts import find_lowest, is_higher
+from mbsrun.ocp.attempts import INDEPENDENT, is_higher
 from mbsrun.ocp.certificate import Certificate, certify_motion
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt, Record, Task
@@ -24,12 +25,15 @@ FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
 
 @dataclass(frozen=True)
 class Optimum:
-    """The lowest optimum of a target and a cost."""
+    """The lowest optimum of a target and a cost, without whole turns or with some."""
 
     task: Task  # in the representation that found it
+    turns: str  # whole turns of joints without limits; "" without
     cost: float
     found: int  # representations whose solve by the paper's protocol ended in it
     tried: int  # representations that were solved by the paper's protocol
+    hits: int  # random starts of the robust protocol, independent of each other, that ended in it
+    starts: int  # these starts at the target: with turns, the starts that make some
     certificate: Certificate
 
     @property
@@ -40,35 +44,57 @@ class Optimum:
 
 
 def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]:
-    """Yield the optima of a record without whole turns, by cost and target."""
-    attempts = [a for a in record.attempts() if a.cost is not None and not a.turns]
-    lowest = find_lowest(attempts)
+    """Yield the optima of a record by cost and target: the lowest without whole turns, then the lowest with some."""
+    by_target: dict[tuple[Place, Weights], list[Attempt]] = {}
+    for a in record.attempts():
+        by_target.setdefault((a.task.place, a.task.weights), []).append(a)
     solvers: dict[Structure, Solver] = {}
     for weights in study.costs:
         for place in study.targets.places:
-            found = _find_attempt(attempts, place, weights)
-            if found is None:
-                continue
-            problem = study.state(found.task)
-            motion = record.best_motion(found.task, found.protocol)
-            solver = solvers.setdefault(structure(problem), Solver(problem, plant))
-            assert motion is not None, "a record keeps the motion of every best attempt"
-            own = [a for a in attempts if (a.task.place, a.task.weights, a.protocol) == (place, weights, "paper")]
-            hits = sum(not is_higher(a.cost, lowest[place, weights]) for a in own)
-            assert found.cost is not None, "attempts without a cost are left out"
-            yield Optimum(found.task, found.cost, hits, len(own), certify_motion(problem, solver, motion))
+            tried = by_target.get((place, weights), [])
+            for is_turned in (False, True):
+                found = _find_attempt(tried, is_turned=is_turned)
+                if found is None or found.cost is None:
+                    continue
+                problem = study.state(found.task)
+                motion = record.best_motion(found.task, found.protocol, turns=found.turns)
+                solver = solvers.setdefault(structure(problem), Solver(problem, plant))
+                assert motion is not None, "a record keeps the motion of every best attempt"
+                paper = [a for a in tried if a.protocol == "paper" and a.cost is not None]
+                parts = ("turns",) if is_turned else INDEPENDENT
+                starts = [a for a in tried if a.protocol == "robust" and a.part in parts]
+                yield Optimum(
+                    found.task,
+                    found.turns,
+                    found.cost,
+                    _count_hits(paper, found),
+                    len(paper),
+                    _count_hits(starts, found),
+                    len(starts),
+                    certify_motion(problem, solver, motion),
+                )
 
 
-def _find_attempt(attempts: Sequence[Attempt], place: Place, weights: Weights) -> Attempt | None:
-    """Return the attempt with the lowest cost; of equal ones, the first of the record."""
-    own = [a for a in attempts if (a.task.place, a.task.weights) == (place, weights)]
-    return min(own, key=lambda a: a.cost or 0.0, default=None)
+def _find_attempt(attempts: Sequence[Attempt], *, is_turned: bool) -> Attempt | None:
+    """Return the attempt with the lowest cost, with whole turns or without; of equal ones, the first of the record."""
+    solved = [a for a in attempts if a.cost is not None and bool(a.turns) == is_turned]
+    return min(solved, key=lambda a: a.cost or 0.0, default=None)
+
+
+def _count_hits(attempts: Sequence[Attempt], found: Attempt) -> int:
+    """Count the attempts that ended in the minimum that one found."""
+    assert found.cost is not None, "attempts without a cost are left out"
+    return sum(a.turns == found.turns and not is_higher(a.cost, found.cost) for a in attempts)
 
 
 def tabulate_optima(study: Study, optima: Sequence[Optimum]) -> Table:
     """Return a row for each optimum, with every digit of its cost."""
-    columns: tuple[str, ...] = ("azimuth [rad]", "height [m]", "k1", "k2", "cost", "representation", "found by", "of")
+    columns: tuple[str, ...] = ("azimuth [rad]", "height [m]", "k1", "k2", "cost", "representation", "whole turns")
     columns += (
+        "found by",
+        "of",
+        "independent finds",
+        "of starts",
         "stationarity",
         "gradient",
         "violation",
@@ -81,7 +107,8 @@ def tabulate_optima(study: Study, optima: Sequence[Optimum]) -> Table:
     note = (
         "Stationarity is the largest entry of the first-order conditions, beside the largest entry of the cost's "
         "gradient; both are divided by the largest weight. `found by` counts the representations whose solve by the "
-        "paper's protocol ended in this optimum."
+        "paper's protocol ended in this optimum; `independent finds` counts random starts of the robust protocol. A "
+        "target has a second row where motions with whole turns of a joint without limits were found."
     )
     return Table("Lowest optima", columns, rows, note, is_folded=True)
 
@@ -95,8 +122,11 @@ def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:
         *place,
         optimum.cost,
         optimum.task.representation,
+        optimum.turns or "none",
         optimum.found,
         optimum.tried,
+        optimum.hits,
+        optimum.starts,
         *numbers,
         c.active,
         *verdicts,
@@ -105,16 +135,34 @@ def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:
 
 def describe_optima(study: Study, optima: Sequence[Optimum], file: str) -> Section:
     """Describe how many optima are certified, and how often they were found; `file` holds all of them."""
-    sentences = []
-    for weights in study.costs:
-        own = [o for o in optima if o.task.weights == weights]
-        if own:
-            sure, alone = sum(o.is_certified for o in own), sum(o.found == 1 for o in own)
-            sentences.append(
-                f"With k1 = {weights[0]:g}, k2 = {weights[1]:g} the conditions of both orders hold at {sure} of "
-                f"{len(own)} lowest optima; {alone} of them were found by a single representation."
-            )
+    sentences = [text for weights in study.costs for text in _describe_cost(weights, optima)]
     sentences.append(f"[{file}]({file}) lists all of them, for comparison with others.")
-    return Section(
-        "optima", "The lowest optimum of every target", " ".join(sentences), (tabulate_optima(study, optima),)
+    table = tabulate_optima(study, optima)
+    return Section("optima", "The lowest optimum of every target", " ".join(sentences), (table,))
+
+
+def _describe_cost(weights: Weights, optima: Sequence[Optimum]) -> Iterator[str]:
+    own = [o for o in optima if o.task.weights == weights and not o.turns]
+    if not own:
+        return
+    name = f"With k1 = {weights[0]:g}, k2 = {weights[1]:g}"
+    sure, alone = sum(o.is_certified for o in own), sum(o.found == 1 for o in own)
+    yield (
+        f"{name} and no whole turns, the conditions of both orders hold at {sure} of {len(own)} lowest optima; {alone} "
+        "of them were found by a single representation of the paper's protocol."
     )
+    searched = [o for o in own if o.starts]
+    if searched:
+        never, all_starts = sum(not o.hits for o in searched), sum(o.starts for o in searched)
+        yield (
+            f"Independent random starts found them {sum(o.hits for o in searched)} times of {all_starts}, and never at "
+            f"{never} of {len(searched)} targets."
+        )
+    turned = [o for o in optima if o.task.weights == weights and o.turns]
+    if turned:
+        without = {o.task.place: o.cost for o in own}
+        lower = [o for o in turned if is_higher(without.get(o.task.place), o.cost)]
+        yield (
+            f"Motions with whole turns were found at {len(turned)} targets, and are lower at {len(lower)} of them; the "
+            f"conditions of both orders hold at {sum(o.is_certified for o in turned)} of the {len(turned)}."
+        )

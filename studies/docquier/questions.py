@@ -1,7 +1,7 @@
 """Questions that Docquier, Brüls and Fisette leave open: each is a declared list of tasks, and a section of answers.
 
-guess         the share of the initial guess in the difference of formulations, and the cause of higher minima of the
-              implicit forms: inputs 0, inputs that hold each pose, inputs of the motion
+guess         the share of the initial guess in the difference of formulations, and the cause of higher minima:
+              inputs 0, and the inputs of the guessed motion
 derivatives   generated sensitivities against algorithmic differentiation of the same equations
 grids         other transcriptions: Radau and Legendre points, degrees 1 to 5, N from 25 to 200
 repeats       the scatter of the iterations of one task, for targets that differ by rounding alone
@@ -11,6 +11,7 @@ shooting      multiple shooting, on the study's problem and on the other systems
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,10 +25,11 @@ from mbsrun.ocp.integrators import IntegratorName
 from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
 from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.study import ONE, Place, Study
+from mbsrun.ocp.study import ONE, Place, Study, Weights
 from mbsrun.ocp.trials import Interpolation, Trial, list_interpolations
 from studies.docquier.differentiated import WAYS, Way
 from studies.docquier.figures import draw_parts, draw_scatter, name_set
+from studies.docquier.judgement import SHOWN
 from studies.docquier.judges import COLLOCATION
 from studies.docquier.results import Results
 
@@ -40,6 +42,9 @@ GRIDS = tuple(
 )
 QUICK_GRIDS = tuple((Family.RADAU, degree, intervals) for degree in (1, 2) for intervals in (5, 10))
 APART = 0.01  # relative difference of costs from which on two transcriptions are in other minima
+FORMULATIONS = tuple(
+    r.value for r in (Representation.IMPL, Representation.EXP1_O, Representation.EXP1_A)
+)  # see `answer_guess`
 GRID_REPRESENTATIONS = (Representation.IMPL, Representation.EXP2_O)
 
 
@@ -83,34 +88,37 @@ def thin(study: Study) -> Study:
 
 
 def list_guesses(study: Study, folder: Path) -> list[TaskList]:
-    """Start a part of the targets from three guesses; the first is the guess of the paper's protocol."""
-    few = thin(study)
+    """Start every task from the interpolation without inputs, as the paper's protocol does, and with its own inputs.
+
+    The targets come by ever finer grids, so a part of the list covers the whole cylinder.
+    """
     trials = (
-        *list_interpolations(few, "paper", "paper", "zero"),
-        *list_interpolations(few, PROTOCOL, "guess", "static"),
-        *list_interpolations(few, PROTOCOL, "guess", "dynamic"),
+        *list_interpolations(study, "paper", "paper", "zero"),
+        *list_interpolations(study, PROTOCOL, "guess", "dynamic"),
     )
-    return [TaskList(folder, few, trials)]
+    order = {place: k for k, place in enumerate(study.targets.spread)}
+    return [TaskList(folder, study, tuple(sorted(trials, key=lambda trial: order[trial.task.place])))]
 
 
-_GUESSES = {("paper", "zero"): "0", ("guess", "static"): "statics", ("guess", "dynamic"): "inverse dynamics"}
+WITHOUT, WITH = "0", "inverse dynamics"
+_GUESSES = {("paper", "zero"): WITHOUT, ("guess", "dynamic"): WITH}
+ByGuess = Mapping[tuple[str, str], Mapping[Place, Attempt]]  # attempts by representation and inputs of the guess
 
 
 def answer_guess(results: Results) -> Section | None:
-    """Compare guesses over the places at which all of them were tried, in all representations."""
+    """Compare guesses over the places at which both were tried, in all representations that were started from both."""
     rows: list[tuple[Cell, ...]] = []
+    apart: list[tuple[Cell, ...]] = []
+    sentences: list[str] = []
     for weights in results.study.costs:
-        groups: dict[tuple[str, str], dict[Place, Attempt]] = {
-            (name, guess): {} for name in results.representations for guess in _GUESSES.values()
-        }
-        for a in results.attempts:
-            if (a.part, a.guess) in _GUESSES and a.task.weights == weights:
-                groups[a.task.representation, _GUESSES[a.part, a.guess]][a.task.place] = a
-        common = sorted(set.intersection(*(set(found) for found in groups.values())))
+        groups = _pair_guesses(results, weights)
         for (name, guess), found in groups.items():
-            own = [found[place] for place in common]
-            if own:
-                rows.append((name_set(weights), name, guess, len(own), *_count(own, results)))
+            rows.append((name_set(weights), name, guess, len(found), *_count(list(found.values()), results)))
+        shares = [_compare_guesses(groups), *(_compare_forms(groups, guess) for guess in (WITHOUT, WITH))]
+        if groups and all(share.pairs for share in shares):
+            apart += [(name_set(weights), *share.row) for share in shares]
+            places = len(next(iter(groups.values())))
+            sentences.append(_describe_shares(weights, shares, places, len(results.study.targets.places)))
     if not rows:
         return None
     columns: tuple[str, ...] = (
@@ -124,6 +132,22 @@ def answer_guess(results: Results) -> Section | None:
     columns += ("iterations, median", "CPU s, median", "CPU s, all")
     note = "The motion is the same interpolation; a higher minimum lies above the lowest cost of all attempts."
     items: list[Table | Picture] = [Table("By the inputs of the guess", columns, tuple(rows), note)]
+    if apart:
+        columns = (
+            "cost",
+            "changed",
+            "held",
+            "pairs of solves",
+            "in different minima %",
+            "iterations, ratio",
+            "CPU, ratio",
+        )
+        note = (
+            "Each pair of solves has the same target and differs in one thing alone. Representations whose programs "
+            "have the same solutions and sizes are one formulation here: IMPL for SEMI, EXP1-O for EXP2-O, EXP1-A for "
+            "EXP2-A. Ratios are geometric means of the larger by the smaller number."
+        )
+        items.insert(0, Table("Guess and formulation, apart", columns, tuple(apart), note))
     exchanged = _count_exchanges(results)
     if exchanged:
         columns = ("cost", "representation", "in a higher minimum by itself", "from another's solution")
@@ -134,7 +158,78 @@ def answer_guess(results: Results) -> Section | None:
             "differs, not the formulation's set of minima."
         )
         items.append(Table("Why higher minima", columns, tuple(exchanged), note))
-    return Section("guess", "The share of the initial guess, and the cause of higher minima", "", tuple(items))
+    title = "The share of the initial guess, and the cause of higher minima"
+    return Section("guess", title, " ".join(sentences), tuple(items))
+
+
+def _pair_guesses(results: Results, weights: Weights) -> dict[tuple[str, str], dict[Place, Attempt]]:
+    """Return the attempts at the places that all compared representations share, by representation and guess."""
+    groups: dict[tuple[str, str], dict[Place, Attempt]] = {}
+    for a in results.attempts:
+        if (a.part, a.guess) in _GUESSES and a.task.weights == weights:
+            groups.setdefault((a.task.representation, _GUESSES[a.part, a.guess]), {})[a.task.place] = a
+    compared = [name for name in results.representations if {(name, WITHOUT), (name, WITH)} <= groups.keys()]
+    keys = [(name, guess) for name in compared for guess in (WITHOUT, WITH)]
+    if not keys:
+        return {}
+    common = sorted(set.intersection(*(set(groups[key]) for key in keys)))
+    return {key: {place: groups[key][place] for place in common} for key in keys} if common else {}
+
+
+@dataclass(frozen=True)
+class Share:
+    """The differences between pairs of solves that differ in the guess alone, or in the formulation alone."""
+
+    changed: str
+    held: str
+    pairs: int
+    different: float  # % of pairs in different minima
+    iterations: float  # geometric mean of the larger by the smaller number
+    cpu: float  # likewise
+
+    @property
+    def row(self) -> tuple[Cell, ...]:
+        """Return the cells of a table."""
+        numbers = (_round(self.different), _round(self.iterations), _round(self.cpu))
+        return (self.changed, self.held, self.pairs, *numbers)
+
+
+def _compare_guesses(groups: ByGuess) -> Share:
+    """Compare the two guesses of each target in each formulation."""
+    names = [name for name in FORMULATIONS if (name, WITH) in groups]
+    pairs = [(a, groups[name, WITH][place]) for name in names for place, a in groups[name, WITHOUT].items()]
+    return _share("inputs of the guess", "formulation", pairs)
+
+
+def _compare_forms(groups: ByGuess, guess: str) -> Share:
+    """Compare all pairs of formulations at each target, from one guess."""
+    found = [groups[name, guess] for name in FORMULATIONS if (name, guess) in groups]
+    pairs = [(a, two[place]) for one, two in itertools.combinations(found, 2) for place, a in one.items()]
+    return _share("formulation", f"inputs of the guess: {guess}", pairs)
+
+
+def _share(changed: str, held: str, pairs: Sequence[tuple[Attempt, Attempt]]) -> Share:
+    solved = [(a, b, a.cost, b.cost) for a, b in pairs if a.cost is not None and b.cost is not None]
+    different = sum(abs(x - y) > SHOWN * min(abs(x), abs(y)) for _, _, x, y in solved)
+
+    def ratio(number: Callable[[Attempt], float]) -> float:
+        logs = [abs(math.log(number(a) / number(b))) for a, b, _, _ in solved]
+        return math.exp(float(np.mean(logs))) if logs else math.nan
+
+    share = 100 * different / len(solved) if solved else math.nan
+    iterations = ratio(lambda a: max(a.iterations, 1))
+    return Share(changed, held, len(solved), share, iterations, ratio(lambda a: max(a.cpu_seconds, 1e-6)))
+
+
+def _describe_shares(weights: Weights, shares: Sequence[Share], places: int, targets: int) -> str:
+    guess, without, own = shares
+    return (
+        f"With {name_set(weights)}, at {places} of {targets} targets: other inputs of the guess lead a formulation to "
+        f"another minimum in {guess.different:.3g}% of the tasks, and change its iterations by a factor of "
+        f"{guess.iterations:.3g}. Another formulation, with the same guess, does so in {without.different:.3g}% of the "
+        f"pairs, by a factor of {without.iterations:.3g}, without inputs, and in {own.different:.3g}%, by a factor of "
+        f"{own.iterations:.3g}, with the inputs of the motion's inverse dynamics."
+    )
 
 
 def _count(attempts: Sequence[Attempt], results: Results) -> tuple[Cell, ...]:

@@ -6,17 +6,14 @@ representations, the wrong cost or the wrong number fails here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pytest
 
 from mbsrun.measuring.sections import Picture
-from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.study import Study, Targets
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import spread
 from studies.docquier.campaign import describe_missing
@@ -27,38 +24,12 @@ from studies.docquier.judgement import INSIDE, THRESHOLDS, TURNS, UNMEASURED, ju
 from studies.docquier.judges import COLLOCATION, CONFIRMED, REFUTED, Finding
 from studies.docquier.questions import answer_derivatives
 from studies.docquier.results import Effort, Results, find_outliers
+from tests.studies.docquier.made import NAMES, PLACES, ROUGH, SMOOTH, TARGETS, Number, make
 
-SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
-NAMES = tuple(r.value for r in Representation)
 IMPLICIT, ODE, DAE = ("IMPL", "SEMI"), ("EXP1-O", "EXP2-O"), ("EXP1-A", "EXP2-A")
-PLACES, CENTRE = 9, 4
-TARGETS = Targets(0.6, tuple(np.linspace(-1.5, 1.5, PLACES).tolist()), (0.0,))
-# The judges read targets, costs and representations of a study; its problem is not looked at.
-STUDY = Study(cast(Problem, None), "hand", TARGETS, (SMOOTH, ROUGH), tuple(Representation), ())
+CENTRE = 4
 
-Number = Callable[[tuple[float, float], str, int], float]  # of a cost, a representation and a place
 Solve = tuple[float, float, float]  # cost, iterations, CPU time
-
-
-def make(
-    cost: Number = lambda *_: 5.0,
-    iterations: Number = lambda *_: 20.0,
-    cpu: Number = lambda *_: 1.0,
-    sizes: Callable[[str], tuple[int, int, int, int]] = lambda _: (10, 10, 10, 10),
-) -> Results:
-    """Make results of the paper's protocol at all places, in all representations, for both costs."""
-    attempts = tuple(
-        Attempt(
-            Task((place, 0), w, name),
-            *("paper", "paper", "zero", 0, ""),
-            *(round(iterations(w, name, place)), cpu(w, name, place), 0.5, cost(w, name, place), None),
-            *sizes(name),
-        )
-        for w in (SMOOTH, ROUGH)
-        for name in NAMES
-        for place in range(PLACES)
-    )
-    return Results(STUDY, attempts, (), (), ())
 
 
 def at(

@@ -1,0 +1,61 @@
+"""The lowest optima of a record: with whole turns and without apart, each with its number of finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from mbsrun.ocp.certificate import Certificate
+from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.study import Study
+from mbsrun.ocp.trajectory import Trajectory
+from studies.docquier import optima
+from studies.docquier.optima import describe_optima, list_optima, tabulate_optima
+from tests.studies.docquier.made import SMOOTH, STUDY
+
+CERTIFICATE = Certificate(1e-9, 1.0, 1e-9, 1e-9, 2, is_minimum=True)
+
+
+def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three bumps two end in the minimum; a turn leads lower at one target, and higher at the other."""
+    study = replace(STUDY, costs=(SMOOTH,))
+    monkeypatch.setattr(Study, "state", lambda *_: None)
+    monkeypatch.setattr(optima, "structure", lambda _: "one")
+    monkeypatch.setattr(optima, "Solver", lambda *_: None)
+    monkeypatch.setattr(optima, "certify_motion", lambda *_: CERTIFICATE)
+    shapes = ((2,), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1))
+    motion = Trajectory(*map(np.zeros, shapes))
+    with open_record(tmp_path / "study.sqlite", "one") as record:
+        for k, (place, part, cost, turns) in enumerate(
+            (
+                (0, "paper", 5.0, ""),
+                (0, "bumps", 4.0, ""),
+                (0, "bumps", 4.0, ""),
+                (0, "bumps", 6.0, ""),
+                (0, "turns", 3.0, "q1 -1"),
+                (0, "turns", 3.5, "q1 +1"),
+                (1, "paper", 4.0, ""),
+                (1, "turns", 9.0, "q1 -1"),
+            )
+        ):
+            protocol = "paper" if part == "paper" else "robust"
+            task = Task((place, 0), SMOOTH, "IMPL")
+            numbers = (0, "", 20, 1.0, 0.5, cost)
+            record.add(Attempt(task, protocol, part, str(k), *numbers, turns=turns), motion)
+        found = list(list_optima(study, record, cast(Any, None)))
+    assert [(o.task.place[0], o.turns, o.cost, o.found, o.tried, o.hits, o.starts) for o in found] == [
+        (0, "", 4.0, 0, 1, 2, 3),
+        (0, "q1 -1", 3.0, 0, 1, 1, 2),
+        (1, "", 4.0, 1, 1, 0, 0),
+        (1, "q1 -1", 9.0, 0, 1, 1, 1),
+    ]
+    text = describe_optima(study, found, "optima.csv").text
+    assert "hold at 2 of 2 lowest optima" in text
+    assert "found them 2 times of 3, and never at 0 of 1 targets" in text
+    assert "found at 2 targets, and are lower at 1 of them" in text
+    table = tabulate_optima(study, found)
+    assert [row[table.columns.index("whole turns")] for row in table.rows] == ["none", "q1 -1"] * 2
