@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import inputs, linkages, loops, mechanisms
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
 
@@ -110,3 +110,19 @@ def test_a_closed_mechanism_that_is_wrong_is_found() -> None:
     with fifty_digits():
         found = loops.Comparison(replace(mechanism, model=other), tree, tapes, DRIVEN).run()
     assert all(f"{name} by" in found for name in ("impl", "exp1: qdd", "exp1: tau", "exp2: lam", "semi_red: c"))
+
+
+@pytest.mark.parametrize(("name", "precision"), [("force laws at ties", "double"), ("F05 elbow", "float")])
+def test_bounds_hold_in_thousands_of_states(name: str, precision: str) -> None:
+    case = next(x for x in bounds.list_cases() if x.name == name)
+    tallies = list(bounds.search(replace(case, functions=("exp2",)), 3000, 0, precision))
+    assert [str(x) for x in tallies if not x.is_sound] == []
+    assert {x.kernel for x in tallies} >= {"exp2", "jac_exp2"}
+    assert all(x.compared > 500 for x in tallies)
+
+
+def test_the_search_for_violations_sees_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bounds for a unit roundoff of 2^-55 are violated in double precision."""
+    case = next(x for x in bounds.list_cases() if x.name == "F05 elbow")
+    monkeypatch.setitem(bounds.UNITS, "double", 2.0**-55)
+    assert not all(x.is_sound for x in bounds.search(replace(case, functions=("semi",)), 500, 0))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import inputs, linkages, loops, mechanisms
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms
 
 
 @click.group()
@@ -51,6 +51,24 @@ def loops_command(count: int, seed: int, keep: Path | None) -> None:
     failed = run(loops.search, count, seed, keep)
     click.echo("linkages, cut at two places:")
     sys.exit(run(linkages.search, count // 4, seed, None if keep is None else keep / "linkages") or failed)
+
+
+@cli.command("bounds")
+@click.option(
+    "--states", "--count", default=1_000_000, show_default=True, help="States to try for each function of each case."
+)
+@click.option("--seed", default=0, show_default=True, help="Of the states.")
+@click.option("--case", "cases", multiple=True, help="Only the cases whose names contain this.")
+@click.option("--precision", type=click.Choice(list(bounds.UNITS)), default="double", show_default=True)
+def bounds_command(states: int, seed: int, cases: tuple[str, ...], precision: str) -> None:
+    """Draw states: no rounding error of a function exceeds the bound that the generated code returns beside it."""
+    failed = 0
+    for case in bounds.list_cases():
+        if not cases or any(part in case.name for part in cases):
+            for tally in bounds.search(case, states, seed, precision):
+                click.echo(str(tally))
+                failed += not tally.is_sound
+    sys.exit(1 if failed else 0)
 
 
 def run(search: Callable[..., mechanisms.Tally], count: int, seed: int, keep: Path | None) -> int:

@@ -84,7 +84,7 @@ def test_bounds_hold_and_are_near(name: str) -> None:
                 found = _check(tape, bounded, _draw(tape, seed, convert, 3.0), numbers, unit)
                 assert not found.failed
                 ratios += found.ratios
-    assert np.median(ratios) < 100
+    assert np.median(ratios) < 200
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -119,7 +119,7 @@ def test_every_operation_keeps_its_bound(op: Op, seed: int) -> None:
         assert not (found.failed and kind is FLOATS)
 
 
-@pytest.mark.parametrize("op", [Op.DIV, Op.LOG, Op.ASIN, Op.SIGN, Op.SQRT])
+@pytest.mark.parametrize("op", [Op.DIV, Op.LOG, Op.ASIN, Op.SQRT])
 def test_an_argument_that_may_be_singular_fails(op: Op) -> None:
     builder = Builder()
     a, b = builder.vector("x", 2)
@@ -134,10 +134,31 @@ def test_an_argument_that_may_be_singular_fails(op: Op) -> None:
     assert status == 0
 
 
-def test_a_unit_of_nothing_is_refused() -> None:
+@pytest.mark.parametrize("unit", [0.0, 2.0**-23])
+def test_a_unit_of_nothing_and_a_coarse_one_are_refused(unit: float) -> None:
     (tape,) = (t for t in _list_tapes(read_tree(FOLDER / "pendulum.yaml"), 0) if t.name == "impl")
     arguments = _draw(tape, 0, float, 1.0)
-    assert run(add_bounds(tape), {**arguments, "unit": [0.0]}, FLOATS, tested=True)[0] == 1
+    assert run(add_bounds(tape), {**arguments, "unit": [unit]}, FLOATS, tested=True)[0] == 1
+
+
+def test_bounds_cover_both_sides_of_a_branch() -> None:
+    """Where rounding decides the larger of two numbers, its derivative may be the other one's: 0 instead of c."""
+    builder = Builder()
+    a, b, c = builder.vector("x", 3)
+    x = a * b - c
+    side = builder.apply(Op.SIGN, x)
+    half = builder.number(0.5)
+    builder.output_dense("z", [[half * (x + side * x)]])  # max(0, x)
+    builder.output_dense("slope", [[half * (c + side * c)]])
+    tape = builder.build("branch")
+    bounded = add_bounds(tape)
+    a_, b_ = 1 + 2.0**-30, 1 - 2.0**-30  # the product is 1 - 2^-60, rounded to 1
+    for c_, is_wide in ((1.0, True), (math.nextafter(1.0, 0.0), True), (0.9, False), (1.1, False)):
+        arguments = {"x": [a_, b_, c_]}
+        assert not _check(tape, bounded, arguments, FLOATS, DOUBLE).failed
+        results = run(bounded, {**arguments, "unit": [DOUBLE]}, FLOATS, tested=True)[1]
+        assert results["bound_z"][0] < 1e-14
+        assert (results["bound_slope"][0] > 0.5) == is_wide
 
 
 def test_generated_functions_return_bounds(tmp_path: Path) -> None:
