@@ -6,6 +6,7 @@ failure, which has no trajectories; it names the phases and links whose rows sta
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.guess import Unreached, guess_phases, solve_links
+from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import Guess, Impulse, LinkValues, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
@@ -43,6 +45,8 @@ from mbsrun.ocp.solve import (
 )
 from mbsrun.ocp.state_guess import complete, guess_largest
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
+
+BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
 
 class PhasedSolver:
@@ -84,7 +88,7 @@ class PhasedSolver:
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
             return PhasedFailure(problem, run, f"{finding}: {named}" if named else finding, remedy)
-        solution = self._read(run, found)
+        solution = self._read(*self._balance_impacts(run, found))
         for own in solution.phases:
             gap, most = own.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
             if gap > most:
@@ -92,6 +96,22 @@ class PhasedSolver:
                 finding = f"phase {own.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
         return solution
+
+    def _balance_impacts(self, run: Run, x: Array) -> tuple[Run, Array]:
+        """Solve all equations to rounding where impulses do not balance the momentum to it; the run counts the time."""
+        own, problem = self.transcription, self.problem
+        impacts = [rows.impact for rows in own.links if rows.impact is not None]
+        ranges = own.constraint_bounds(problem), own.variable_bounds(problem)
+        g, first = self._evaluate(x), own.offsets[-1].rows
+        equal = ranges[0][0][first:] == ranges[0][1][first:]
+        largest = max((np.abs(x[impact.changes]).max() for impact in impacts), default=0.0)
+        if not impacts or np.abs((g - ranges[0][0])[first:][equal]).max() <= BALANCED * max(1.0, largest):
+            return run, x
+        begin, cpu_begin = time.perf_counter(), time.process_time()
+        equations = Equations(self._evaluate, self._differentiate, *ranges)
+        x = polish(x, equations, max(problem.solver.tolerance, equations.measure(x, g)))
+        seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
+        return replace(run, seconds=run.seconds + seconds, cpu_seconds=run.cpu_seconds + cpu_seconds), x
 
     def _complete(self, guess: Guess) -> Guess:
         """Guess the states, controls and unknowns that phases add."""
