@@ -16,15 +16,23 @@ from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, rea
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.problem import Refinement
 from mbsrun.ocp.solution import Round
 from mbsrun.ocp.solve import Progress
 
 
-def solve_file(file: Path, out: Path | None, other: Path | None, solver: str | None) -> int:
-    """Solve the problem of a file, write and print the solution; return the exit code."""
+def solve_file(
+    file: Path, out: Path | None, other: Path | None, solver: str | None, accuracy: float | None = None
+) -> int:
+    """Solve the problem of a file, write and print the solution; return the exit code.
+
+    With an accuracy, the grids of all phases are refined until it holds.
+    """
     problem, plants = read_phased_problem(file, load_on_demand)
     if solver is not None and solver != problem.solver.method:
         problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    if accuracy is not None:
+        problem = _ask(problem, accuracy)
     solution_file = problem.phases[0].problem.guess.solution
     if other is None and solution_file is not None:
         other = file.parent / solution_file
@@ -51,6 +59,16 @@ def solve_file(file: Path, out: Path | None, other: Path | None, solver: str | N
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     return NOT_SOLVED if shortcomings else 0
+
+
+def _ask(problem: PhasedProblem, accuracy: float) -> PhasedProblem:
+    """Ask every phase for an accuracy; its number of rounds stays."""
+    phases = []
+    for phase in problem.phases:
+        before = phase.problem.refine
+        asked = Refinement(accuracy) if before is None else replace(before, accuracy=accuracy)
+        phases.append(replace(phase, problem=replace(phase.problem, refine=asked)))
+    return replace(problem, phases=tuple(phases))
 
 
 def _describe(name: str, last: Round) -> str:

@@ -83,7 +83,7 @@ A solver finds a local minimum near its guess. --starts 20 solves from 20 starts
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
-A problem with `phases` or `links` takes --out, --guess and --solver alone; each phase has a table NAME.csv.
+A problem with `phases` or `links` takes --out, --guess, --solver and --refine; each phase has a table NAME.csv.
 
 \b
 Exit codes
@@ -240,12 +240,19 @@ def _describe_round(last: Round) -> str:
 
 
 def _solve_phases(file: Path, out: Path | None, other: Path | None, choices: dict[str, Any]) -> int:
-    """Solve a problem in phases; of the other options, it takes `--solver` alone."""
-    solver = choices.pop("solver")
+    """Solve a problem in phases; of the other options, it takes `--solver` and `--refine`."""
+    solver, accuracy = choices.pop("solver"), choices.pop("refine")
     given = [f"--{name.replace('_', '-')}" for name, value in choices.items() if value is not None]
     if given:
         raise click.UsageError(f"{', '.join(given)}: for problems of one phase; write it into the file's phases")
-    return solve_file(file, out, other, solver)
+    if accuracy is not None:
+        _check_accuracy(accuracy)
+    return solve_file(file, out, other, solver, accuracy)
+
+
+def _check_accuracy(accuracy: float) -> None:
+    if not LEAST_ACCURACY <= accuracy < math.inf:
+        raise click.UsageError(f"--refine {accuracy:g}: give at least {LEAST_ACCURACY:g}")
 
 
 def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
@@ -280,8 +287,7 @@ def _choose(
     if solver is not None:
         problem = problem.with_solver(solver)
     if refine is not None:
-        if not LEAST_ACCURACY <= refine < math.inf:
-            raise click.UsageError(f"--refine {refine:g}: give at least {LEAST_ACCURACY:g}")
+        _check_accuracy(refine)
         rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds
         problem = replace(problem, refine=Refinement(refine, rounds))
     check_conflicts(problem)

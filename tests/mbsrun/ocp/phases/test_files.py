@@ -98,7 +98,7 @@ links:
 
 
 def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Path) -> None:
-    """It prints the phases and links, and warns of errors; it refuses other guesses, and options for one phase."""
+    """It prints the phases and links, and warns of errors; it refines grids, and refuses other guesses."""
     requires("cc")
     (tmp_path / "cart_pole.yaml").write_text((MODELS / "cart_pole.yaml").read_text())
     (tmp_path / "split.ocp.yaml").write_text(TEXT)
@@ -113,6 +113,11 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     other = CliRunner().invoke(cli, [*command, "--guess", str(tmp_path / "other.json")])
     assert isinstance(other.exception, InputError)
     assert "solve the problem of phases again" in str(other.exception)
+    refined = CliRunner().invoke(cli, [*command, "--refine", "1e-4"])
+    assert refined.exit_code == 0, refined.output
+    assert "second: refinement" in refined.output
+    assert "warning" not in refined.output
+    assert CliRunner().invoke(cli, [*command, "--refine", "0"]).exit_code == 2
     refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--form", "integral"])
     assert refused.exit_code == 2
     assert "--starts, --form: for problems of one phase" in refused.output
