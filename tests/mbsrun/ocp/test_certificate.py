@@ -73,3 +73,20 @@ def test_a_solution_is_certified_and_a_motion_beside_it_is_not() -> None:
     assert at.violation < 1e-7
     beside = dataclasses.replace(found.trajectory, u=found.trajectory.u + 0.1)
     assert certify_motion(problem, solver, beside).stationarity > 1e3 * at.stationarity
+
+
+def test_multipliers_of_bounds_on_either_side_balance_the_cost() -> None:
+    """Inputs of 0.7 of the largest that the free motion takes, either way: both bounds are met."""
+    problem, plant = read_problem(FOLDER / "planar_arm_reach.ocp.yaml", load)
+    free = solve(problem, plant)
+    assert isinstance(free, Solution)
+    limits = 0.7 * np.abs(free.trajectory.u).max(axis=0)
+    bounds = dataclasses.replace(problem.bounds, u=tuple((-float(x), float(x)) for x in limits))
+    problem = dataclasses.replace(problem, bounds=bounds)
+    found = solve(problem, plant)
+    assert isinstance(found, Solution)
+    near = np.array([np.abs(found.trajectory.u - side * limits).min() for side in (-1, 1)])
+    assert (near < 1e-6).all()
+    at = certify_motion(problem, Solver(problem, plant), found.trajectory)
+    assert at.active > 0
+    assert at.stationarity < 1e-3 * at.gradient  # bounds that are hardly met lie beyond the distance of near ones

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mbsrun.recordings import SplineError, Treatment, fit
+from mbsrun.recordings.references import Reference, evaluate
 from mbsrun.recordings.splines import count_gaps
 
 T = np.linspace(0.0, 2.0, 41)
@@ -75,3 +76,11 @@ def test_what_no_filter_takes() -> None:
     for t, cutoff, word in ((T**2, 2.0, "even steps"), (T, 9.0, "cut-off of 9 Hz"), (T[:5], 2.0, "5 samples")):
         with pytest.raises(SplineError, match=word):
             fit(t, np.sin(t), Treatment(cutoff=cutoff))
+
+
+def test_normalised_references_span_the_recording_from_their_start_to_their_end() -> None:
+    """The parts 0, 1/2 and 1 of any horizon are 0.2, 0.3 and 0.4 s of the recording; of x = t these are its values."""
+    times = np.linspace(0.0, 1.0, 21)
+    walk = Reference("walk", (("x", fit(times, times, Treatment())),), 0.2, 0.4, is_normalised=True)
+    found = evaluate("ref_walk_x", [walk], np.array([0.0, 0.5, 1.0]), None)
+    assert found == pytest.approx([0.2, 0.3, 0.4], abs=1e-12)
