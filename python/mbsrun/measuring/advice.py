@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from mbsrun.measuring.kernels import (
     ACCELERATIONS,
+    EXACT,
     REDUCED_A,
     REDUCED_R,
     RESIDUAL,
@@ -152,7 +153,7 @@ def advise_control(model: str, points: Sequence[KernelPoint], accuracy: float, j
             p.finding,
         )
         for p in points
-        if p.task in NEEDS
+        if p.task in NEEDS and p.precision != EXACT
     ]
     states = max((p.states for p in points), default=0)
     return Advice(

@@ -12,6 +12,7 @@ status other than 0 counts as failed.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -31,7 +32,7 @@ from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states, write_cha
 from mbsrun.measuring.points import KernelPoint
 from mbsrun.measuring.reference import Moment, Reference
 from mbsrun.measuring.store import Store
-from mbsrun.measuring.timing import Watch, measure_costs
+from mbsrun.measuring.timing import Watch, measure_costs, sum_up
 from mbsrun.models import Extent
 
 Array = NDArray[np.float64]
@@ -64,6 +65,8 @@ VARIANTS = (
     Variant("float32", contract=False),
     Variant("float32", libm=True),
 )
+TEXTBOOK, EXACT = "textbook's recursion, Python", "50 digits"
+REPEATED = 3  # states in which the reference is timed
 STATES = 256  # for times: for an arm, they exceed the first cache
 
 
@@ -163,7 +166,19 @@ class KernelTask:
             id(draft): replace(cost, shortest=cost.shortest * calls, median=cost.median * calls)
             for (draft, (_, calls)), cost in zip(timed, costs, strict=True)
         }
-        return [replace(draft, ns=cost_of.get(id(draft))) for draft, _ in drafts]
+        points = [replace(draft, ns=cost_of.get(id(draft))) for draft, _ in drafts]
+        return [*points, *([self._time_reference()] if self.task in (RESIDUAL, ACCELERATIONS) else [])]
+
+    def _time_reference(self) -> KernelPoint:
+        """Return the reference as a point: its time in Python, and no error."""
+        reference, times = Reference(self.subject.model), []
+        for k in range(REPEATED):
+            moment = reference.at({name: values[k] for name, values in self.states.items()})
+            before = time.perf_counter_ns()
+            _expect(self.task, moment)
+            times.append(time.perf_counter_ns() - before)
+        point = replace(self._point(TEXTBOOK, USUAL), precision=EXACT, flags="", states=REPEATED)
+        return replace(point, ns=sum_up(np.array(times, dtype=np.float64)), error=0.0, error_median=0.0)
 
     def _list_candidates(self, variant: Variant) -> Iterator[Candidate | KernelPoint]:
         if self.task in KERNELS:

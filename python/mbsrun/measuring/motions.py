@@ -100,7 +100,13 @@ class MotionScope:
     rounds: int = 3
 
 
-QUICK = MotionScope((("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL)), (1, 4), (1, 16, 64), (1e-4, 1e-8), 1)
+QUICK = MotionScope(
+    (("rk4", EXP2), ("dop853", EXP2), ("gauss", IMPL), ("generalized-alpha", IMPL), ("variational", IMPL)),
+    (1, 4),
+    (1, 16, 64),
+    (1e-4, 1e-8),
+    1,
+)
 
 
 def draw_course(mechanism: Mechanism, duration: float) -> Course:

@@ -21,6 +21,7 @@ from PIL import Image
 from mbsgen.style import PALETTE, styled
 from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
 from mbsrun.measuring.fronts import Mark, describe_front, find_front
+from mbsrun.measuring.kernels import EXACT as DIGITS
 from mbsrun.measuring.kernels import KERNELS, SLOPES
 from mbsrun.measuring.motions import Standard
 from mbsrun.measuring.optima import GridOptimum, OptimumPoint
@@ -30,7 +31,7 @@ COLORS = PALETTE
 SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
-MARKERS = {"float64": "o", "float32": "s"}
+MARKERS = {"float64": "o", "float32": "s", DIGITS: "D"}
 NARROW, TICKS = 8, 4  # a span of times with few labels
 EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
@@ -227,7 +228,10 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
             grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
-    text = "grey line: the front; circles: float64, squares: float32, dotted: half a unit in the last place; x: failed"
+    text = (
+        "grey line: the front; circles: float64, squares: float32, diamond: 50 digits, without error; "
+        "dotted: half a unit in the last place; x: failed"
+    )
     figure.suptitle(text, fontsize=9)
     save_picture(figure, path, 110)
 

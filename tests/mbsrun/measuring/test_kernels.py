@@ -77,7 +77,10 @@ def test_kernels_of_all_kinds_keep_their_digits(cart: Path, tmp_path: Path) -> N
     Differences cannot: theirs are off by a thousand times more.
     """
     points = kernels.measure_kernels(cart, tmp_path / "out", LITTLE, quiet)
-    generated = [p for p in points if "differences" not in p.way]
+    exact = [p for p in points if p.precision == kernels.EXACT]
+    assert {(p.task, p.error) for p in exact} == {(RESIDUAL, 0.0), (ACCELERATIONS, 0.0)}
+    assert all(p.ns is not None and p.ns.shortest > 0 for p in exact)
+    generated = [p for p in points if "differences" not in p.way and p not in exact]
     assert {p.task for p in generated} == {*kernels.KERNELS, *kernels.SLOPES} - {*kernels.OF_LOOPS}
     assert {p.precision for p in generated} == set(U)
     for p in generated:
@@ -110,6 +113,7 @@ def test_flags_reach_the_compiler(tmp_path: Path) -> None:
     subject = Subject(write_chain(4, tmp_path), Extent(("impl", "semi_res"), 0))
     scope = KernelScope((), (USUAL, Variant(contract=False), Variant(libm=True), Variant(level="-O0")), 1, 24)
     points = kernels.measure_task(subject, RESIDUAL, scope, Store(tmp_path / "points.jsonl", KernelPoint))
+    points = [p for p in points if p.precision != kernels.EXACT]
     assert len({p.flags for p in points}) == 4
     errors = {flags: [p.error_median for p in points if p.flags == flags] for flags in {p.flags for p in points}}
     assert errors["-O3"] != errors["-O3 no fma"]
