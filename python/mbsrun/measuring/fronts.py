@@ -47,7 +47,8 @@ def describe_front(marks: Sequence[Mark], unit: str) -> str:
 
 
 def _write(mark: Mark, unit: str) -> str:
-    return f"{_time(mark):.3g} {unit} with an error of {_error(mark):.0e}"
+    error = f"with an error of {_error(mark):.0e}" if _error(mark) else "without error"
+    return f"{_time(mark):.3g} {unit} {error}"
 
 
 def _time(mark: Mark) -> float:

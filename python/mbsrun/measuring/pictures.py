@@ -15,7 +15,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 from PIL import Image
 
 from mbsgen.style import PALETTE, styled
@@ -32,7 +32,7 @@ SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s", DIGITS: "D"}
-NARROW, TICKS = 8, 4  # a span of times with few labels
+NARROW, TICKS, WIDE = 8, 4, 3e3  # spans of times with few labels, and with powers of 10
 EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
 ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
 
@@ -279,10 +279,13 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
 
 
 def space_ticks(axes: Axes) -> None:
-    """Label few times where the axis spans less than a decade: labels between powers of 10 would overlap."""
+    """Label few times where the axis spans less than a decade, and powers of 10 where it spans many."""
     low, high = axes.get_xlim()
     if high < NARROW * low:
         axes.xaxis.set_major_locator(MaxNLocator(TICKS))
+    elif high > WIDE * low:
+        axes.xaxis.set_major_locator(LogLocator())
+        axes.xaxis.set_major_formatter(LogFormatterSciNotation())
 
 
 def prepare(axes: Axes) -> None:
