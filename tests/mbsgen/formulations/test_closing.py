@@ -215,10 +215,27 @@ loops:
 """
 
 
-def test_coordinates_that_close_at_zero_are_no_fault():
-    """A parallelogram stands upright at angles of 0: the closed ones are rounding about 0, and differ by it."""
-    tree = read(RECTANGLE)
-    assert tree.closure.pose == (0, 0, 0)
+SECOND = """
+  - {name: third, joint: {type: revolute, axis: y, position: [0.8, 0, 0]}, mass: 1, com: [0, 0, -0.2]}
+loops:
+  - {name: far, type: LOOP, from: {body: coupler, position: [0.8, 0, 0]}, to: {body: third, position: [0, 0, -0.5]}}"""
+
+
+@pytest.mark.parametrize(
+    ("loop", "angle", "is_doubled"),
+    [("ball", 0, False), ("ball", 0.4, False), ("hinge, axis: y", -1.2, False), ("ball", 0.4, True), ("ball", 0, True)],
+)
+def test_verification_accepts_parallelograms_at_any_pose(loop: str, angle: float, is_doubled: bool):
+    """The cranks turn alike and the coupler keeps its direction; a third crank repeats what two of them do.
+
+    At angles of 0 the closed coordinates are rounding about 0, and differ by it.
+    """
+    text = RECTANGLE.replace("\nloops:", SECOND) if is_doubled else RECTANGLE
+    third = f", third: {angle}" if is_doubled else ""
+    pose = f"{{crank: {angle}, coupler: {-angle}, rocker: {angle}{third}}}"
+    text = text.replace("LOOP", loop).replace("type: ball", f"type: {loop}")
+    tree = read(f"{text}independent: [crank]\nassembly: {pose}\n")
+    assert tree.closure.pose == pytest.approx([angle, -angle, angle, angle][: len(tree.closure.pose)], abs=ROUNDING)
     found = verify(tree, write_families(tree, Request(functions=("close",))), still=False)
     assert {"close", "lin_close", "jac_adj1_close"} <= set(found.deviations)
 
