@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -60,6 +61,7 @@ class Case:
     model: str = ROD
     problem: str = SWING
     robot: str = ROBOT
+    environment: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,26 @@ CLASSES = (
         ),
     ),
     Class(
+        "compilers",
+        "C compilers that are missing or unfit",
+        "mbsgen writes C without a compiler; simulation and optimal control compile it. Where the PATH has none, "
+        "`pip install 'mbsgen[compiler]'` brings one. Flags that change arithmetic are refused. The exit code is 2.",
+        (
+            Case(
+                "A compiler that cannot be run",
+                "mbsrun simulate model.yaml --duration 1 --input hinge=0 -o out",
+                "cannot run my-cc",
+                environment=(("CC", "my-cc"),),
+            ),
+            Case(
+                "Arithmetic that is not IEEE's",
+                "mbsrun simulate model.yaml --duration 1 --input hinge=0 -o out",
+                "is not accepted",
+                environment=(("CFLAGS", "-ffast-math"),),
+            ),
+        ),
+    ),
+    Class(
         "arguments",
         "Arguments of commands",
         "Options are checked by the rules of files. The exit code is 2.",
@@ -181,8 +203,12 @@ def write(target: Path, most: int | None = None) -> None:
     for each in CLASSES:
         lines = [f"# {each.title}", "", each.text, ""]
         for case in each.cases[:most]:
-            lines += [f"## {case.title}", "", "```text", f"$ {case.command}", run(case), "```", ""]
+            lines += [f"## {case.title}", "", "```text", f"$ {_show(case)}", run(case), "```", ""]
         (target / "messages" / f"{each.name}.md").write_text("\n".join(lines), encoding="utf-8")
+
+
+def _show(case: Case) -> str:
+    return " ".join([*(f"{name}={value}" for name, value in case.environment), case.command])
 
 
 def run(case: Case) -> str:
@@ -193,7 +219,8 @@ def run(case: Case) -> str:
         (Path(folder) / "robot.urdf").write_text(case.robot, encoding="utf-8")
         program, *arguments = case.command.split()
         line = [shutil.which(program, path=str(BIN)) or program, *arguments]
-        done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
+        environment = {**os.environ, **dict(case.environment)}
+        done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, env=environment)
     if done.returncode == 0 or case.says not in done.stderr:
         raise RuntimeError(f"{case.title}: {case.command} does not say {case.says!r}, but {done.stderr!r}")
     return done.stderr.strip()
