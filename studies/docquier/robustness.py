@@ -28,8 +28,8 @@ TEXT = (
     f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
     "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
     "statements are about motions without. The optima count here, not the times, so solves take the "
-    "linear solver of the project, mbs. The paper's protocol and the questions take MUMPS, since their times are "
-    "compared with the paper's. The table of environments counts attempts by solver."
+    "project's own method, mbs. The paper's protocol and the questions take IPOPT, since their times are compared with "
+    "the paper's. The table of environments counts attempts by method and linear solver."
 )
 
 
