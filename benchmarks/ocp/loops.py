@@ -5,12 +5,14 @@ SX, loops are written by hand, their Jacobian is CasADi's. At each point
 
     q' = qd + J' mu,    qd' = z,    Phi(q, qd, z, u) = J' lam,    h(q) = 0,    J qd = 0
 
-All are solved from the same guess, in turn, and the quickest of several rounds counts.
+All are solved from the same guess, in turn. The quickest of several rounds counts, and the median stands beside it. Our
+solves are by IPOPT, as the peer's, and by the project's own method (`by stages`). IPOPT relaxes no bounds.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +30,7 @@ from rich.table import Table
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.newton_euler import write_functions
 from benchmarks.ocp.peer import Effort, Settings, Shelf, compile_solver, list_options, list_settings
+from benchmarks.ocp.rows import OURS, STAGES
 from benchmarks.study import DisagreementError
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
@@ -45,6 +48,7 @@ from mbsrun.ocp.transcription import find_multipliers
 
 Array = NDArray[np.float64]
 MODELS = Path(__file__).parents[2] / "models"
+EXACT = {"bound_relax_factor": 0.0}  # IPOPT would relax bounds, and find the optimum of another problem
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
 
@@ -247,11 +251,15 @@ def make_ways(mechanism: Mechanism, shelf: Shelf | None) -> Mapping[str, Callabl
     assert isinstance(guess, Trajectory), "the target is within reach"
     ways: dict[str, Callable[[], Effort]] = {}
     for loops in (Loops.REDUCED, Loops.MULTIPLIERS):
-        chosen = replace(problem, loops=loops)
-        ways[f"mbsgen, {loops.value}"] = partial(solve_ours, Solver(chosen, plant), chosen, guess)
+        for words, solver in (
+            (f", {STAGES}", replace(problem.solver, method="mbs", options=())),
+            ("", replace(problem.solver, method="ipopt", options=tuple(EXACT.items()))),
+        ):
+            chosen = replace(problem, loops=loops, solver=solver)
+            ways[f"{OURS}, {loops.value}{words}"] = partial(solve_ours, Solver(chosen, plant), chosen, guess)
     residual, multipliers = write_residual(read_tree(MODELS / mechanism.model)), find_multipliers(Closure(plant), guess)
     check(mechanism, residual, plant)
-    settings = list_settings(problem)
+    settings = {name: replace(s, ipopt={**s.ipopt, **EXACT}) for name, s in list_settings(problem).items()}
     for name, setting in settings.items():
         peer = LoopPeer(problem, mechanism, residual, setting, None)
         ways[f"CasADi, interpreted, {name}"] = partial(peer.solve, guess, multipliers)
@@ -269,8 +277,18 @@ def measure(mechanism: Mechanism, shelf: Shelf | None, rounds: int) -> Table:
         for name, solve in ways.items():
             efforts[name].append(solve())
     best = {name: min(tries[1:], key=lambda effort: effort.cpu_seconds) for name, tries in efforts.items()}
+    medians = {name: statistics.median(effort.cpu_seconds for effort in tries[1:]) for name, tries in efforts.items()}
     table = Table(title=mechanism.problem, box=box.SIMPLE)
-    for column in ("way", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [ms]", "ratio", "optimum"):
+    for column in (
+        "way",
+        "iterations",
+        "evaluation [ms]",
+        "algebra [ms]",
+        "solve, CPU [ms]",
+        "median",
+        "ratio",
+        "optimum",
+    ):
         table.add_column(column, justify="left" if column == "way" else "right")
     ours = next(iter(best.values()))
     for name, effort in best.items():
@@ -282,6 +300,7 @@ def measure(mechanism: Mechanism, shelf: Shelf | None, rounds: int) -> Table:
             f"{1e3 * effort.cpu_seconds_evaluating:.1f}",
             f"{1e3 * algebra:.1f}",
             f"{1e3 * effort.cpu_seconds:.1f}",
+            f"{1e3 * medians[name]:.1f}",
             f"{effort.cpu_seconds / ours.cpu_seconds:.2g}",
             f"{effort.cost:.8g}" if is_same else f"{effort.cost:.8g}, another ({effort.status})",
         )
