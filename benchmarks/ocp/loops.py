@@ -49,6 +49,7 @@ from mbsrun.ocp.transcription import find_multipliers
 Array = NDArray[np.float64]
 MODELS = Path(__file__).parents[2] / "models"
 EXACT = {"bound_relax_factor": 0.0}  # IPOPT would relax bounds, and find the optimum of another problem
+COLUMNS = ("way", "iterations", "evaluation [ms]", "algebra [ms]", "solve, CPU [ms]", "median", "ratio", "optimum")
 SAME = 1e-6  # relative difference of costs within which two optima are one
 
 
@@ -269,42 +270,58 @@ def make_ways(mechanism: Mechanism, shelf: Shelf | None) -> Mapping[str, Callabl
     return ways
 
 
-def measure(mechanism: Mechanism, shelf: Shelf | None, rounds: int) -> Table:
-    """Solve every way once a round, and show the quickest of each."""
+def measure(mechanism: Mechanism, shelf: Shelf | None, rounds: int) -> list[tuple[str, ...]]:
+    """Solve every way once a round, and return the cells of a table: the quickest of each way, and its median."""
     ways = make_ways(mechanism, shelf)
     efforts = {name: [solve()] for name, solve in ways.items()}  # the first makes functions, and warms up
     for _ in range(rounds):
         for name, solve in ways.items():
             efforts[name].append(solve())
     best = {name: min(tries[1:], key=lambda effort: effort.cpu_seconds) for name, tries in efforts.items()}
-    medians = {name: statistics.median(effort.cpu_seconds for effort in tries[1:]) for name, tries in efforts.items()}
-    table = Table(title=mechanism.problem, box=box.SIMPLE)
-    for column in (
-        "way",
-        "iterations",
-        "evaluation [ms]",
-        "algebra [ms]",
-        "solve, CPU [ms]",
-        "median",
-        "ratio",
-        "optimum",
-    ):
-        table.add_column(column, justify="left" if column == "way" else "right")
     ours = next(iter(best.values()))
+    rows: list[tuple[str, ...]] = []
     for name, effort in best.items():
         algebra = effort.cpu_seconds - effort.cpu_seconds_evaluating
+        median = statistics.median(effort.cpu_seconds for effort in efforts[name][1:])
         is_same = abs(effort.cost - ours.cost) <= SAME * abs(ours.cost)
-        table.add_row(
-            name,
-            str(effort.iterations),
-            f"{1e3 * effort.cpu_seconds_evaluating:.1f}",
-            f"{1e3 * algebra:.1f}",
-            f"{1e3 * effort.cpu_seconds:.1f}",
-            f"{1e3 * medians[name]:.1f}",
-            f"{effort.cpu_seconds / ours.cpu_seconds:.2g}",
-            f"{effort.cost:.8g}" if is_same else f"{effort.cost:.8g}, another ({effort.status})",
+        rows.append(
+            (
+                name,
+                str(effort.iterations),
+                f"{1e3 * effort.cpu_seconds_evaluating:.1f}",
+                f"{1e3 * algebra:.1f}",
+                f"{1e3 * effort.cpu_seconds:.1f}",
+                f"{1e3 * median:.1f}",
+                f"{effort.cpu_seconds / ours.cpu_seconds:#.3g}",
+                f"{effort.cost:.8g}" if is_same else f"{effort.cost:.8g}, another ({effort.status})",
+            )
         )
+    return rows
+
+
+def show(title: str, rows: Sequence[Sequence[str]]) -> Table:
+    """Lay rows out for a terminal."""
+    table = Table(title=title, box=box.SIMPLE)
+    for column in COLUMNS:
+        table.add_column(column, justify="left" if column == "way" else "right")
+    for row in rows:
+        table.add_row(*row)
     return table
+
+
+def write_page(tables: Mapping[str, Sequence[Sequence[str]]], rounds: int) -> str:
+    """Write all tables, and what they hold, in Markdown."""
+    lines = [
+        "# Optimal control of closed loops: what was measured",
+        "",
+        f"`python -m benchmarks.ocp.loops -o FILE` wrote this page: {describe_machine()}; {rounds} rounds.",
+        "Times are of the processor, in ms, of the quickest round; the median of whole solves stands beside it.",
+        "Ratios are relative to the first row. The [page of the ways](../ocp/README.md#closed-loops) tells more.",
+    ]
+    for title, rows in tables.items():
+        lines += ["", f"## {title}", "", f"| {' | '.join(COLUMNS)} |", "|---" + "|---:" * (len(COLUMNS) - 1) + "|"]
+        lines += [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([*lines, ""])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -312,12 +329,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ocp.loops", description=__doc__)
     parser.add_argument("--compiled", action="store_true", help="also compile what CasADi writes, which takes long")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("-o", "--output", type=Path, help="also write the tables to this file, in Markdown")
     given = parser.parse_args(arguments)
     shelf = Shelf(find_cache() / "ocp") if given.compiled else None
     console = Console(width=140)
+    tables: dict[str, list[tuple[str, ...]]] = {}
     console.print(describe_machine())
     for mechanism in MECHANISMS:
-        console.print(measure(mechanism, shelf, given.rounds))
+        tables[mechanism.problem] = measure(mechanism, shelf, given.rounds)
+        console.print(show(mechanism.problem, tables[mechanism.problem]))
+    if given.output:
+        given.output.write_text(write_page(tables, given.rounds), "utf-8")
 
 
 if __name__ == "__main__":
