@@ -316,7 +316,7 @@ def write_page(tables: Mapping[str, Sequence[Sequence[str]]], rounds: int) -> st
         "",
         f"`python -m benchmarks.ocp.loops -o FILE` wrote this page: {describe_machine()}; {rounds} rounds.",
         "Times are of the processor, in ms, of the quickest round; the median of whole solves stands beside it.",
-        "Ratios are relative to the first row. The [page of the ways](../ocp/README.md#closed-loops) tells more.",
+        "Ratios are relative to the first row. [The ways](../ocp/README.md#closed-loops) are described there.",
     ]
     for title, rows in tables.items():
         lines += ["", f"## {title}", "", f"| {' | '.join(COLUMNS)} |", "|---" + "|---:" * (len(COLUMNS) - 1) + "|"]
