@@ -91,8 +91,8 @@ def hoist(tapes: Sequence[Tape], source: Port, target: Port) -> tuple[Tape, tupl
     """
     setup = Builder()
     sizes = {i.sparsity.nnz for tape in tapes for i in tape.inputs if i.port == source}
-    assert len(sizes) == 1, f"all tapes must have the same input {source.name}"
-    given = setup.vector(source, sizes.pop())
+    assert len(sizes) <= 1, f"all tapes must have the same input {source.name}"
+    given = setup.vector(source, sizes.pop() if sizes else 0)
     split = [_Split.of(tape, source, setup, given) for tape in tapes]
     signs: Counter[int] = Counter()  # of each node of the setup: uses with its sign less uses with the other sign
     for part in split:

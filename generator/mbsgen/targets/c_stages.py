@@ -9,6 +9,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from itertools import count as count_from
 from typing import Any
 
@@ -124,9 +125,10 @@ class Writer:
         return any(isinstance(s, Solve) and s.right == wire and is_wide(s) for s in self.procedure.stages)
 
     def tabulate(self, name: str, numbers: Iterable[int]) -> str:
-        """Write a table of whole numbers."""
-        self.tables[name] = wrap(map(str, numbers)) or ("0",)  # C has no empty arrays
-        return name
+        """Write a table of whole numbers, and return its name: stages whose wires have one name may need several."""
+        table = wrap(map(str, numbers)) or ("0",)  # C has no empty arrays
+        names = chain([name], (f"{name}_{k}" for k in count_from(2)))
+        return next(x for x in names if self.tables.setdefault(x, table) == table)
 
     def tree(self, pattern: Tree) -> tuple[str, str]:
         """Write the tables of a tree, once."""
