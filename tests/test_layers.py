@@ -36,7 +36,7 @@ MBSGEN = Package(
     layers=(
         "errors resources roles style",
         "manifest expressions",
-        "documents",
+        "documents robots",
         "model",
         "importing",
         "algebra",
@@ -172,7 +172,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.phases commands.recorded commands.animated",
+        "commands.phases commands.recorded commands.animated commands.robots",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
         "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
         "commands.simulate commands.solve commands.study commands.sweep commands.track",
@@ -187,6 +187,7 @@ MBSRUN = Package(
         "mbsgen.manifest",
         "mbsgen.roles",
         "mbsgen.expressions",
+        "mbsgen.robots",
         "mbsgen.documents",
         "mbsgen.style",
     ),

@@ -37,7 +37,6 @@ from mbsgen.equations import (
     write_lines,
 )
 from mbsgen.errors import MbsError
-from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.families import Tell, say_nothing
 from mbsgen.formulations.catalogue import FUNCTIONS, list_rows
 from mbsgen.formulations.reductions import ALL
@@ -63,6 +62,8 @@ from mbsgen.report import (
     write_json,
     write_markdown,
 )
+from mbsgen.robots import OPTIONS as ROBOT
+from mbsgen.robots import read_finite, read_locks
 from mbsgen.scaling import PERIOD, find_crossing, grow
 from mbsgen.targets.languages import TARGETS
 
@@ -77,24 +78,8 @@ MODEL = click.argument("model", type=click.Path(path_type=Path))
 
 _IMPORTING = (
     click.option("--name", help="The model's name; by default, the name in the file."),
-    click.option(
-        "--base",
-        type=click.Choice(["fixed", "floating"]),
-        default="fixed",
-        show_default=True,
-        help="Fix URDF's root link, or let it float.",
-    ),
+    *ROBOT,
     click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, MJCF's own, or 0,0,-9.81."),
-    click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
-    click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
-    click.option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
-    click.option(
-        "--mimic",
-        type=click.Choice(["couple", "lock", "free"]),
-        default="couple",
-        show_default=True,
-        help="Couple joints that follow others, lock them where the other is at 0, or free them.",
-    ),
     click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
     click.option(
         "--friction-speed",
@@ -139,7 +124,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
             base=base,
             gravity=None if gravity is None else _read_gravity(gravity),
             sensors=tuple(dict.fromkeys(sensors)),
-            locked=tuple(map(_read_lock, locks)),
+            locked=read_locks(locks),
             lock_massless=lock_massless,
             mimic=mimic,
             quaternions=quaternions,
@@ -427,7 +412,7 @@ def _read_coordinates(tree: Tree, text: str) -> list[float]:
             near = difflib.get_close_matches(name, values, 1) or list(values)[:3]
             faults.append(f"{part.strip()}: no joint is called {name!r}; there is {', '.join(near)}")
             continue
-        values[name] = _read_finite(written)
+        values[name] = read_finite(written)
         if not math.isfinite(values[name]):
             faults.append(f"{part.strip()}: {written!r} is no number; write, for example, {name}=0.3")
         given[tree.coordinates.index(name)] = values[name]
@@ -618,31 +603,13 @@ def _tell(notices: Sequence[Notice]) -> None:
 
 
 def _read_gravity(text: str) -> tuple[float, float, float]:
-    values = [_read_finite(word) for word in text.split(",")]
+    values = [read_finite(word) for word in text.split(",")]
     if len(values) != 3 or not all(map(math.isfinite, values)):
         raise click.BadParameter(
             f"{text!r} is not three numbers; write, for example, 0,0,-9.81", param_hint="--gravity"
         )
     x, y, z = values
     return x, y, z
-
-
-def _read_lock(text: str) -> tuple[str, float]:
-    name, sign, written = text.rpartition("=")
-    value = _read_finite(written)
-    if not sign or not math.isfinite(value):
-        raise click.BadParameter(
-            f"{text!r} gives no joint a number; write, for example, finger=0.02", param_hint="--lock"
-        )
-    return name.strip(), value
-
-
-def _read_finite(text: str) -> float:
-    """Read a number, or an expression such as `30 deg`; nan for anything else."""
-    try:
-        return evaluate(parse(text), {}, FLOATS)
-    except ExpressionError:
-        return math.nan
 
 
 def print_report(report: Report) -> None:

@@ -20,7 +20,7 @@ from mbsgen.evidence import gather
 from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
-from mbsgen.importing import import_model, is_foreign
+from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
 from mbsgen.manifest import Coordinate, Frame, Loop, Manifest, Parameter, Wrench
 from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
@@ -213,6 +213,20 @@ def read(model: Path | Model) -> Model:
         if notice.alters:
             warnings.warn(str(notice), stacklevel=3)
     return imported.model
+
+
+def convert(robot: Path, choices: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """Return a file to import as the text of a model file, and warnings about a motion that differs.
+
+    `choices` are fields of `Choices`. Raises InputError with all faults of the file, OptionError for a file of no
+    format that is imported.
+    """
+    if not is_foreign(robot):
+        raise OptionError(
+            f"{robot}: --base, --sensor, --lock, --lock-massless and --mimic are for files of {list_formats()}"
+        )
+    imported = import_model(robot, Choices(**choices))
+    return write_imported(imported), tuple(str(notice) for notice in imported.notices if notice.alters)
 
 
 def _read_scene(scene: Path | Scene, model: Model) -> Scene:

@@ -6,9 +6,12 @@ A folder is found again by the bytes of the model file and of mbsgen, so a stale
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path, PurePath
+from typing import Any
 
 from mbsgen import resources
 from mbsrun.cache import MODELS, find_or_make
@@ -68,6 +71,27 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
             return find_or_make(PurePath(MODELS, name), make)
         except _ChangedError:
             continue
+
+
+def import_robot(path: Path, choices: Mapping[str, Any]) -> tuple[Path, tuple[str, ...]]:
+    """Import a robot's file; return the path of its model file in the cache, which has its stem, and warnings.
+
+    `choices` are fields of `mbsgen.importing.Choices`. A hash of the model file names the entry. Raises InputError
+    with every fault of the robot's file, OptionError for any other file, CacheError if the cache cannot be written.
+    """
+    from mbsgen.pipeline import convert
+
+    text, warnings = convert(path, choices)
+    written, file = text.encode(), f"{path.stem}.yaml"
+
+    def make(building: Path) -> Path:
+        folder = building / "imported"
+        folder.mkdir()
+        (folder / file).write_bytes(written)
+        return folder
+
+    name = hashlib.sha256(os.fsencode(file) + b"\0" + written).hexdigest()[:40]
+    return find_or_make(PurePath(MODELS, name), make) / file, warnings
 
 
 class _ChangedError(Exception):

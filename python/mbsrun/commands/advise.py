@@ -12,6 +12,7 @@ from rich.text import Text
 
 from mbsgen.errors import Fault, InputError
 from mbsrun.commands.console import keep_grid, open_console, show_progress
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism, load
 from mbsrun.measuring import motions, solves
 from mbsrun.measuring.advice import Advice, Option
@@ -48,6 +49,7 @@ NOTHING_GOOD = 1  # exit code
 @click.option("--settings", "settings", type=click.Path(path_type=Path), help="simulate: the motion to be measured on.")
 @click.option("--problem", type=click.Path(path_type=Path), help="optimise: the problem to be measured on.")
 @click.option("--quick", is_flag=True, help="Measure little.")
+@accept_robots
 @click.pass_context
 def advise_command(
     context: click.Context,

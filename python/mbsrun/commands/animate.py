@@ -15,6 +15,7 @@ from mbsrun.animation.visuals import Visual, give_mesh, read_visuals
 from mbsrun.commands.animated import read_motion
 from mbsrun.commands.console import NumberType, say, show_progress
 from mbsrun.commands.recorded import set_parameters, split_pairs
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import Extent
 
@@ -90,7 +91,11 @@ class SizeType(click.ParamType[Size]):
 @click.option("--size", type=SizeType(), default="640x480", metavar="WxH", help="Of the pictures; 640x480.")
 @click.option("--rate", type=NumberType(), default=25.0, metavar="N", help="Pictures in a second; 25.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
+@accept_robots
+@click.pass_context
 def animate_command(
+    context: click.Context,
+    /,
     model: Path,
     motions: Sequence[str],
     outputs: Sequence[Path],
@@ -108,7 +113,8 @@ def animate_command(
         raise click.BadParameter("give a number above 0, of at most 100", param_hint="--rate")
     mechanism = load(model, extent=DRAWN)
     mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
-    shown = _read_shapes(model, visuals, tuple(packages), meshes, mechanism.manifest)
+    robot = context.params["model"]  # as given: `model` may be imported from it, and has no shapes
+    shown = _read_shapes(robot, visuals, tuple(packages), meshes, mechanism.manifest)
     read = [read_motion(path, mechanism, name) for name, path in map(_split, motions)]
     markers = tuple(dict.fromkeys(marker for _, own in read for marker in own))
     film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, shown, rate))

@@ -22,6 +22,7 @@ from mbsrun.commands.recorded import (
     write_json,
     write_table,
 )
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism, load
 from mbsrun.recordings import AXES, Recording, find_column, name_coordinate, read_column, read_recording
 from mbsrun.recordings.fitting import FITTED, Fit, Fitter, Targets
@@ -81,6 +82,7 @@ Exit codes
     "--gap", type=NumberType(), default=0.1, metavar="T", help="With --smooth: the longest gap to fill [s]; 0.1."
 )
 @recording_options
+@accept_robots
 @click.pass_context
 def fit_motion_command(
     context: click.Context,

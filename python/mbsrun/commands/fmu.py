@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mbsrun.commands.console import say
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.fmu import write_fmu
 from mbsrun.models import Extent
@@ -47,6 +48,7 @@ Exit codes
 )
 @click.option("--source-only", "source_only", is_flag=True, help="Leave the library out.")
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file; by default NAME.fmu.")
+@accept_robots
 def fmu_command(model: Path, fmi: str, step: float | None, source_only: bool, out: Path | None) -> None:
     """Generate, compile, write."""
     from mbsgen.targets.fmu import list_functions

@@ -12,6 +12,7 @@ import numpy as np
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import NumberType, say
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.simulation.course import follow, place_driven
@@ -47,6 +48,7 @@ Exit codes
 @click.option("--duration", type=NumberType(), default=1.0, metavar="T", help="The length of the motion [s]; 1.")
 @click.option("--output-step", type=NumberType(), metavar="H", help="The time between rows [s]; by default T/1000.")
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The table; by default NAME.inverse.csv.")
+@accept_robots
 def inverse_command(
     model: Path, motions: Sequence[str], duration: float, output_step: float | None, out: Path | None
 ) -> None:

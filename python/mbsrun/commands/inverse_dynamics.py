@@ -19,6 +19,7 @@ from mbsrun.commands.recorded import (
     write_json,
     write_table,
 )
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.recordings import Treatment, read_recording
@@ -79,6 +80,7 @@ Exit codes
     "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
 )
 @recording_options
+@accept_robots
 def inverse_dynamics_command(
     model: Path,
     file: Path,

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from mbsrun.commands.console import read_numbers, say
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.kernel import Kernels
 from mbsrun.linearisation import balance, find_pose, linearise
@@ -55,6 +56,7 @@ Exit codes
     help="Add the feedback that minimises the integral of |x|² + |ẋ|² + W |u|².",
 )
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file; by default NAME.html.")
+@accept_robots
 def playground_command(
     model: Path, folders: Sequence[Path], poses: Sequence[str], weight: float | None, out: Path | None
 ) -> None:

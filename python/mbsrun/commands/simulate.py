@@ -18,6 +18,7 @@ from mbsrun.commands.console import (
     NameType,
     say,
 )
+from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
@@ -159,6 +160,7 @@ def list_keeping() -> str:
     type=click.Path(path_type=Path),
     help="A solution.json of `mbsrun solve`: its inputs, and its start unless another is given.",
 )
+@accept_robots
 @click.pass_context
 def simulate_command(
     context: click.Context, /, model: Path, out: Path | None, file: Path | None, solution: Path | None, **given: Any

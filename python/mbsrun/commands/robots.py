@@ -1,0 +1,49 @@
+"""Options of commands that take a robot's file (URDF, MJCF) for a model."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from mbsgen.robots import OPTIONS, read_locks
+from mbsrun.commands.console import say
+from mbsrun.models import import_robot
+
+
+def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of robots' files; where some are given, the command gets the path of the imported model."""
+
+    @functools.wraps(command)
+    def call(
+        *,
+        model: Path,
+        base: str,
+        sensors: tuple[str, ...],
+        locks: tuple[str, ...],
+        lock_massless: bool,
+        mimic: str,
+        **own: Any,
+    ) -> None:
+        context = click.get_current_context()
+        options = ("base", "sensors", "locks", "lock_massless", "mimic")
+        if any(context.get_parameter_source(option) is ParameterSource.COMMANDLINE for option in options):
+            choices = {
+                "base": base,
+                "sensors": tuple(dict.fromkeys(sensors)),
+                "locked": read_locks(locks),
+                "lock_massless": lock_massless,
+                "mimic": mimic,
+            }
+            model, warnings = import_robot(model, choices)
+            for warning in warnings:
+                say(warning)
+        command(model=model, **own)
+
+    for option in reversed(OPTIONS):
+        call = option(call)
+    return call
