@@ -2,16 +2,19 @@
 
 A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
 moment about it. An expression that is 0 to 35 of 50 digits at several random points is taken to be identically zero
-(Schwartz, Zippel). The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of
-max(x, 0) for x < 0, or of tanh(100 x). Other functions stand in their place here.
+(Schwartz, Zippel). Where the largest entry of a block is below 1, as with tiny masses, such an entry may still be
+right: then it vanishes only if it has no digits, that is if 50 digits and 45 give other numbers.
+
+The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of max(x, 0) for x < 0, or
+of tanh(100 x). Other functions stand in their place here.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from decimal import Decimal
+from decimal import Context, Decimal, localcontext
 
 from mbsgen.procedure import procedure as procedures
 from mbsgen.procedure.procedure import Computation, Procedure
@@ -25,6 +28,8 @@ from mbsgen.tape.types import Op, Output, Sparsity, Tape
 
 POINTS = 3
 VANISHED = Decimal("1e-35")
+COARSE = 45  # digits
+AGREED = Decimal("1e-6")  # relative difference between 50 digits and COARSE ones of a number that has digits
 
 
 def _swing(x: Decimal) -> Decimal:
@@ -40,14 +45,8 @@ _NUMBERS = replace(
 
 def drop_vanishing(tape: Tape) -> Tape:
     """Leave out of every block of derivatives the nonzeros that vanish identically, and what only they need."""
-    with fifty_digits():
-        drawn = [evaluate(tape, _draw(tape, seed), _NUMBERS) for seed in range(POINTS)]
-    outputs = []
-    for output in tape.outputs:
-        columns = zip(*(values[output.name] for values in drawn), strict=True)
-        is_block = output.port.role is Role.DERIVATIVE  # a function's own values stay where it has them
-        kept = [k for k, column in enumerate(columns) if not (is_block and _vanishes(column))]
-        outputs.append(_select(output, kept))
+    kept = _find_kept(tape.outputs, lambda seed: evaluate(tape, _draw(tape, seed), _NUMBERS))
+    outputs = [_select(o, kept[o.name]) if o.name in kept else o for o in tape.outputs]  # values stay where they are
     if all(a.sparsity == b.sparsity for a, b in zip(outputs, tape.outputs, strict=True)):
         return tape
     return drop_dead(replace(tape, outputs=tuple(outputs)))
@@ -55,20 +54,11 @@ def drop_vanishing(tape: Tape) -> Tape:
 
 def find_patterns(procedure: Procedure) -> dict[str, Sparsity]:
     """Return the patterns of all blocks of derivatives: the entries that do not vanish."""
-    with fifty_digits():
-        drawn = [procedures.evaluate(procedure, _draw(procedure, seed), _NUMBERS) for seed in range(POINTS)]
+    kept = _find_kept(procedure.outputs, lambda seed: procedures.evaluate(procedure, _draw(procedure, seed), _NUMBERS))
+    wires = {wire.name: wire.sparsity for wire in procedure.outputs}
     return {
-        wire.name: Sparsity.of(
-            wire.sparsity.rows,
-            wire.sparsity.cols,
-            [
-                place
-                for k, place in enumerate(wire.sparsity.entries)
-                if not _vanishes([values[wire.name][k] for values in drawn])
-            ],
-        )
-        for wire in procedure.outputs
-        if wire.port.role is Role.DERIVATIVE
+        name: Sparsity.of(wires[name].rows, wires[name].cols, [wires[name].entries[k] for k in places])
+        for name, places in kept.items()
     }
 
 
@@ -87,8 +77,44 @@ def narrow(procedure: Procedure, patterns: Mapping[str, Sparsity]) -> Procedure:
     return replace(procedure, stages=tuple(map(take, procedure.stages)), outputs=outputs)
 
 
-def _vanishes(column: Sequence[Decimal]) -> bool:
-    return all(not value.is_nan() and abs(value) <= VANISHED for value in column)  # NaN: outside a function's domain
+def _find_kept(
+    outputs: Sequence[Output | Wire], compute: Callable[[int], Mapping[str, Sequence[Decimal]]]
+) -> dict[str, list[int]]:
+    """Return the nonzeros of each block of derivatives that do not vanish; `compute` takes the seed of a point."""
+    with fifty_digits():
+        drawn = [compute(seed) for seed in range(POINTS)]
+    blocks = {o.name: [values[o.name] for values in drawn] for o in outputs if o.port.role is Role.DERIVATIVE}
+    limits = {name: VANISHED * min(Decimal(1), _find_largest(rows)) for name, rows in blocks.items()}
+    columns = {name: list(zip(*rows, strict=True)) for name, rows in blocks.items()}
+    small = {name: [_is_below(x, VANISHED) for x in columns[name]] for name in blocks}
+    doubtful = {
+        name: [k for k, x in enumerate(small[name]) if x and not _is_below(columns[name][k], limits[name])]
+        for name in blocks
+    }
+    coarse: Mapping[str, Sequence[Decimal]] = {}
+    if any(doubtful.values()):
+        with localcontext(Context(prec=COARSE, traps=[])):
+            coarse = compute(0)
+    return {
+        name: [
+            k
+            for k, x in enumerate(small[name])
+            if not x or (k in doubtful[name] and _agrees(blocks[name][0][k], coarse[name][k]))
+        ]
+        for name in blocks
+    }
+
+
+def _find_largest(rows: Sequence[Sequence[Decimal]]) -> Decimal:
+    return max((abs(x) for row in rows for x in row if x.is_finite()), default=Decimal(0))
+
+
+def _is_below(column: Sequence[Decimal], limit: Decimal) -> bool:
+    return all(not value.is_nan() and abs(value) <= limit for value in column)  # NaN: outside a function's domain
+
+
+def _agrees(a: Decimal, b: Decimal) -> bool:
+    return a != 0 and abs(a - b) <= AGREED * abs(a)
 
 
 def _draw(tape: Computation, seed: int) -> dict[str, list[Decimal]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from mbsgen.derivatives.kernels import differentiate
 from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations import impl
@@ -61,3 +63,27 @@ def test_the_arm_has_the_zeros_that_mechanics_promises():
     jac = differentiate(impl.build(tree), ["q", "qd", "qdd", "u"]).jac
     assert [o.sparsity.nnz for o in jac.outputs] == [30, 35, 34, 4]
     assert count(jac).arithmetic < 2036  # a short Newton-Euler with base parameters, differentiated by CasADi with cse
+
+
+TINY = """
+name: chain
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: a, joint: {{type: revolute, axis: y}}, mass: {m}, com: [0, 0, 0.5], inertia: [{m}, {m}, {m}]}}
+  - {{name: b, parent: a, joint: {{type: revolute, axis: x, position: [0, 0, 1]}}, mass: {m}, com: [0.1, 0, 0.5]}}
+  - {{name: c, parent: b, joint: {{type: revolute, axis: y, position: [0, 0, 1]}}, mass: {m}, com: [0.1, 0, 0.5]}}
+"""
+
+
+def test_derivatives_of_tiny_masses_are_the_same_ones(tmp_path: Path):
+    """Of 1e-60 kg, torques differ from torques of 1 kg by a factor alone, though derivatives are below 1e-35."""
+    blocks = []
+    for mass in ("1.0", "1.0e-60"):
+        (path := tmp_path / "chain.yaml").write_text(TINY.format(m=mass), "utf-8")
+        jac = differentiate(impl.build(build_tree(read_model(path))), ["q", "qd", "qdd"]).jac
+        given = {i.name: [0.3 + 0.1 * k for k in range(i.sparsity.nnz)] for i in jac.inputs}
+        found = evaluate(drop_vanishing(jac), given)
+        blocks.append({o.name: (o.sparsity, found[o.name]) for o in drop_vanishing(jac).outputs})
+    for name, (pattern, values) in blocks[0].items():
+        assert blocks[1][name][0] == pattern
+        assert [1e60 * x for x in blocks[1][name][1]] == pytest.approx(values, rel=1e-12, abs=1e-13)
