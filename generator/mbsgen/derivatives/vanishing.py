@@ -88,7 +88,7 @@ def _find_kept(
     columns = {name: list(zip(*rows, strict=True)) for name, rows in blocks.items()}
     small = {name: [_is_below(x, VANISHED) for x in columns[name]] for name in blocks}
     doubtful = {
-        name: [k for k, x in enumerate(small[name]) if x and not _is_below(columns[name][k], limits[name])]
+        name: {k for k, x in enumerate(small[name]) if x and not _is_below(columns[name][k], limits[name])}
         for name in blocks
     }
     coarse: Mapping[str, Sequence[Decimal]] = {}
