@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from html import unescape
 from pathlib import Path, PurePath
 from typing import Any
 
 from mbsgen import resources
 from mbsrun.cache import MODELS, find_or_make
+
+INCLUSION = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF
+MOST_INCLUDED = 1000
 
 
 @dataclass(frozen=True)
@@ -99,10 +104,32 @@ class _ChangedError(Exception):
 
 
 def fingerprint(model: Path, extent: Extent = WHOLE) -> str:
-    """Return a hash of a model file, the scene and the generator."""
+    """Return a hash of a model file with the files that it includes, the scene and the generator."""
     told = b"" if extent == WHOLE else repr(extent).encode()
-    texts = [_read(file) for file in (extent.scene, model) if file is not None]
+    scene = b"" if extent.scene is None else _read(extent.scene)
+    texts = [scene, *_read_all(model)]
     return hashlib.sha256(fingerprint_generator() + told + b"".join(texts)).hexdigest()[:40]
+
+
+def _read_all(model: Path) -> list[bytes]:
+    """Read a model, and the files of its folder that it includes, as MJCF can."""
+    folder, files, texts = model.resolve().parent, [model], []
+    for file in files:  # which grows
+        texts.append(_read(file))
+        names = [unescape(name.decode(errors="replace")) for name in INCLUSION.findall(texts[-1])]
+        files += dict.fromkeys(
+            path for name in names if _is_inside(path := folder / name, folder) and path not in files
+        )
+        if len(files) > MOST_INCLUDED:  # mbsgen refuses it
+            break
+    return texts
+
+
+def _is_inside(path: Path, folder: Path) -> bool:
+    try:
+        return path.resolve().is_relative_to(folder) and path.is_file()
+    except (OSError, ValueError, RuntimeError):  # mbsgen reports it
+        return False
 
 
 def _read(file: Path) -> bytes:

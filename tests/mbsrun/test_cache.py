@@ -498,6 +498,24 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
+def test_generated_folders_depend_on_included_files(tmp_path: Path) -> None:
+    """Of MJCF: a file in the folder or below it, by any spelling, and a file that it includes; no file elsewhere."""
+    folder, inner = tmp_path / "robot", tmp_path / "robot" / "parts" / "arm.xml"
+    inner.parent.mkdir(parents=True)
+    first, deep, beside = folder / "robot.xml", folder / "hand.xml", tmp_path / "beside.xml"
+    first.write_text("<mujoco><include\n file = 'parts/&#97;rm.xml'/><include file='../beside.xml'/></mujoco>")
+    inner.write_text("<mujocoinclude><include file='hand.xml'/><include file='robot.xml'/></mujocoinclude>")
+    for file in (deep, beside):
+        file.write_text("<mujocoinclude/>")
+    found = models.fingerprint(first)
+    for file, matters in ((first, True), (inner, True), (deep, True), (beside, False)):
+        text = file.read_text()
+        file.write_text(text + "\n")
+        assert (models.fingerprint(first) != found) == matters
+        file.write_text(text)
+    assert models.fingerprint(first) == found
+
+
 @pytest.mark.parametrize("place", ["mbsgen", "templates", "csrc"])
 def test_generated_folders_depend_on_every_file_of_the_generator(
     sources: Path, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
