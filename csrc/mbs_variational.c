@@ -467,6 +467,15 @@ static casadi_int solve(mbs_work *k, mbs_variational_end end, const casadi_real 
     return 0;
 }
 
+static int are_finite(casadi_int n, const casadi_real *x)
+{
+    casadi_int i;
+    for (i = 0; i < n; ++i)
+        if (!(x[i] - x[i] == 0))
+            return 0;
+    return 1;
+}
+
 casadi_int mbs_variational_run(const mbs_variational *p, mbs_variational_end end, casadi_real h, casadi_int steps,
                                const casadi_real *inputs, casadi_int v_step, casadi_real *states, casadi_real *speeds,
                                casadi_real *guess, casadi_int *iterations, casadi_real *reals, casadi_int *integers)
@@ -489,6 +498,8 @@ casadi_int mbs_variational_run(const mbs_variational *p, mbs_variational_end end
         move(p, k.near.q, k.x, k.far.q);
         if (place(&k, &k.near, guess) || place(&k, &k.far, guess)
             || release(&k, inputs + (step + 1) * v_step, guess, next + p->nq))
+            return step;
+        if (!are_finite(p->nq, k.far.q) || !are_finite(n, next + p->nq))
             return step;
         write(p->nq, 1, k.far.q, next);
         write(n, 1, guess, speeds + step * n);

@@ -48,11 +48,13 @@ CONVERGED = 1e-10  # a change of the state, relative or absolute; Newton's error
 
 
 class _StuckError(Exception):
-    """Newton's method does not converge; joint: where the last change was largest."""
+    """Newton's method does not converge, or its step is not finite; joint: where the last change was largest."""
 
-    def __init__(self, joint: str) -> None:
+    def __init__(
+        self, joint: str, finding: str = f"Newton's method does not converge within {ITERATIONS} iterations"
+    ) -> None:
         super().__init__(joint)
-        self.joint = joint
+        self.joint, self.finding = joint, finding
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def _march(
         for k in range(count):
             time = piece.start + k * h
             allowance.spend()
-            done.append(scheme.step(done[-1], time, h))
+            done.append(_check(dynamics, done[-1], scheme.step(done[-1], time, h), h))
             dynamics.effort.steps += 1
             if len(done) > STEPS:
                 yield _gather(done, piece, k + 1, count, scheme)
@@ -149,6 +151,14 @@ def _march(
         raise HaltError(_describe(error, time)) from None
     if len(done) > 1:
         yield _gather(done, piece, count, count, scheme)
+
+
+def _check(dynamics: Dynamics, before: State, state: State, h: float) -> State:
+    """Return the end of a step. Raises _StuckError where it is not finite, at the joint that moved most before."""
+    if np.isfinite(state.q).all() and np.isfinite(state.qd).all():
+        return state
+    worst = int(np.argmax(np.abs(before.qd) * scale_velocities(before, h)))
+    raise _StuckError(dynamics.kernels.manifest.coordinates[worst].name, "the motion diverges: its numbers overflow")
 
 
 def _gather(done: list[State], piece: Piece, last: int, count: int, scheme: Scheme) -> Chunk:
@@ -166,8 +176,7 @@ def _describe(error: Exception, time: float) -> Halt:
     if isinstance(error, LimitError | DriveError):
         return Halt(time, None, error.finding, error.remedy)
     if isinstance(error, _StuckError):
-        finding = f"Newton's method does not converge within {ITERATIONS} iterations"
-        return Halt(time, error.joint, finding, "take a smaller step")
+        return Halt(time, error.joint, error.finding, "take a smaller step")
     if isinstance(error, KernelError | SingularError):
         return describe_singularity(error, time)
     return Halt(time, None, SINGULAR, "start elsewhere, or keep away from this configuration")

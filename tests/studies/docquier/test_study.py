@@ -92,7 +92,7 @@ def campaign(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Campaign:
     monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", COUNTS)
     monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (0, 0))
     targets = Targets(0.55, tuple(np.linspace(*AZIMUTHS).tolist()), (0.0,))
-    study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1))
+    study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1), method="mbs")
     return Campaign(subject, study, ("robust",), (), (), is_quick=True)
 
 
