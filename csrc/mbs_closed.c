@@ -1,5 +1,6 @@
 /* Integrate a motion with closed loops, explicitly. */
 #include "mbs_closed.h"
+#include "mbs_entries.h"
 #include "mbs_least.h"
 
 #include <math.h>
@@ -45,15 +46,6 @@ static int call(mbs_call kernel)
     return kernel.f(kernel.arg, kernel.res, 0, 0, 0);
 }
 
-static void fill(mbs_entries entries, casadi_int size, casadi_real *full)
-{
-    casadi_int k;
-    for (k = 0; k < size; ++k)
-        full[k] = 0;
-    for (k = 0; k < entries.entries; ++k)
-        full[entries.place[k]] = entries.nonzeros[k];
-}
-
 static casadi_int find_largest(casadi_int size, const casadi_real *x)
 {
     casadi_int i, best = 0;
@@ -66,15 +58,6 @@ static casadi_int find_largest(casadi_int size, const casadi_real *x)
 static casadi_real measure(casadi_int size, const casadi_real *x)
 {
     return size ? fabs(x[find_largest(size, x)]) : 0;
-}
-
-static int is_finite(casadi_int size, const casadi_real *x)
-{
-    casadi_int i;
-    for (i = 0; i < size; ++i)
-        if (!(x[i] - x[i] == 0))
-            return 0;
-    return 1;
 }
 
 static int fail(mbs_run *r, int status, const casadi_real *equations)
@@ -129,7 +112,7 @@ static void see(mbs_run *r, casadi_real pivot)
 static int differentiate(mbs_run *r)
 {
     const int status = call(r->p->jacobian);
-    fill(r->p->J, r->p->e * r->p->n, r->J);
+    mbs_fill_entries(r->p->J, r->p->e * r->p->n, r->J);
     return status;
 }
 
@@ -209,7 +192,7 @@ static int factorise_mass(mbs_run *r)
     int lost;
     if (status)
         return status;
-    fill(r->p->M, n * n, r->M);
+    mbs_fill_entries(r->p->M, n * n, r->M);
     for (i = 0; i < f && f < n; ++i) /* in place: free joints stand in order */
         for (j = 0; j <= i; ++j)
             r->M[i * f + j] = r->M[r->moves[i] * n + r->moves[j]];
@@ -529,7 +512,7 @@ static int step(mbs_run *r, casadi_real t, casadi_real h, const casadi_real *x, 
     if (status)
         return status;
     combine(r, stages, r->how->b, h, x, y);
-    return is_finite(size, y) ? 0 : MBS_RUNAWAY;
+    return mbs_is_finite(size, y) ? 0 : MBS_RUNAWAY;
 }
 
 /* Close the loops at the end of a step, whose first stage is in k. */

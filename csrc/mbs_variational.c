@@ -1,6 +1,7 @@
 /* Variational steps of a fixed length: see mbs_variational.h. */
 #include "mbs_variational.h"
 #include "mbs_dense.h"
+#include "mbs_entries.h"
 
 #include <float.h>
 #include <math.h>
@@ -58,15 +59,6 @@ static mbs_work open_work(const mbs_variational *p, casadi_real h, casadi_real *
 static int call(mbs_call kernel)
 {
     return kernel.f ? kernel.f(kernel.arg, kernel.res, 0, 0, 0) : 0;
-}
-
-static void fill(mbs_entries entries, casadi_int size, casadi_real *full)
-{
-    casadi_int k;
-    for (k = 0; k < size; ++k)
-        full[k] = 0;
-    for (k = 0; k < entries.entries; ++k)
-        full[entries.place[k]] = entries.nonzeros[k];
 }
 
 static void write(casadi_int size, casadi_real factor, const casadi_real *x, casadi_real *y)
@@ -256,8 +248,8 @@ static int place(mbs_work *k, mbs_place *end, const casadi_real *w)
     status = call(p->dynamics);
     if (status)
         return status;
-    fill(p->M, n * n, end->M);
-    fill(p->K, n * nq, k->K);
+    mbs_fill_entries(p->M, n * n, end->M);
+    mbs_fill_entries(p->K, n * nq, k->K);
     write(n, 0, w, p->qdd);
     status = call(p->dynamics);
     for (i = 0; i < p->K.entries; ++i)
@@ -269,14 +261,14 @@ static int place(mbs_work *k, mbs_place *end, const casadi_real *w)
     if (status)
         return status;
     if (p->change.f) {
-        fill(p->N, nq * n, k->N);
+        mbs_fill_entries(p->N, nq * n, k->N);
         multiply(n, nq, n, k->K, k->N, end->B);
     } else {
         write(n * n, 1, k->K, end->B);
     }
     if (p->e) {
         write(p->e, 1, p->gap, end->gap);
-        fill(p->J, p->e * n, end->J);
+        mbs_fill_entries(p->J, p->e * n, end->J);
     }
     for (i = 0; i < n; ++i)
         for (j = 0; j < n; ++j)
@@ -299,7 +291,7 @@ static int push(mbs_work *k, const mbs_place *end, const casadi_real *inputs, co
     status = call(p->dynamics);
     if (status)
         return status;
-    fill(p->C, n * n, k->by_w);
+    mbs_fill_entries(p->C, n * n, k->by_w);
     write(n, 1, w, p->qd);
     status = call(p->dynamics);
     if (status)
@@ -467,15 +459,6 @@ static casadi_int solve(mbs_work *k, mbs_variational_end end, const casadi_real 
     return 0;
 }
 
-static int are_finite(casadi_int n, const casadi_real *x)
-{
-    casadi_int i;
-    for (i = 0; i < n; ++i)
-        if (!(x[i] - x[i] == 0))
-            return 0;
-    return 1;
-}
-
 casadi_int mbs_variational_run(const mbs_variational *p, mbs_variational_end end, casadi_real h, casadi_int steps,
                                const casadi_real *inputs, casadi_int v_step, casadi_real *states, casadi_real *speeds,
                                casadi_real *guess, casadi_int *iterations, casadi_real *reals, casadi_int *integers)
@@ -499,7 +482,7 @@ casadi_int mbs_variational_run(const mbs_variational *p, mbs_variational_end end
         if (place(&k, &k.near, guess) || place(&k, &k.far, guess)
             || release(&k, inputs + (step + 1) * v_step, guess, next + p->nq))
             return step;
-        if (!are_finite(p->nq, k.far.q) || !are_finite(n, next + p->nq))
+        if (!mbs_is_finite(p->nq, k.far.q) || !mbs_is_finite(n, next + p->nq))
             return step;
         write(p->nq, 1, k.far.q, next);
         write(n, 1, guess, speeds + step * n);
