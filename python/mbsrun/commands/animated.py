@@ -42,7 +42,7 @@ def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Mark
         for _, solution in solutions:
             _check_model(file, solution, plant.manifest)
         parts = tuple(make_part(solution, plant, part) for part, solution in solutions)
-        markers = list_targets(solutions[-1][1])
+        markers = list_targets(solutions[-1][1], plant)
         return Motion(parts, name), markers
     recording = _read_track(file) if file.name == TRACK else read_recording(file)
     return Motion((_make_part(recording, plant),), name), ()

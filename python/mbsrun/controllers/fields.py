@@ -15,7 +15,7 @@ import numpy as np
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.ocp.functions import Array, Indices
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Term
+from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Target, Term
 from mbsrun.ocp.stages.tables import StageProgram
 from mbsrun.ocp.transcription import Transcription
 
@@ -243,15 +243,16 @@ def _mark_end(end: End, q: Sequence[tuple[str, str]], qd: Sequence[tuple[str, st
         return tuple((i, mark) for (i, _), mark in zip(targets, marks.add(name, meaning, entries), strict=True))
 
     def mark_points(
-        name: str, meaning: str, targets: Sequence[tuple[str, tuple[float, float, float]]], unit: str
-    ) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-        entries = [
-            Entry(f"{sensor}.{axis}", unit, x) for sensor, point in targets for axis, x in zip(AXES, point, strict=True)
-        ]
-        found = marks.add(name, meaning, entries)
-        return tuple(
-            (sensor, (found[3 * k], found[3 * k + 1], found[3 * k + 2])) for k, (sensor, _) in enumerate(targets)
-        )
+        name: str, meaning: str, targets: Sequence[tuple[str, Target]], unit: str
+    ) -> tuple[tuple[str, Target], ...]:
+        given = [(sensor, AXES[i], x) for sensor, point in targets for i, x in enumerate(point) if x is not None]
+        found = iter(marks.add(name, meaning, [Entry(f"{sensor}.{axis}", unit, x) for sensor, axis, x in given]))
+
+        def place(point: Target) -> Target:
+            x, y, z = (None if x is None else next(found) for x in point)
+            return x, y, z
+
+        return tuple((sensor, place(point)) for sensor, point in targets)
 
     return replace(
         end,

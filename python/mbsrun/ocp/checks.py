@@ -323,8 +323,9 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     for unknown in problem.unknowns:
         if not (math.isfinite(unknown.guess) and unknown.bounds[0] <= unknown.guess <= unknown.bounds[1]):
             yield ("unknowns", f"the guess of {unknown.name} is {unknown.guess:g}", "guess within the range")
-    ends = [*end.coordinates, *end.velocities, *end.accelerations]
-    if not all(math.isfinite(value) for _, value in ends):
+    ends = [value for _, value in (*end.coordinates, *end.velocities, *end.accelerations)]
+    points = [value for _, point in (*end.sensors, *end.sensor_velocities) for value in point if value is not None]
+    if not all(map(math.isfinite, (*ends, *points))):
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
     yield from _find_wrong_rates(problem, m)

@@ -303,7 +303,7 @@ class _Kinematics:
         self.plant = plant
         frames = plant.manifest.frames  # of a joint and a sensor with one name, the sensor is meant
         self.indices = {frame.name: i for i, frame in sorted(enumerate(frames), key=lambda f: f[1].sensor)}
-        self.sensors = [(self.indices[name], np.array(place)) for name, place in problem.end.sensors]
+        self.sensors = [(self.indices[name], np.array(place, dtype=float)) for name, place in problem.end.sensors]
         self.coordinates = [i for i, _ in problem.end.coordinates]
         self.values = np.array([value for _, value in problem.end.coordinates])
         self.turning = list_quaternions(plant.manifest)
@@ -377,7 +377,7 @@ class _Kinematics:
         These are the lengths of quaternions minus 1, and a small multiple of the distance from the start.
         """
         frames = self.plant("frames", q=q) if self.sensors or upright else {}
-        places = [frames["p"][:, :, i] - target for i, target in self.sensors]
+        places = [np.nan_to_num(frames["p"][:, :, i] - target) for i, target in self.sensors]  # NaN: free
         coordinates = q[:, self.coordinates] - self.sign(q) * self.values
         axes = [frames["R"][:, :, 3 * i + 2] - [0.0, 0.0, 1.0] for i in upright]
         lengths = measure_lengths(q, self.plant.manifest) - 1.0

@@ -21,6 +21,7 @@ from mbsgen.style import BAD, GOOD, PALETTE, save_figure, styled
 from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Target
 from mbsrun.ocp.solution import Rounds, Solution, Starts
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.quantities import name_components
@@ -220,12 +221,13 @@ def make_mechanism(solution: Solution, plant: Plant) -> Figure:
     assert isinstance(axes, Axes3D)
     times = Normalize(0, solution.trajectory.t[-1])
     draw_poses(axes, skeleton, trajectory.t, times)
-    targets = dict(solution.problem.end.sensors)
+    targets = {marker.name: marker.position for marker in list_targets(solution, plant)}
     for i, frame in enumerate(frames):
-        if frame.sensor and frame.name in targets:
+        target = targets.get(f"target of {frame.name}")
+        if frame.sensor and target:
             name = plain(frame.name)
             axes.plot(*p[:, :, i].T, color=BAD, linewidth=1.5, label=f"path of {name}")
-            axes.plot(*targets[frame.name], "*", color=BAD, markersize=14, label=f"target of {name}")
+            axes.plot(*target, "*", color=BAD, markersize=14, label=f"target of {name}")
     axes.plot(0, 0, 0, "s", color="black", markersize=7, label="base")
     frame_up(axes, list_points(p))
     figure.colorbar(ScalarMappable(times, TIME), ax=axes, label="time [s]", shrink=0.6, pad=0.1)
@@ -241,13 +243,23 @@ def animate(solution: Solution, plant: Plant, path: Path) -> None:
 
 def make_animation(solution: Solution, plant: Plant) -> str:
     """Return the text of a page that plays the motion, with the targets of its sensors."""
-    wanted = Wanted(solution.problem.name, list_targets(solution))
+    wanted = Wanted(solution.problem.name, list_targets(solution, plant))
     return write_page(make_film([Motion((make_part(solution, plant),))], wanted))
 
 
-def list_targets(solution: Solution) -> tuple[Marker, ...]:
-    """List the targets of sensors."""
-    return tuple(Marker(f"target of {name}", position) for name, position in solution.problem.end.sensors)
+def list_targets(solution: Solution, plant: Plant) -> tuple[Marker, ...]:
+    """List the targets of sensors; along free axes, a target is where the sensor ends."""
+    targets = solution.problem.end.sensors
+    if not targets:
+        return ()
+    ends = equip(plant, solution.problem, solution.trajectory.unknowns)("frames", q=solution.trajectory.q[-1])["p"]
+    found = {frame.name: ends[:, i] for i, frame in enumerate(plant.manifest.frames) if frame.sensor}
+    return tuple(Marker(f"target of {name}", _complete(target, found[name])) for name, target in targets)
+
+
+def _complete(target: Target, end: Array) -> tuple[float, float, float]:
+    x, y, z = (float(e) if t is None else t for t, e in zip(target, end, strict=True))
+    return x, y, z
 
 
 def make_part(solution: Solution, plant: Plant, name: str = "") -> Part:

@@ -46,6 +46,7 @@ Lower = Annotated[
 Upper = Annotated[float, BeforeValidator(lambda x: math.inf if x is None else x), PlainSerializer(lambda x: _finite(x))]
 Range = tuple[Lower, Upper]
 Point = tuple[float, float, float]
+Target = tuple[float | None, float | None, float | None]  # None: free
 Inputs = Literal["zero", "static", "dynamic"]  # of a guess
 GuessedMotion = Literal["interpolation", "line", "rest"]
 Course = Literal["constant", "polynomial"]  # of inputs over an interval
@@ -116,13 +117,13 @@ class Bounds:
 class End:
     """The conditions at the end of the horizon."""
 
-    sensors: tuple[tuple[str, Point], ...] = ()  # name, position in the base frame [m]
+    sensors: tuple[tuple[str, Target], ...] = ()  # name, position in the base frame [m]
     coordinates: tuple[tuple[int, float], ...] = ()  # index into q, value
     velocity_zero: bool = False
     acceleration_zero: bool = False
     velocities: tuple[tuple[int, float], ...] = ()  # index into qd, value
     accelerations: tuple[tuple[int, float], ...] = ()  # index into qdd, value
-    sensor_velocities: tuple[tuple[str, Point], ...] = ()  # name, velocity in the base frame [m/s]
+    sensor_velocities: tuple[tuple[str, Target], ...] = ()  # name, velocity in the base frame [m/s]
 
 
 @dataclass(frozen=True)
@@ -361,7 +362,7 @@ class Problem:
         """Return whether there are more coordinates than velocities."""
         return len(self.start_q) > len(self.start_qd)
 
-    def with_target(self, sensor: str, position: Point) -> Problem:
+    def with_target(self, sensor: str, position: Target) -> Problem:
         """Return the same problem with another target of a sensor that has one."""
         if sensor not in dict(self.end.sensors):
             raise KeyError(f"{sensor} has no target in {self.name}")

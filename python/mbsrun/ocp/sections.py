@@ -243,9 +243,9 @@ class BoundsSection(Section):
 
 
 class PositionSection(Section):
-    """A position, Cartesian or cylindrical."""
+    """A position, Cartesian or cylindrical; of Cartesian ones, axes without a number are free."""
 
-    x: NumberField | None = Field(default=None, examples=[1.0])  # either these
+    x: NumberField | None = Field(default=None, examples=[1.0])  # some of these
     y: NumberField | None = Field(default=None, examples=[1.0])
     z: NumberField | None = Field(default=None, examples=[1.0])
     radius: NumberField | None = Field(default=None, examples=[1.0])  # or these

@@ -54,11 +54,11 @@ from mbsrun.ocp.problem import (
     Cost,
     End,
     GuessOptions,
-    Point,
     Problem,
     Range,
     Refinement,
     SolverOptions,
+    Target,
     Term,
     cylindrical,
     find_conflicts,
@@ -600,13 +600,16 @@ class _Reading(PartReading):
                     self.fault(place, f"{value:g} is out of [{lower:g}, {upper:g}]", "end within the bounds")
         return tuple(targets)
 
-    def position(self, place: Place, section: PositionSection) -> Point:
+    def position(self, place: Place, section: PositionSection) -> Target:
         given = {key: value for key in PositionSection.model_fields if (value := getattr(section, key)) is not None}
-        if set(given) not in ({"x", "y", "z"}, {"radius", "azimuth", "height"}):
-            self.fault(place, f"found {', '.join(given) or 'nothing'}", "give x, y, z, or radius, azimuth, height")
-            return (0.0, 0.0, 0.0)
-        a, b, c = (self.number((*place, key), expression) for key, expression in given.items())
-        return cylindrical(a, b, c) if "radius" in given else (a, b, c)
+        if not given or not (set(given) <= {"x", "y", "z"} or set(given) == {"radius", "azimuth", "height"}):
+            remedy = "give radius, azimuth and height, or x, y, z; what is left out of x, y, z is free"
+            self.fault(place, f"found {', '.join(given) or 'nothing'}", remedy)
+            return (None, None, None)
+        values = {key: self.number((*place, key), expression) for key, expression in given.items()}
+        if "radius" in values:
+            return cylindrical(**values)
+        return values.get("x"), values.get("y"), values.get("z")
 
     def guess(self, section: GuessSection, bounds: Bounds, free: Sequence[int]) -> GuessOptions:
         """Read how to guess; `free` are the coordinates without a value at the start."""

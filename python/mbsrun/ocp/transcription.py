@@ -164,8 +164,10 @@ class Transcription:
             (rows.accelerations, end.accelerations),
             (rows.sensor_velocities, end.sensor_velocities),
         ):
-            lower[row] = np.array([value for _, value in targets]).reshape(row.shape)
+            lower[row] = np.array([value for _, value in targets], dtype=float).reshape(row.shape)
         upper = lower.copy()
+        free = np.isnan(lower)  # coordinates of sensors without a target
+        lower[free], upper[free] = -np.inf, np.inf
         nq, velocities = self.layout.nq, self.layout.motions.velocities
         given = [i not in problem.free_start for i in (*range(nq), *(nq + i for i in velocities))]
         free = rows.start[~np.array(given, dtype=bool)]

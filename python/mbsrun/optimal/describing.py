@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Delay, Form, Problem, Range, WrenchComponent
+from mbsrun.ocp.problem import Delay, Form, Problem, Range, Target, WrenchComponent
 
 LONGEST = 12  # parts of one line; more are counted
 
@@ -118,13 +118,13 @@ def _list_start(problem: Problem, manifest: Manifest) -> list[str]:
 def _list_end(problem: Problem, manifest: Manifest) -> list[str]:
     end, names = problem.end, [c.name for c in manifest.coordinates]
     return [
-        *(f"{name} at ({_write(position)})" for name, position in end.sensors),
+        *(f"{name} at ({_write_target(target)})" for name, target in end.sensors),
         *(f"q_{manifest.positions[i]} = {value:g}" for i, value in end.coordinates),
         *(["velocity 0"] if end.velocity_zero else []),
         *(["acceleration 0"] if end.acceleration_zero else []),
         *(f"qd_{names[i]} = {value:g}" for i, value in end.velocities),
         *(f"qdd_{names[i]} = {value:g}" for i, value in end.accelerations),
-        *(f"{name} moves at ({_write(velocity)})" for name, velocity in end.sensor_velocities),
+        *(f"{name} moves at ({_write_target(velocity)})" for name, velocity in end.sensor_velocities),
     ]
 
 
@@ -153,5 +153,5 @@ def _write_range(name: str, limits: Range) -> str:
     return f"{before}{name}{after}"
 
 
-def _write(numbers: Sequence[float]) -> str:
-    return ", ".join(f"{x:g}" for x in numbers)
+def _write_target(target: Target) -> str:
+    return ", ".join("free" if x is None else f"{x:g}" for x in target)

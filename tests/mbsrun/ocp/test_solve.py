@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from mbsrun.external import load
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.condensation import build
@@ -17,10 +18,12 @@ from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, SolverOpt
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism, push
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
+from tests.shipped import FOLDER
 
 
 @pytest.mark.parametrize(
@@ -365,3 +368,23 @@ def test_a_kernel_that_is_not_finite_at_the_guess_is_a_failure() -> None:
     outcome = solve(push(8), bad)
     assert isinstance(outcome, Failure)
     assert outcome.run.status == "Invalid_Number_Detected"
+
+
+def test_a_target_of_one_axis_is_the_condition_at_the_end_that_states_it() -> None:
+    """The hand of a planar arm at y = 0.45 m, anywhere along x: by a target, by a constraint, and by both solvers."""
+    problem, plant = read_problem(FOLDER / "planar_arm_reach.ocp.yaml", load)
+    problem = replace(problem, intervals=12, end=replace(problem.end, sensors=(("hand", (None, 0.45, None)),)))
+    stated = replace(
+        problem,
+        end=replace(problem.end, sensors=()),
+        constraints=(*problem.constraints, Constraint("y_hand", (0.45, 0.45), "end")),
+    )
+    found = []
+    for each in (problem, stated, replace(problem, solver=replace(problem.solver, method="mbs"))):
+        outcome = solve(each, plant)
+        assert isinstance(outcome, Solution)
+        found.append(outcome)
+    assert [each.cost.total for each in found] == pytest.approx([found[1].cost.total] * 3, rel=1e-6)
+    hand = plant("frames", q=found[0].trajectory.q[-1])["p"][:, [f.name for f in plant.manifest.frames].index("hand")]
+    assert hand[1:] == pytest.approx([0.45, 0], abs=1e-7)
+    assert abs(hand[0] - 0.3) > 0.01  # where the whole target is
