@@ -1,4 +1,4 @@
-"""The appearance of a model: Model, Tree -> masses, axes of joints, springs, contacts, as numbers for pictures.
+"""The appearance of a model: Model, Tree -> masses, shapes, axes of joints, springs, contacts, as numbers for pictures.
 
 Points and axes are in the frames of the manifest, at the model's numbers. They are placed by the reduction of the model
 itself: a frame is added at each body and each end, and found again among the sensors of the Tree.
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Element, Mass, Point, Seat, Touch
-from mbsgen.model.model import BASE, HERE, Body, Contact, ForceElement, Frame, LoopEnd, Model, Placement, Triple
+from mbsgen.manifest import Appearance, Axle, Drawing, Element, Mass, Point, Seat, Touch
+from mbsgen.model.model import BASE, HERE, Body, Contact, ForceElement, Frame, LoopEnd, Model, Placement, Triple, Visual
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Matrix, Sensor, Tree, Vector
@@ -38,6 +38,9 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
             _point(seats.find(x.body).place(_floats(x.position, values)))
             for x in model.wrenches
             if x.force is None or x.moment is None
+        ),
+        drawings=tuple(
+            _describe_visual(body.name, x, seats.find(body.name), values) for body in model.bodies for x in body.visuals
         ),
     )
 
@@ -118,6 +121,21 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
 
 def _describe_body(name: str, seat: _Seat) -> Seat:
     return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=tuple(seat.axes.T.ravel().tolist()))
+
+
+def _describe_visual(name: str, visual: Visual, seat: _Seat, values: Mapping[str, float]) -> Drawing:
+    own = _Base(values).seat(visual.placement)
+    frame, at = seat.place(own.position)
+    return Drawing(
+        body=name,
+        frame=frame,
+        shape=visual.shape,
+        size=tuple(_float(x, values) for x in visual.size),
+        at=_triple(at),
+        axes=tuple((seat.axes @ own.axes).T.ravel().tolist()),
+        color=visual.color,
+        file=visual.file,
+    )
 
 
 def _describe_axle(tree: Tree, i: int) -> Axle:

@@ -188,6 +188,22 @@ class Touch(_Entry):
     normal: tuple[float, float, float]  # in the frame of that point, a unit vector
 
 
+Shape = Literal["box", "ellipsoid", "sphere", "cylinder", "capsule", "mesh"]
+
+
+class Drawing(_Entry):
+    """A shape that draws a body of the model, in the frame that moves with it."""
+
+    body: str
+    frame: int  # -1: it is fixed to the base
+    shape: Shape
+    size: tuple[float, ...]  # edges; diameters; radius; radius and length, twice; scales along the axes [m]
+    at: tuple[float, float, float]  # [m]
+    axes: tuple[float, ...]  # one after the other
+    color: str = ""  # "#rrggbb", or one of the palette
+    file: str = ""  # of a mesh, below the model's folder
+
+
 class Appearance(_Entry):
     """The content of a picture beside frames, at the model's numbers; nothing computes with it."""
 
@@ -198,6 +214,11 @@ class Appearance(_Entry):
     elements: tuple[Element, ...] = ()
     contacts: tuple[Touch, ...] = ()
     wrenches: tuple[Point, ...] = ()  # where the open wrenches act, in the manifest's order
+    drawings: tuple[Drawing, ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if k != "drawings" or x}
 
 
 class Wrench(_Entry):

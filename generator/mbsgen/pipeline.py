@@ -274,8 +274,9 @@ def _content(function: Computation) -> tuple[object, ...]:
 
 
 def identify_mechanism(model: Model) -> str:
-    """Return a hash of a model's content: layout, comments, order of keys, and this program's version do not matter."""
-    return hashlib.sha256(write_model(model).encode()).hexdigest()
+    """Return a hash of a mechanism: layout, comments, visuals and this program's version do not matter."""
+    bare = replace(model, bodies=tuple(replace(body, visuals=()) for body in model.bodies))
+    return hashlib.sha256(write_model(bare).encode()).hexdigest()
 
 
 def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:

@@ -30,6 +30,7 @@ from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.model.valuation import LARGEST, Array, Valuation
 
 MAX_BODIES = 1000
+MAX_VISUALS = 1000  # of a body
 LIGHTEST = 1e-150  # the product of two masses does not vanish
 INERTIA_TOLERANCE = 1e-9  # of the largest moment
 FEW = 0.005  # of a number that is written with one or two digits, which may be meant exactly
@@ -49,6 +50,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
     for i, body in enumerate(model.bodies):
         findings += _check_carrier(i, body, valuation, state)
         findings += _check_body(("bodies", i), body, valuation, allow_unphysical=model.allow_unphysical)
+        findings += _check_visuals(("bodies", i, "visual"), body, valuation)
     for i, frame in enumerate(model.frames):
         valuation.placement(("frames", i), frame.placement)
     findings += check_forces(model, valuation)
@@ -141,6 +143,19 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
     if excess.amount > max(INERTIA_TOLERANCE * np.abs(inertia).max(), excess.rounding):
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
         yield Finding(place, f"no body has {excess.describe()}", remedy)
+
+
+def _check_visuals(place: Place, body: Body, valuation: Valuation) -> Iterator[Finding]:
+    if len(body.visuals) > MAX_VISUALS:
+        yield Finding(place, f"{len(body.visuals)} shapes", f"give at most {MAX_VISUALS}, or one mesh")
+    for k, visual in enumerate(body.visuals[:MAX_VISUALS]):
+        valuation.placement((*place, k), visual.placement)
+        key = {"box": "size", "ellipsoid": "size", "mesh": "scale"}.get(visual.shape)
+        for j, expression in enumerate(visual.size):
+            at = (*place, k, ("radius", "length")[j]) if key is None else (*place, k, key, j)
+            value = valuation.number(at, expression)
+            if value <= 0:
+                yield Finding(at, f"found {value:g}", "give more than 0")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
+from mbsgen.manifest import Shape
 from mbsgen.model.tree import Cut, Kind, Motion
 
 BASE = "base"  # the name of the fixed base
@@ -158,6 +159,17 @@ class Inertia:
 
 
 @dataclass(frozen=True)
+class Visual:
+    """A shape that draws a body, in the body's frame; nothing is computed with it."""
+
+    shape: Shape
+    size: tuple[Expression, ...]  # edges; diameters; radius; radius and length, twice; scales along the axes [m]
+    placement: Placement = HERE
+    color: str = ""  # "#rrggbb", or one of the palette
+    file: str = ""  # of a mesh, below the model's folder
+
+
+@dataclass(frozen=True)
 class Body:
     """A rigid body, and what carries it: a joint, a sequence of joints from the parent on, or nothing that moves."""
 
@@ -167,6 +179,7 @@ class Body:
     mass: Expression = ZERO
     com: Triple = ORIGIN  # centre of mass, in the body's frame
     inertia: Inertia = Inertia()
+    visuals: tuple[Visual, ...] = ()
 
     @property
     def joints(self) -> tuple[Joint, ...]:

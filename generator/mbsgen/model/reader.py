@@ -18,6 +18,7 @@ from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Placement, Triple, Wrench
 from mbsgen.model.placements import move_inertia
 from mbsgen.model.tree import Kind
+from mbsgen.model.visual_sections import make_visuals
 
 
 def read_model(path: Path) -> Model:
@@ -78,6 +79,7 @@ def _make_body(section: schema.BodySection) -> Body:
         mass=section.mass,
         com=section.com,
         inertia=_make_inertia(section),
+        visuals=make_visuals(section.visual),
     )
 
 

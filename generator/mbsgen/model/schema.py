@@ -24,6 +24,7 @@ from mbsgen.model.loops import ConstraintSection, LoopSection
 from mbsgen.model.model import BASE, ORIGIN, ZERO
 from mbsgen.model.sections import NumberField, PlacementSection, TripleField
 from mbsgen.model.tree import Kind
+from mbsgen.model.visual_sections import VisualField
 
 
 def _tell_mappings(value: Any) -> str:
@@ -80,6 +81,9 @@ class BodySection(Section):
         ORIGIN,
         examples=[[0.1, 0.1, 0.1]],
         description="about com, or the point `about`; in the body's axes, kg m2",
+    )
+    visual: VisualField = Field(
+        (), examples=[[{"shape": "sphere", "radius": 0.05}]], description="what pictures show of it: a shape, or a list"
     )
 
 

@@ -39,6 +39,7 @@ from mbsgen.model.model import (
     Placement,
     Plane,
     Triple,
+    Visual,
     Wrench,
 )
 from mbsgen.model.tree import Kind
@@ -96,7 +97,25 @@ def _write_body(body: Body) -> Mapped:
         content["com"] = _write_triple(body.com)
     if body.inertia != Inertia():
         content["inertia"] = _write_inertia(body.inertia)
+    if body.visuals:
+        content["visual"] = [_write_visual(visual) for visual in body.visuals]
     return content
+
+
+def _write_visual(visual: Visual) -> Mapped:
+    numbers = [_write_number(x) for x in visual.size]
+    content: Mapped = {"shape": visual.shape}
+    match visual.shape:
+        case "box" | "ellipsoid":
+            content["size"] = numbers
+        case "mesh":
+            content["file"] = _quote(visual.file)
+            if visual.size != (ONE,) * 3:
+                content["scale"] = numbers
+        case _:
+            content |= dict(zip(("radius", "length"), numbers, strict=False))
+    content |= _write_placement(visual.placement)
+    return {**content, "color": _quote(visual.color)} if visual.color else content
 
 
 def _write_carrier(body: Body) -> Value:

@@ -66,7 +66,7 @@ def make_actor(
     links = (Line(Course.ROD if x.is_rod else Course.GAP, (_at(x.first), _at(x.second))) for x in skeleton.links)
     lines = [*links]
     if appearance is not None:
-        solids += _place_visuals(appearance, visuals)
+        solids += _place_visuals(appearance, look, visuals)
         drawn = {x.body for x in visuals}
         solids += [*_draw_masses(appearance, size, look, drawn)]
         solids += _draw_joints(manifest, size, look) if not drawn else ()
@@ -126,16 +126,18 @@ def list_meshes(visuals: Sequence[Visual]) -> tuple[Mesh, ...]:
     return tuple(dict.fromkeys(x.mesh.mesh for x in visuals if x.mesh is not None))
 
 
-def _place_visuals(appearance: Appearance, visuals: tuple[Visual, ...]) -> Iterator[Solid]:
+def _place_visuals(appearance: Appearance, look: Look, visuals: tuple[Visual, ...]) -> Iterator[Solid]:
     """Place shapes and meshes on the frames that their bodies move with; other bodies' are left out."""
     seats, meshes = {x.name: x for x in appearance.bodies}, list_meshes(visuals)
+    colors = _color_bodies(appearance.masses, look)
     for each in visuals:
         seat = seats.get(each.body)
         if seat is not None:
             C = np.array(seat.axes).reshape(3, 3).T
             at, axes = np.array(seat.at) + C @ each.at, tuple((C @ each.axes).T.ravel().tolist())
             mesh = None if each.mesh is None else meshes.index(each.mesh.mesh)
-            yield Solid(Layer.MESHES, seat.frame, each.kind, _triple(each.size), each.color, _triple(at), axes, mesh)
+            color = each.color or colors.get(seat.frame, look.solids[0])
+            yield Solid(Layer.MESHES, seat.frame, each.kind, _triple(each.size), color, _triple(at), axes, mesh)
 
 
 def _draw_masses(appearance: Appearance, size: float, look: Look, drawn: Set[str]) -> Iterator[Solid]:

@@ -13,7 +13,7 @@ from mbsgen.manifest import Manifest, Point
 from mbsgen.style import PALETTE
 from mbsrun.animation.actors import BY_BODY, list_meshes, look_alike, make_actor
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Track, Triple, View
-from mbsrun.animation.visuals import Visual
+from mbsrun.animation.visuals import Visual, show_drawings
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 
@@ -85,19 +85,21 @@ class Wanted:
     title: str | None = None  # None: the model's name
     markers: tuple[Marker, ...] = field(default=())
     is_apart: bool = False  # several motions side by side
-    visuals: tuple[Visual, ...] = ()  # shapes and meshes of bodies, in place of solids from inertia
+    visuals: tuple[Visual, ...] = ()  # shapes and meshes of bodies, in place of the model's and of solids from inertia
     rate: float = RATE  # pictures a second
 
 
 def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
     """Make the film of some motions, which are shown at the same time."""
     wanted = wanted or Wanted()
+    shown = {x.body for x in wanted.visuals}
+    visuals = (*wanted.visuals, *(x for x in show_drawings(motions[0].manifest) if x.body not in shown))
     start, end = min(x.start for x in motions), max(x.end for x in motions)
     times = choose_times(start, end, wanted.rate)
     skeletons = [_place(motion, times) for motion in motions]
     looks = [BY_BODY] if len(motions) == 1 else [look_alike(PALETTE[i % len(PALETTE)]) for i in range(len(motions))]
     actors = tuple(
-        make_actor(motion.name or motion.manifest.model, motion.manifest, skeleton, look, wanted.visuals)
+        make_actor(motion.name or motion.manifest.model, motion.manifest, skeleton, look, visuals)
         for motion, skeleton, look in zip(motions, skeletons, looks, strict=True)
     )
     arrows = [_list_arrows(motion, times) for motion in motions]
@@ -122,7 +124,7 @@ def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
         view=_choose_view(low, high, up),
         planes=tuple(_list_planes(motions, low, high, up)),
         markers=wanted.markers,
-        meshes=list_meshes(wanted.visuals),
+        meshes=list_meshes(visuals),
         parts=tuple((part.name, float(part.t[0])) for part in motions[0].parts if part.name),
         is_apart=wanted.is_apart,
     )

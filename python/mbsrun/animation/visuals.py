@@ -1,4 +1,4 @@
-"""Visuals: shapes and meshes of bodies, of a URDF file or given one by one, in the axes of their bodies."""
+"""Visuals: shapes and meshes of bodies, from the model, a URDF file or one by one, in the axes of their bodies."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.manifest import Manifest, Shape
 from mbsrun.animation.film import Kind
 from mbsrun.animation.meshes import Body, find_mesh, read_mesh
 
@@ -31,7 +32,7 @@ class Visual:
     size: Array  # (3,), as of a solid
     at: Array  # (3,) of its centre, in the body's frame [m]
     axes: Array  # (3, 3), columns
-    color: str = GREY
+    color: str = GREY  # empty: one of the palette
     mesh: Body | None = None
 
 
@@ -43,6 +44,52 @@ def show_mesh(body: str, mesh: Body, at: Array, axes: Array, scale: Array, color
 def give_mesh(body: str, path: Path) -> Visual:
     """Read the mesh of a body, in the body's own frame."""
     return show_mesh(body, read_mesh(path), np.zeros(3), np.eye(3), np.ones(3))
+
+
+def show_shape(body: str, shape: Shape, size: Array, at: Array, axes: Array, color: str) -> Iterator[Visual]:
+    """Yield the solids of a shape other than a mesh, which has the sizes of the manifest's `Drawing`."""
+    match shape:
+        case "box":
+            yield Visual(body, Kind.BOX, size, at, axes, color)
+        case "ellipsoid":
+            yield Visual(body, Kind.ELLIPSOID, size, at, axes, color)
+        case "sphere":
+            yield Visual(body, Kind.ELLIPSOID, np.full(3, 2 * size[0]), at, axes, color)
+        case "cylinder" | "capsule":
+            width, length = 2 * size[0], size[1]
+            yield Visual(body, Kind.CYLINDER, np.array([width, width, length]), at, axes, color)
+            for end in (-length / 2, length / 2) if shape == "capsule" else ():
+                yield Visual(body, Kind.ELLIPSOID, np.full(3, width), at + end * axes[:, 2], axes, color)
+
+
+def show_drawings(
+    manifest: Manifest, folder: Path | None = None, warn: Callable[[str], None] | None = None
+) -> list[Visual]:
+    """List the shapes that a model has for its bodies; meshes only where the model's folder is known.
+
+    A mesh that cannot be shown is left out, and `warn` gets the reason.
+    """
+    appearance = manifest.appearance
+    if appearance is None:
+        return []
+    seats, found, read = {x.name: x for x in appearance.bodies}, list[Visual](), dict[Path, Body]()
+    for each in appearance.drawings:
+        seat = seats[each.body]
+        C, size = np.array(seat.axes).reshape(3, 3), np.array(each.size)
+        at, axes = C @ (np.array(each.at) - np.array(seat.at)), C @ np.array(each.axes).reshape(3, 3).T
+        if each.shape != "mesh":
+            found += show_shape(each.body, each.shape, size, at, axes, each.color)
+        elif folder is not None:
+            try:
+                file = find_mesh(each.file, folder, ())
+                if file not in read:
+                    read[file] = read_mesh(file)
+            except InputError as error:
+                if warn is not None:
+                    warn(str(error))
+            else:
+                found.append(show_mesh(each.body, read[file], at, axes, size, each.color))
+    return found
 
 
 def read_visuals(path: Path, packages: tuple[Path, ...], warn: Callable[[str], None]) -> list[Visual]:
@@ -82,13 +129,13 @@ def _read_visual(
         return
     match shape.tag:
         case "box":
-            yield Visual(body, Kind.BOX, _numbers(shape.get("size", ""), 3), at, axes, color or GREY)
+            yield from show_shape(body, "box", _numbers(shape.get("size", ""), 3), at, axes, color or GREY)
         case "sphere":
-            (r,) = _numbers(shape.get("radius", ""), 1)
-            yield Visual(body, Kind.ELLIPSOID, np.full(3, 2 * r), at, axes, color or GREY)
+            yield from show_shape(body, "sphere", _numbers(shape.get("radius", ""), 1), at, axes, color or GREY)
         case "cylinder" | "capsule":
-            (r,), (h,) = (_numbers(shape.get(key, ""), 1) for key in ("radius", "length"))
-            yield Visual(body, Kind.CYLINDER, np.array([2 * r, 2 * r, h]), at, axes, color or GREY)
+            size = np.concatenate([_numbers(shape.get(key, ""), 1) for key in ("radius", "length")])
+            kind: Shape = "cylinder" if shape.tag == "cylinder" else "capsule"
+            yield from show_shape(body, kind, size, at, axes, color or GREY)
         case "mesh":
             file = find_mesh(shape.get("filename", ""), folder, packages)
             if file not in read:

@@ -11,7 +11,7 @@ import click
 from mbsgen.manifest import Manifest
 from mbsrun.animation import Wanted, make_film
 from mbsrun.animation.files import Size, write_film
-from mbsrun.animation.visuals import Visual, give_mesh, read_visuals
+from mbsrun.animation.visuals import Visual, give_mesh, read_visuals, show_drawings
 from mbsrun.commands.animated import read_motion
 from mbsrun.commands.console import NumberType, say, show_progress
 from mbsrun.commands.recorded import set_parameters, split_pairs
@@ -32,8 +32,8 @@ side by side; NAME=MOTION gives one a name:
   mbsrun animate models/cart_pole.yaml cart_pole_swing_up.solution -o swing.gif
   mbsrun animate models/acrobot.yaml optimum=a.solution guess=b.simulation --apart -o both.mp4
 
-Bodies are solids sized from their mass and inertia, or the shapes and meshes of a URDF file or of --mesh. Inputs and
-open wrenches are arrows, paths of sensors are lines, and the phases of a problem follow each other.
+Bodies are solids sized from their mass and inertia, or the shapes and meshes of the model, of a URDF file or of --mesh.
+Inputs and open wrenches are arrows, paths of sensors are lines, and the phases of a problem follow each other.
 
 \b
 Files, by their suffix
@@ -128,12 +128,18 @@ def animate_command(
 def _read_shapes(
     model: Path, visuals: Path | None, packages: tuple[Path, ...], meshes: Sequence[str], manifest: Manifest
 ) -> tuple[Visual, ...]:
-    """Read the shapes and meshes of bodies."""
+    """Read the shapes and meshes of bodies; a given mesh, or a given file's shapes of a body, replace the model's."""
+
+    def warn(text: str) -> None:
+        say(f"warning: {text}")
+
     source = visuals or (model if model.suffix.lower() == ".urdf" else None)
-    found = [] if source is None else read_visuals(source, packages, lambda text: say(f"warning: {text}"))
     bodies = [x.name for x in manifest.appearance.bodies] if manifest.appearance else []
+    found = [] if source is None else read_visuals(source, packages, warn)
     found += [give_mesh(body, Path(path)) for body, path in split_pairs("mesh", meshes, bodies).items()]
-    return tuple(found)
+    shown = {x.body for x in found}
+    own = show_drawings(manifest, model.parent if model.is_file() else model, warn)
+    return (*found, *(x for x in own if x.body not in shown))
 
 
 def _split(text: str) -> tuple[str, Path]:

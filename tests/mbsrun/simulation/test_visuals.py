@@ -10,9 +10,12 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun import Mechanism
 from mbsrun.animation import Motion, Part, Wanted, make_film
+from mbsrun.animation.actors import BY_BODY
 from mbsrun.animation.film import Kind, Layer
 from mbsrun.animation.meshes import find_mesh, read_mesh, thin
-from mbsrun.animation.visuals import give_mesh, read_visuals
+from mbsrun.animation.visuals import give_mesh, read_visuals, show_drawings
+from mbsrun.external import load
+from mbsrun.models import Extent
 
 OBJ = "mtllib ../secret.mtl\nv 1 0 0\nv 3 0 0\nv 1 4 0\nv 1 0 6\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 URDF = """<robot name="r"><material name="red"><color rgba="1 0 0 1"/></material>
@@ -122,3 +125,36 @@ def test_large_meshes_are_thinned() -> None:
     corners = fewer[kept]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum() / 2
     assert area == pytest.approx(1, abs=0.05)
+
+
+DRAWN = """name: rod
+gravity: [0, 0, -9.81]
+bodies:
+  - name: rod
+    joint: {type: revolute, axis: x, position: [0, 0, 1]}
+    mass: 1
+    com: [0, 0, -0.5]
+    inertia: [0.1, 0.1, 0.1]
+    visual:
+      - {shape: capsule, radius: 0.1, length: 0.6, position: [0, 0, -0.5]}
+      - {shape: mesh, file: arm/meshes/part.obj, scale: 0.1, color: "#d55e00"}
+      - {shape: mesh, file: missing.obj}
+"""
+
+
+def test_shapes_of_a_model_are_drawn(package: Path) -> None:
+    """A capsule is a cylinder and two balls, 0.3 m from its centre; the mesh has its centre at 0.1 (2, 2, 3)."""
+    (package.parent / "rod.yaml").write_text(DRAWN)
+    rod = load(package.parent / "rod.yaml", extent=Extent(("frames",), derivatives=0))
+    warnings: list[str] = []
+    tube, low, high, mesh = show_drawings(rod.manifest, package.parent, warnings.append)
+    assert [x.kind for x in (tube, low, high, mesh)] == [Kind.CYLINDER, Kind.ELLIPSOID, Kind.ELLIPSOID, Kind.MESH]
+    assert (low.at[2], high.at[2]) == pytest.approx((-0.8, -0.2))
+    assert mesh.at == pytest.approx([0.2, 0.2, 0.3])
+    assert mesh.size == pytest.approx([0.2, 0.4, 0.6])
+    assert len(warnings) == 1
+    assert "there is no mesh missing.obj" in warnings[0]
+    motion = Motion((Part(rod, np.array([0.0, 1.0]), np.zeros((2, 1))),))
+    solids = make_film([motion]).actors[0].solids  # without the model's folder
+    assert [x.kind for x in solids] == [Kind.CYLINDER, Kind.ELLIPSOID, Kind.ELLIPSOID]
+    assert {x.color for x in solids} == {BY_BODY.solids[0]}
