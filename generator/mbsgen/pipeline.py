@@ -229,6 +229,11 @@ def convert(robot: Path, choices: Mapping[str, Any]) -> tuple[str, tuple[str, ..
     return write_imported(imported), tuple(str(notice) for notice in imported.notices if notice.alters)
 
 
+def list_undrawn(robot: Path) -> tuple[str, ...]:
+    """List the shapes of a file to import that pictures lack, each with its reason; none for a model file."""
+    return tuple(str(x) for x in import_model(robot).notices if x.undrawn) if is_foreign(robot) else ()
+
+
 def _read_scene(scene: Path | Scene, model: Model) -> Scene:
     return scene if isinstance(scene, Scene) else read_scene(scene, model, list_results())
 

@@ -99,6 +99,15 @@ def import_robot(path: Path, choices: Mapping[str, Any]) -> tuple[Path, tuple[st
     return find_or_make(PurePath(MODELS, name), make) / file, warnings
 
 
+def list_undrawn(path: Path) -> tuple[str, ...]:
+    """List the shapes of a robot's file that pictures lack; none for any other path."""
+    if not path.is_file():
+        return ()
+    from mbsgen.pipeline import list_undrawn
+
+    return list_undrawn(path)
+
+
 class _ChangedError(Exception):
     """A model file that changed during generation."""
 

@@ -42,6 +42,7 @@ from mbsgen.model.model import (
     LoopEnd,
     Model,
     Triple,
+    Visual,
 )
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.orientations import turn
@@ -202,6 +203,11 @@ class Draft:
         else:
             self._append_fixed(own, parent, pending, solid, source)
         return own
+
+    def show(self, body: str, visuals: Sequence[Visual]) -> None:
+        """Draw a body of the draft by shapes."""
+        i = next(i for i, each in reversed([*enumerate(self.bodies)]) if each.name == body)
+        self.bodies[i] = replace(self.bodies[i], visuals=tuple(visuals))
 
     def add_frame(self, name: str, body: str, pose: Pose, source: Element) -> None:
         """Add a sensor on a body of the draft, if the choices name it."""

@@ -25,6 +25,7 @@ class Notice:
     path: str
     text: str
     alters: bool
+    undrawn: bool = False  # a picture lacks the element
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}: {self.path}" if self.line else self.file
@@ -50,6 +51,10 @@ class Findings:
     def tell(self, element: Element, text: str) -> None:
         """Add a notice on an element."""
         self.notices.append(Notice(element.file, element.line, element.path, text, alters=False))
+
+    def omit(self, element: Element, text: str) -> None:
+        """Add a notice on an element that pictures lack."""
+        self.notices.append(Notice(element.file, element.line, element.path, text, alters=False, undrawn=True))
 
     def warn(self, element: Element, text: str) -> None:
         """Add a warning: the model moves differently from an element of the file."""

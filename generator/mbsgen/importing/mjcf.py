@@ -20,11 +20,20 @@ from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, l
 from mbsgen.importing.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
+from mbsgen.importing.geoms import (
+    LAST_GROUP,
+    MOST,
+    UndrawnError,
+    make_visual,
+    read_assets,
+    read_color,
+    scale_shape,
+)
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.importing.solids import NOTHING, Solid, add
-from mbsgen.model.model import BASE
+from mbsgen.model.model import BASE, Visual
 from mbsgen.model.orientations import find_turns, turn, turn_quaternion
 from mbsgen.model.tree import Motion
 
@@ -84,6 +93,7 @@ class _Scene:
         self._skipped: Counter[str] = Counter()
         self._register = Register()
         self._used_sites = {*choices.sensors, *list_sites(root)}
+        self._assets = read_assets(root, self._settings, self._defaults, Findings(root.file))
         self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
@@ -195,6 +205,7 @@ class _Scene:
             own = self._draft.add_body(name or "body", parent, first, moves, solid, body)
             self._warn_body(body)
             inner = Pose(np.eye(3), -anchor, ())
+            self._draft.show(own, self._read_visuals(parts, inner))
             found = Place(Spot(own, inner), carrier.home @ around @ step)
             if name:
                 self._draft.add_frame(name, own, inner, body)
@@ -224,6 +235,8 @@ class _Scene:
                 self._findings.fault(element, f"no part of a body is called {element.tag[:40]}", "take it out")
             elif element.tag in ("geom", "camera", "light"):
                 self._skipped[element.tag] += 1
+                if body.tag == "worldbody" and self._defaults.resolve(element, part.active).get("type") != "plane":
+                    self._findings.omit(element, "this geom is not drawn: it belongs to the world")
                 self._touching += element.tag == "geom" and self._touches(part)
         waiting += found[::-1]
 
@@ -505,6 +518,48 @@ class _Scene:
         half = float(np.linalg.norm(along)) / 2
         pose = Pose(turn_to(along) if half else np.eye(3), (ends[:3] + ends[3:]) / 2)
         return [*[size[0]] * (count - 1), half], pose
+
+    # --- pictures ----------------------------------------------------------------------------------------------------
+
+    def _read_visuals(self, parts: list[_Placed], inner: Pose) -> list[Visual]:
+        """Read the geoms that draw a body; `inner` is the pose of the file's body in the draft's."""
+        found: list[Visual] = []
+        kept, self._findings = self._findings, Findings(self._root.file)  # a faulty shape is a notice
+        for part in (part for part in parts if part.element.tag == "geom"):
+            self._findings.faults.clear()
+            try:
+                visual = self._read_visual(part, inner)
+                if self._findings.faults:
+                    raise UndrawnError(self._findings.faults[0].finding)
+                if len(found) == MOST:
+                    raise UndrawnError(f"its body has more than {MOST}")
+            except UndrawnError as error:
+                kept.omit(part.element, f"this geom is not drawn: {error}")
+            else:
+                found += [] if visual is None else [visual]
+        self._findings = kept
+        return found
+
+    def _read_visual(self, part: _Placed, inner: Pose) -> Visual | None:
+        """Read a geom; None for one that a viewer hides. Raises UndrawnError for one that is not understood."""
+        element = part.element
+        attributes = self._defaults.resolve(element, part.active)
+        color = read_color(element, attributes, self._findings)
+        if color is None:
+            color = self._assets.colors.get(attributes.get("material", ""))
+        if color == "" or self._findings.number(element, "group", 0.0, attributes) > LAST_GROUP:
+            return None
+        shape, turns = attributes.get("type", "mesh" if "mesh" in attributes else "sphere"), self._choices.quarter_turns
+        if shape == "mesh":
+            file, scale = self._assets.find_mesh(attributes.get("mesh", ""), self._findings)
+            pose = inner @ part.around @ self._read_pose(element, attributes)
+            return make_visual("mesh", scale, pose, turns, color or "", file)
+        if "mesh" in attributes:
+            raise UndrawnError(f"it is a {shape[:40]} fitted to a mesh")
+        if shape not in SHAPES:
+            raise UndrawnError(f"its type is {abbreviate(shape)}")
+        half, own = self._measure(element, attributes, shape)
+        return make_visual(*scale_shape(shape, half), inner @ part.around @ own, turns, color or "")
 
     # --- the rest ----------------------------------------------------------------------------------------------------
 

@@ -154,8 +154,9 @@ def _check_visuals(place: Place, body: Body, valuation: Valuation) -> Iterator[F
         for j, expression in enumerate(visual.size):
             at = (*place, k, ("radius", "length")[j]) if key is None else (*place, k, key, j)
             value = valuation.number(at, expression)
-            if value <= 0:
-                yield Finding(at, f"found {value:g}", "give more than 0")
+            if value == 0 or (value < 0 and key != "scale"):
+                remedy = "give another number; a negative one mirrors" if key == "scale" else "give more than 0"
+                yield Finding(at, f"found {value:g}", remedy)
 
 
 @dataclass(frozen=True)

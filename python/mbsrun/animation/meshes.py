@@ -47,6 +47,13 @@ def read_mesh(path: Path) -> Body:
     return Body(Mesh(unit.astype(np.float32), faces.astype(np.uint32)), (low + high) / 2, edges)
 
 
+def mirror(body: Body, signs: Array) -> Body:
+    """Return a mesh with the signs of some coordinates changed; its faces still show their outer side."""
+    faces = body.mesh.faces[:, ::-1] if np.prod(signs) < 0 else body.mesh.faces
+    vertices = (body.mesh.vertices * signs).astype(np.float32)
+    return Body(Mesh(vertices, np.ascontiguousarray(faces)), body.centre * signs, body.edges)
+
+
 def find_mesh(name: str, folder: Path, packages: tuple[Path, ...]) -> Path:
     """Find the file of a mesh that a description names: below its folder, or below the folder of a package.
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest, Shape
 from mbsrun.animation.film import Kind
-from mbsrun.animation.meshes import Body, find_mesh, read_mesh
+from mbsrun.animation.meshes import Body, find_mesh, mirror, read_mesh
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,10 @@ class Visual:
 
 
 def show_mesh(body: str, mesh: Body, at: Array, axes: Array, scale: Array, color: str = GREY) -> Visual:
-    """Place a mesh whose file has its origin at a point of the body."""
+    """Place a mesh whose file has its origin at a point of the body; negative scales mirror it."""
+    signs, scale = np.sign(scale), np.abs(scale)
+    if (signs < 0).any():
+        mesh = mirror(mesh, signs)
     return Visual(body, Kind.MESH, mesh.edges * scale, at + axes @ (mesh.centre * scale), axes, color, mesh)
 
 
@@ -140,7 +143,7 @@ def _read_visual(
             file = find_mesh(shape.get("filename", ""), folder, packages)
             if file not in read:
                 read[file] = read_mesh(file)
-            yield show_mesh(body, read[file], at, axes, np.abs(_numbers(shape.get("scale", "1 1 1"), 3)), color or GREY)
+            yield show_mesh(body, read[file], at, axes, _numbers(shape.get("scale", "1 1 1"), 3), color or GREY)
 
 
 def _parse(path: Path) -> Element:

@@ -17,7 +17,7 @@ from mbsrun.commands.console import NumberType, say, show_progress
 from mbsrun.commands.recorded import set_parameters, split_pairs
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
-from mbsrun.models import Extent
+from mbsrun.models import Extent, list_undrawn
 
 DRAWN = Extent(("frames",), derivatives=0, optional=("rates",))
 LARGEST = 4096  # pixels
@@ -138,6 +138,8 @@ def _read_shapes(
     found = [] if source is None else read_visuals(source, packages, warn)
     found += [give_mesh(body, Path(path)) for body, path in split_pairs("mesh", meshes, bodies).items()]
     shown = {x.body for x in found}
+    for notice in list_undrawn(model):
+        warn(notice)
     own = show_drawings(manifest, model.parent if model.is_file() else model, warn)
     return (*found, *(x for x in own if x.body not in shown))
 

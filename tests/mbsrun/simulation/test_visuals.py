@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from mbsrun.animation.film import Kind, Layer
 from mbsrun.animation.meshes import find_mesh, read_mesh, thin
 from mbsrun.animation.visuals import give_mesh, read_visuals, show_drawings
 from mbsrun.external import load
-from mbsrun.models import Extent
+from mbsrun.models import Extent, list_undrawn
 
 OBJ = "mtllib ../secret.mtl\nv 1 0 0\nv 3 0 0\nv 1 4 0\nv 1 0 6\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 URDF = """<robot name="r"><material name="red"><color rgba="1 0 0 1"/></material>
@@ -158,3 +160,48 @@ def test_shapes_of_a_model_are_drawn(package: Path) -> None:
     solids = make_film([motion]).actors[0].solids  # without the model's folder
     assert [x.kind for x in solids] == [Kind.CYLINDER, Kind.ELLIPSOID, Kind.ELLIPSOID]
     assert {x.color for x in solids} == {BY_BODY.solids[0]}
+
+
+ROBOT = """<mujoco><compiler meshdir="arm/meshes"/>
+<default><default class="hidden"><geom group="3"/></default></default>
+<asset><mesh name="part" file="part.obj" scale="0.1 -0.1 0.1"/><mesh name="old" file="part.msh"/></asset>
+<worldbody><geom type="plane" size="1 1 1"/><body name="arm" pos="0 0 1" euler="10 20 30">
+<joint name="first" axis="0 1 0" pos="0.1 0 0.2"/><geom type="capsule" fromto="0 0 0 0.5 0.1 0" size="0.05"/>
+<frame pos="0.1 0 0" quat="0.8 0.6 0 0"><geom type="box" size="0.1 0.2 0.3" rgba="1 0 0 1" pos="0 0.1 0"/></frame>
+<geom class="hidden" size="1" mass="0"/><geom type="mesh" mesh="old" mass="0"/>
+<body name="hand" pos="0.5 0 0"><joint name="second" axis="1 0 0"/>
+<geom type="ellipsoid" size="0.1 0.15 0.05" zaxis="1 1 0"/><geom type="mesh" mesh="part" pos="0 0 1" mass="0"/>
+</body></body></worldbody></mujoco>"""
+
+
+def test_geoms_are_where_mujoco_has_them(package: Path) -> None:
+    """MuJoCo's geoms at a pose, against the film's solids of the imported model; hidden groups are not drawn."""
+    file = package.parent / "robot.xml"
+    file.write_text(ROBOT)
+    plain = "".join(x for x in ROBOT.splitlines(keepends=True) if "<asset>" not in x)  # its OBJ is no closed solid
+    peer = mujoco.MjModel.from_xml_string(re.sub(r'<geom type="mesh"[^>]*>', "", plain))
+    state, q = mujoco.MjData(peer), np.array([0.3, -0.7])
+    state.qpos[:] = q
+    mujoco.mj_forward(peer, state)
+    with pytest.warns(UserWarning, match="contacts are not part of a model"):
+        robot = load(file, extent=Extent(("frames",), derivatives=0))
+    visuals = tuple(show_drawings(robot.manifest, package.parent, pytest.fail))
+    film = make_film([Motion((Part(robot, np.zeros(1), q[None]),))], Wanted(visuals=visuals))
+    tube, _, _, box, egg, mesh = film.actors[0].solids
+    places, track = {}, film.tracks[0]
+    for solid in (tube, box, egg, mesh):
+        R = track.R[0, solid.frame]
+        axes = R @ np.array(solid.axes).reshape(3, 3).T
+        places[solid] = track.p[0, solid.frame] + R @ np.array(solid.at), axes @ np.diag(np.square(solid.size)) @ axes.T
+    halves = [[0.05, 0.05, peer.geom_size[1][1]], peer.geom_size[2], peer.geom_size[4]]
+    for solid, k, half in zip((tube, box, egg), (1, 2, 4), halves, strict=True):
+        at, spread = places[solid]
+        C = state.geom_xmat[k].reshape(3, 3)
+        assert at == pytest.approx(state.geom_xpos[k], abs=1e-12)
+        assert spread == pytest.approx(C @ np.diag(np.square(2 * np.array(half))) @ C.T, abs=1e-12)
+    hand = state.xmat[2].reshape(3, 3)
+    assert places[mesh][0] == pytest.approx(state.xpos[2] + hand @ [0.2, -0.2, 1.3], abs=1e-12)
+    assert (box.color, mesh.size) == ("#ff0000", pytest.approx((0.2, 0.4, 0.6)))
+    assert [x.split(": ")[-1] for x in list_undrawn(file)] == [
+        '"arm/meshes/part.msh" is none of .stl, .obj, .glb, .gltf, .ply'
+    ]
