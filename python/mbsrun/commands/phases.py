@@ -8,8 +8,11 @@ from pathlib import Path
 import click
 
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
+from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.multistart import Wish
 from mbsrun.ocp.phases.files import SOLUTION, write_files
+from mbsrun.ocp.phases.multistart import solve_phases_from_many
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, read_phased_guess
@@ -22,11 +25,16 @@ from mbsrun.ocp.solve import Progress
 
 
 def solve_file(
-    file: Path, out: Path | None, other: Path | None, solver: str | None, accuracy: float | None = None
+    file: Path,
+    out: Path | None,
+    other: Path | None,
+    solver: str | None,
+    accuracy: float | None = None,
+    wish: Wish | None = None,
 ) -> int:
     """Solve the problem of a file, write and print the solution; return the exit code.
 
-    With an accuracy, the grids of all phases are refined until it holds.
+    With an accuracy, the grids of all phases are refined until it holds. With a wish, it is solved from many starts.
     """
     problem, plants = read_phased_problem(file, load_on_demand)
     if solver is not None and solver != problem.solver.method:
@@ -36,11 +44,16 @@ def solve_file(
     solution_file = problem.phases[0].problem.guess.solution
     if other is None and solution_file is not None:
         other = file.parent / solution_file
+    if wish is not None and other is not None:
+        raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
     names = tuple(phase.name for phase in problem.phases)
     manifests = tuple(plant.manifest for plant in plants.phases)
     guess = None if other is None else read_phased_guess(other, names, manifests)
     out = out or Path(f"{problem.name}.solution")
-    outcome = _solve(problem, plants, guess)
+    outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
+    if outcome is None:
+        say("the time was over before the first start ended")
+        return NOT_SOLVED
     if isinstance(outcome, PhasedFailure):
         say(f"not solved ({outcome.run.status}): {outcome.finding}; {outcome.remedy}")
         if (out / SOLUTION).exists():
@@ -85,3 +98,11 @@ def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | None) -> Phase
             )
 
         return solve_phases(problem, plants, show, guess)
+
+
+def _search(problem: PhasedProblem, plants: Plants, wish: Wish) -> PhasedSolution | PhasedFailure | None:
+    """Solve from many starts, and print the costs that they found."""
+    with show_search(wish.starts) as watch:
+        starts, outcome = solve_phases_from_many(problem, plants, wish, watch)
+    print_starts(starts, "")
+    return outcome

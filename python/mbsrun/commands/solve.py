@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
-from rich import box
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as ProgressBar
-from rich.table import Table
 
 from mbsrun.commands.console import (
     MESSAGES,
@@ -22,16 +17,17 @@ from mbsrun.commands.console import (
     check_conflicts,
     find_sensor,
     output_folder,
-    print_table,
     say,
 )
 from mbsrun.commands.phases import solve_file
+from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.phases.files import DISTRIBUTION
 from mbsrun.ocp.phases.statement import has_phases
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
@@ -40,9 +36,8 @@ from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.sensitivity import find_sensitivities
-from mbsrun.ocp.solution import Failure, Round, Solution, Starts, write_solution
+from mbsrun.ocp.solution import Failure, Round, Solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
-from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.summary import list_shortcomings, summarise
 from mbsrun.ocp.table import write_table
@@ -56,9 +51,8 @@ MESH = "mesh.png"  # of a refinement
 TABLE = "solution.csv"
 PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanism
 FILES = (*PLAIN_FILES, MECHANISM, ANIMATION)
-DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
+STARTS = "starts.sqlite"  # of a search from many starts
 MAX_STARTS = 100_000
-SHOWN = 10  # minima that are printed
 
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
@@ -83,7 +77,8 @@ A solver finds a local minimum near its guess. --starts 20 solves from 20 starts
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
-A problem with `phases` or `links` takes --out, --guess, --solver and --refine; each phase has a table NAME.csv.
+A problem with `phases` or `links` takes --out, --guess, --solver, --refine, and --starts with --seed and --minutes; its
+search keeps no starts.sqlite. Each phase has a table NAME.csv.
 
 \b
 Exit codes
@@ -175,13 +170,14 @@ def solve_command(
     **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, print."""
+    if starts is None and (hops, seed, minutes, workers) != (None,) * 4:
+        raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
+    wish = None
+    if starts is not None:
+        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
     if has_phases(file):
-        search = {"target": target, "starts": starts, "hops": hops, "seed": seed, "minutes": minutes}
-        context.exit(
-            _solve_phases(
-                file, out, other, {**search, "workers": workers, "sensitivities": sensitivities or None, **choices}
-            )
-        )
+        left_out = {"target": target, "hops": hops, "workers": workers, "sensitivities": sensitivities or None}
+        context.exit(_solve_phases(file, out, other, wish, {**left_out, **choices}))
     models: list[Path] = []
 
     def load_model(model: Path) -> Plant:
@@ -194,16 +190,13 @@ def solve_command(
     problem = _choose(problem, **choices)
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
-    if starts is None and (hops, seed, minutes, workers) != (None,) * 4:
-        raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
     if starts is not None and other is not None:
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
     guess = None if other is None else find_guess(other, problem, plant)
     out = out or Path(f"{problem.name}.solution")
-    if starts is None:
+    if wish is None:
         outcome: Solution | Failure | None = _solve(problem, plant, guess)
     else:
-        wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
         outcome = _search(problem, plant, models[-1] if models else None, wish, out)
     if outcome is None:
         say("the time was over before the first start ended")
@@ -239,7 +232,7 @@ def _describe_round(last: Round) -> str:
     return f"{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
-def _solve_phases(file: Path, out: Path | None, other: Path | None, choices: dict[str, Any]) -> int:
+def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish | None, choices: dict[str, Any]) -> int:
     """Solve a problem in phases; of the other options, it takes `--solver` and `--refine`."""
     solver, accuracy = choices.pop("solver"), choices.pop("refine")
     given = [f"--{name.replace('_', '-')}" for name, value in choices.items() if value is not None]
@@ -247,7 +240,7 @@ def _solve_phases(file: Path, out: Path | None, other: Path | None, choices: dic
         raise click.UsageError(f"{', '.join(given)}: for problems of one phase; write it into the file's phases")
     if accuracy is not None:
         _check_accuracy(accuracy)
-    return solve_file(file, out, other, solver, accuracy)
+    return solve_file(file, out, other, solver, accuracy, wish)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -309,44 +302,10 @@ def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution
 def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out: Path) -> Solution | Failure | None:
     """Solve from many starts, and show how many ended and the best cost."""
     out.mkdir(parents=True, exist_ok=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
-        task = bar.add_task("solving", total=wish.starts)
-
-        def show(starts: Starts) -> None:
-            best = "" if starts.best is None else f", lowest cost {starts.best.cost:.8g}, found {starts.times} times"
-            bar.update(
-                task,
-                completed=len(starts.results) + len(starts.hops),
-                total=wish.starts + len(starts.hops),
-                description=f"solving{best}",
-            )
-
-        starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, show)
-    _print_starts(starts)
+    with show_search(wish.starts) as watch:
+        starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, watch)
+    print_starts(starts, "; give the command again to go on")
     return outcome
-
-
-def _print_starts(starts: Starts) -> None:
-    """Print the minima, how often each was found, and the starts that found none."""
-    table = Table(box=box.SIMPLE)
-    table.add_column("cost", justify="right")
-    table.add_column("found", justify="right")
-    table.add_column("whole turns")
-    for minimum in starts.minima[:SHOWN]:
-        table.add_row(f"{minimum.cost:.8g}", str(minimum.found), describe_turns(minimum.turns))
-    if starts.minima:
-        print_table(table)
-    if len(starts.minima) > SHOWN:
-        click.echo(f"and {len(starts.minima) - SHOWN} higher costs")
-    if starts.hops:
-        least = min((hop.cost for hop in starts.hops if hop.cost is not None), default=None)
-        click.echo(f"{len(starts.hops)} hops" + ("" if least is None else f", lowest cost {least:.8g}"))
-    failed = Counter(start.status for start in (*starts.results, *starts.hops) if start.cost is None)
-    if failed:
-        click.echo("no solution: " + ", ".join(f"{count} {status}" for status, count in failed.most_common()))
-    if len(starts.results) < starts.asked:
-        click.echo(f"{len(starts.results)} of {starts.asked} starts were made; give the command again to go on")
 
 
 def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:

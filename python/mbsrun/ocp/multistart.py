@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -130,7 +131,7 @@ def solve_from_many(
         watch(look())
         with suppress(OutOfTimeError, KeyboardInterrupt), _open_executor(plant, model, wish.workers) as executor:
             search = Search(study, executor, record, show, wish.seconds)
-            with _end_at_interrupt(search):
+            with end_at_interrupt(partial(setattr, search, "end", -math.inf)):
                 search.try_all(trials)
                 for number in range(1, ROUNDS if wish.hops else 1):
                     before = look()
@@ -154,14 +155,14 @@ def _open_executor(plant: Plant, model: Path | None, workers: int) -> Iterator[E
 
 
 @contextmanager
-def _end_at_interrupt(search: Search) -> Iterator[None]:
-    """End a search at the first interrupt after the current starts, and at the second at once.
+def end_at_interrupt(stop: Callable[[], None]) -> Iterator[None]:
+    """Call `stop` at the first interrupt, and raise KeyboardInterrupt at the second.
 
-    An interrupted solver returns a status that the record would keep as the result of its start.
+    The current start then ends: an interrupted solver returns a status that would count as the result of its start.
     """
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        search.end = -math.inf
+        stop()
         signal.signal(signal.SIGINT, before)
 
     before = signal.getsignal(signal.SIGINT)

@@ -88,10 +88,17 @@ def vary(
     motion = _move(variation, problem, plant, scheme, rng)
     if motion is None or not np.isfinite(motion.point_q).all():
         return None
-    if variation.kind == "bumps":
+    return disturb(motion, variation.kind, problem, plant, bumped, rng)
+
+
+def disturb(
+    motion: Trajectory, kind: Kind, problem: Problem, plant: Plant, bumped: Sequence[int], rng: np.random.Generator
+) -> Trajectory:
+    """Add bumps, waves or noise to a motion; raises ValueError for bumps on a motion with quaternions."""
+    if kind == "bumps":
         return balance(_close(bump(motion, bumped, rng), plant), problem, plant, "dynamic")
-    is_mixed = variation.kind in ("branches", "turns")
-    if not problem.has_quaternions and (variation.kind == "waves" or (is_mixed and rng.uniform() < 0.5)):
+    is_mixed = kind in ("branches", "turns")
+    if not problem.has_quaternions and (kind == "waves" or (is_mixed and rng.uniform() < 0.5)):
         return balance(_close(add_waves(motion, problem, rng), plant), problem, plant, "dynamic")
     whole = complete(balance(motion, problem, plant, problem.guess.inputs), problem, plant)
     return _close(add_noise(whole, problem, plant.manifest, rng), plant)

@@ -8,13 +8,14 @@ from pathlib import Path
 from mbsrun.ocp.phases.pictures import make_phased_mechanism, make_phased_trajectories, write_animations
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
-from mbsrun.ocp.pictures import plot_mesh, save
+from mbsrun.ocp.pictures import plot_mesh, plot_starts, save
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.table import write_table
 
 SOLUTION = "solution.json"
 TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
+DISTRIBUTION = "starts.png"  # of a search from many starts
 
 
 def write_files(solution: PhasedSolution, plants: Plants, folder: Path) -> tuple[str, ...]:
@@ -33,6 +34,9 @@ def write_files(solution: PhasedSolution, plants: Plants, folder: Path) -> tuple
         if phase.refinement is not None:
             plot_mesh(phase.refinement, folder / f"{name}.mesh.png")
             pictures += (f"{name}.mesh.png",)
+    if solution.search is not None:
+        plot_starts(solution.search, folder / DISTRIBUTION)
+        pictures += (DISTRIBUTION,)
     return (SOLUTION, *tables, *pictures)
 
 

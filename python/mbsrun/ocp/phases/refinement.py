@@ -50,7 +50,7 @@ def refine_phases(
     solution: PhasedSolution, plants: Plants, show: Show | None = None, watch: Watch | None = None
 ) -> PhasedSolution:
     """Refine the grids of a re-simulated solution as its phases ask; return the last solution, with all rounds."""
-    courses = [_Course([record_round("", phase, None)]) for phase in solution.phases]
+    courses, made = [_Course([record_round("", phase, None)]) for phase in solution.phases], solution.search
     while True:
         for course, phase in zip(courses, solution.phases, strict=True):
             course.choose(phase)
@@ -75,6 +75,7 @@ def refine_phases(
     return replace(
         solution,
         phases=tuple(_attach(phase, course) for phase, course in zip(solution.phases, courses, strict=True)),
+        search=made,
     )
 
 

@@ -16,7 +16,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
 from mbsrun.ocp.problem import SolverOptions, Unknown
-from mbsrun.ocp.solution import Run, Size, Solution
+from mbsrun.ocp.solution import Run, Size, Solution, Starts
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -59,6 +59,7 @@ class PhasedSolution:
     unknowns: tuple[Unknown, ...] = ()
     unknown_values: tuple[float, ...] = ()
     solver: SolverOptions = field(default_factory=SolverOptions)
+    search: Starts | None = None  # the outcomes of all starts, of a search from many
 
     @property
     def problem(self) -> PhasedProblem:

@@ -234,6 +234,17 @@ def solve_phases(
 
     Raises ProblemError with every fault of the problem.
     """
+    ready = prepare_phases(problem, plants, guess)
+    if isinstance(ready, PhasedFailure):
+        return ready
+    solver, start = ready
+    return solver.solve(start, watch)
+
+
+def prepare_phases(
+    problem: PhasedProblem, plants: Plants, guess: Guess | None = None
+) -> tuple[PhasedSolver, Guess] | PhasedFailure:
+    """Return the solver of a problem, and its guess on the grids of the phases; a failure where there is no guess."""
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
     start = guess_phases(problem, plants) if guess is None else adapt_guess(problem, guess)
@@ -245,7 +256,7 @@ def solve_phases(
         Phase(phase.name, settle(phase.problem, plant, motion))
         for phase, plant, motion in zip(problem.phases, plants.phases, start.trajectories, strict=True)
     )
-    return PhasedSolver(replace(problem, phases=settled), plants).solve(start, watch)
+    return PhasedSolver(replace(problem, phases=settled), plants), start
 
 
 def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:

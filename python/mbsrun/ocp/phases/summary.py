@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.phases.solution import LinkValues, PhasedSolution
 from mbsrun.ocp.status import SOLVED
 from mbsrun.ocp.summary import list_shortcomings, summarise
@@ -23,6 +24,8 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
         "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
         "cost": f"{solution.cost:.10g}",
     }
+    if solution.search is not None:
+        rows["starts"] = describe_starts(solution.search)
     for unknown, value in zip(solution.unknowns, solution.unknown_values, strict=True):
         rows[unknown.name] = f"{value:.10g}"
     for name, phase in zip(solution.names, solution.phases, strict=True):

@@ -118,6 +118,9 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     assert "second: refinement" in refined.output
     assert "warning" not in refined.output
     assert CliRunner().invoke(cli, [*command, "--refine", "0"]).exit_code == 2
-    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--form", "integral"])
+    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--form", "integral"])
     assert refused.exit_code == 2
-    assert "--starts, --form: for problems of one phase" in refused.output
+    assert "--hops, --form: for problems of one phase" in refused.output
+    searched = CliRunner().invoke(cli, [*command, "--starts", "2"])
+    assert "in 2 starts; lower ones may exist" in searched.output
+    assert (tmp_path / "out" / "starts.png").is_file()

@@ -1,0 +1,84 @@
+"""Solve a problem of phases from many starts: its guess, and random motions about the guess of every phase.
+
+Start 0 is the guess of the problem. In start k, bumps, waves or noise move the guess of every phase, as in `starts`;
+start k depends on the seed and k alone.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbsrun.ocp.multistart import GUESS, Watch, Wish, end_at_interrupt
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants
+from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solve import prepare_phases
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.solution import Start, Starts
+from mbsrun.ocp.starts import Kind, disturb
+from mbsrun.ocp.trajectory import Trajectory
+
+KINDS: tuple[Kind, ...] = ("noise", "waves", "bumps")  # of the starts 1, 2, ...
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """The kind of a start, and the seed of its random numbers."""
+
+    kind: Kind
+    seed: tuple[int, int]
+
+    def move(self, guess: Guess, problem: PhasedProblem, plants: Plants) -> Guess:
+        """Move the guess of every phase."""
+        motions = [
+            self._move_phase(motion, phase.problem, k, plants)
+            for k, (motion, phase) in enumerate(zip(guess.trajectories, problem.phases, strict=True))
+        ]
+        return replace(guess, trajectories=tuple(motions))
+
+    def _move_phase(self, motion: Trajectory, own: Problem, k: int, plants: Plants) -> Trajectory:
+        plant, rng = plants.phases[k], np.random.default_rng((*self.seed, k))
+        kind: Kind = "noise" if own.has_quaternions or not plant.manifest.coordinates else self.kind
+        return disturb(motion, kind, own, plant, plant.manifest.actuated, rng)
+
+
+def solve_phases_from_many(
+    problem: PhasedProblem, plants: Plants, wish: Wish, watch: Watch
+) -> tuple[Starts, PhasedSolution | PhasedFailure | None]:
+    """Solve from many starts, and return the best solution, or else the first failure; None where no start ended.
+
+    It passes the outcomes to `watch` after every start. At the end of the time, or at an interrupt, the finished
+    starts count. Raises ProblemError with every fault of the problem.
+    """
+    results: list[Start] = []
+    best: PhasedSolution | PhasedFailure | None = None
+    ready = prepare_phases(problem, plants)
+    if isinstance(ready, PhasedFailure):
+        return Starts(wish.seed, wish.starts, (_sum_up(0, GUESS, ready),)), ready
+    solver, guess = ready
+    ended, end = [False], time.monotonic() + wish.seconds
+    with end_at_interrupt(lambda: ended.__setitem__(0, True)):
+        for k in range(wish.starts):
+            if ended[0] or time.monotonic() > end:
+                break
+            draw = _Draw(KINDS[(k - 1) % len(KINDS)], (wish.seed, k))
+            found = solver.solve(draw.move(guess, solver.problem, solver.plants) if k else guess)
+            results.append(_sum_up(k, draw.kind if k else GUESS, found))
+            if best is None or _is_lower(found, best):
+                best = found
+            watch(Starts(wish.seed, wish.starts, tuple(results)))
+    starts = Starts(wish.seed, wish.starts, tuple(results))
+    return starts, replace(best, search=starts) if isinstance(best, PhasedSolution) else best
+
+
+def _is_lower(found: PhasedSolution | PhasedFailure, best: PhasedSolution | PhasedFailure) -> bool:
+    if isinstance(found, PhasedFailure):
+        return False
+    return isinstance(best, PhasedFailure) or found.cost < best.cost
+
+
+def _sum_up(number: int, kind: str, found: PhasedSolution | PhasedFailure) -> Start:
+    run, cost = found.run, found.cost if isinstance(found, PhasedSolution) else None
+    return Start(number, kind, run.status, run.iterations, run.cpu_seconds, cost, "")
