@@ -13,6 +13,7 @@ const courses = motion.courses.map((course, m) => ({
   places: new Float32Array(bytes(course.places)), // [time][frame][x, y, z]
   turns: new Int16Array(bytes(course.turns)), // [time][frame][x, y, z, w], unit quaternions times 32767
   arrows: course.arrows.map((arrow) => ({ ...arrow, values: new Float32Array(bytes(arrow.values)) })), // [time][x, y, z]
+  shown: course.shown, // [start, end): the times at which it is seen; null: always
   p: null, R: null, traces: [],
 }));
 const view = createRenderer(byId("scene"), scene);
@@ -59,8 +60,11 @@ for (const course of courses) course.frames.forEach((frame, f) => {
 });
 
 function showPoses() {
-  const k = now();
+  const k = now(), time = motion.start + seconds + 1e-9;
   courses.forEach((course, m) => {
+    const seen = !course.shown || (course.shown[0] <= time && time < course.shown[1]);
+    view.setShown(m, seen);
+    if (!seen) return;
     pose(course, k);
     view.setPose(m, course.p, course.R);
     view.setArrows(m, list(course, k));
@@ -122,7 +126,7 @@ slider.addEventListener("input", () => { setPlaying(false); moveTo((Number(slide
 for (const box of document.querySelectorAll("[data-switch]")) {
   const names = box.dataset.switch.split(" ");
   const solids = scene.mechanisms.flatMap((m) => m.solids);
-  const needed = { arrows: courses.some((x) => x.arrows.length), apart: courses.length > 1,
+  const needed = { arrows: courses.some((x) => x.arrows.length), apart: courses.length > 1 && !motion.sequence,
     meshes: solids.some((x) => x.layer === "meshes"), contacts: solids.some((x) => x.layer === "contacts"),
     solids: solids.some((x) => x.layer === "solids"), traces: courses.some((x) => x.traces.length) };
   box.parentElement.hidden = needed[names[0]] === false;
@@ -146,9 +150,9 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view
 
 document.title = motion.title;
 byId("title").textContent = motion.title;
-const several = scene.mechanisms.length > 1;
-const entries = several ? scene.mechanisms.map((m) => [m.name, m.color])
-  : scene.mechanisms[0].frames.filter((frame) => frame.sensor).map((frame) => [frame.name, "var(--sensor)"]);
+const several = scene.mechanisms.length > 1 && !motion.sequence;
+const sensors = new Set(scene.mechanisms.flatMap((m) => m.frames.filter((frame) => frame.sensor).map((frame) => frame.name)));
+const entries = several ? scene.mechanisms.map((m) => [m.name, m.color]) : [...sensors].map((name) => [name, "var(--sensor)"]);
 for (const [name, color] of entries.concat(scene.markers.map((m) => [m.name, "var(--marker)"]))) {
   const item = document.createElement("li");
   item.textContent = name;

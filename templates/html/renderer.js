@@ -355,6 +355,7 @@ function createRenderer(canvas, scene) {
 
   function collect(items, lines, front) { // the solids and lines of the present poses; arrows stand in front
     scene.mechanisms.forEach((mechanism, m) => {
+      if (poses[m].hidden) return;
       const { p, R, arrows } = poses[m], shift = shiftOf(m);
       const origin = (f) => (f < 0 ? shift : plus([p[3 * f], p[3 * f + 1], p[3 * f + 2]], shift));
       const turnOf = (f) => (f < 0 ? EYE : Array.prototype.slice.call(R, 9 * f, 9 * f + 9));
@@ -541,6 +542,7 @@ function createRenderer(canvas, scene) {
     draw,
     reset() { moved = false; reset(); },
     setPose(i, p, R) { Object.assign(poses[i], { p, R }); draw(); },
+    setShown(i, shown) { poses[i].hidden = !shown; draw(); },
     setArrows(i, arrows) { poses[i].arrows = arrows; draw(); },
     setTrace(i, name, points, count) { poses[i].traces.set(name, { points, count }); draw(); },
     dispose() {

@@ -75,8 +75,11 @@ def render_animation(
 
 
 def render_parts(parts: Sequence[Part], title: str, markers: Sequence[Marker] = ()) -> str:
-    """Return the text of a page that plays parts of a motion one after the other; their frames have the same names."""
-    return write_page(make_film([Motion(tuple(parts))], Wanted(title, tuple(markers))))
+    """Return the text of a page that plays parts of a motion one after the other; their mechanisms may differ."""
+    frames = [tuple(frame.name for frame in part.kernels.manifest.frames) for part in parts]
+    begins = [k for k in range(len(parts)) if k == 0 or frames[k] != frames[k - 1]]
+    motions = [Motion(tuple(parts[a:b])) for a, b in zip(begins, [*begins[1:], len(parts)], strict=True)]
+    return write_page(make_film(motions, Wanted(title, tuple(markers), is_sequence=True)))
 
 
 def _array(values: ArrayLike) -> NDArray[np.float64]:

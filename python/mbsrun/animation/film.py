@@ -105,6 +105,7 @@ class Track:
     p: Array  # (K, F, 3)
     R: Array  # (K, F, 3, 3), axes as columns
     arrows: tuple[Arrow, ...] = ()
+    shown: tuple[float, float] | None = None  # the actor is seen from the first time to before the other; None: always
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +160,11 @@ class Film:
     meshes: tuple[Mesh, ...] = ()
     parts: tuple[tuple[str, float], ...] = ()  # names of the parts, such as phases, and when they begin
     is_apart: bool = False  # actors stand side by side
+
+    @property
+    def is_sequence(self) -> bool:
+        """Return whether actors are shown one after the other, as parts of one motion."""
+        return any(track.shown is not None for track in self.tracks)
 
     @property
     def has_visuals(self) -> bool:

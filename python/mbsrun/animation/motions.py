@@ -87,26 +87,28 @@ class Wanted:
     is_apart: bool = False  # several motions side by side
     visuals: tuple[Visual, ...] = ()  # shapes and meshes of bodies, in place of the model's and of solids from inertia
     rate: float = RATE  # pictures a second
+    is_sequence: bool = False  # motions follow each other, and each is shown in its time alone
 
 
 def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
-    """Make the film of some motions, which are shown at the same time."""
+    """Make the film of some motions, which are shown at the same time, or one after the other."""
     wanted = wanted or Wanted()
-    shown = {x.body for x in wanted.visuals}
-    visuals = (*wanted.visuals, *(x for x in show_drawings(motions[0].manifest) if x.body not in shown))
+    drawings = [_list_visuals(motion.manifest, wanted) for motion in (motions if wanted.is_sequence else motions[:1])]
+    drawings = drawings if wanted.is_sequence else drawings * len(motions)
     start, end = min(x.start for x in motions), max(x.end for x in motions)
     times = choose_times(start, end, wanted.rate)
     skeletons = [_place(motion, times) for motion in motions]
-    looks = [BY_BODY] if len(motions) == 1 else [look_alike(PALETTE[i % len(PALETTE)]) for i in range(len(motions))]
+    is_one = len(motions) == 1 or wanted.is_sequence
+    looks = [BY_BODY] * len(motions) if is_one else [look_alike(PALETTE[i % len(PALETTE)]) for i in range(len(motions))]
     actors = tuple(
         make_actor(motion.name or motion.manifest.model, motion.manifest, skeleton, look, visuals)
-        for motion, skeleton, look in zip(motions, skeletons, looks, strict=True)
+        for motion, skeleton, look, visuals in zip(motions, skeletons, looks, drawings, strict=True)
     )
     arrows = [_list_arrows(motion, times) for motion in motions]
     scales = _choose_scales([x for every in arrows for x in every], max(actor.size for actor in actors))
     tracks = tuple(
-        _track(skeleton, tuple(_rescale(x, scales[x.kind]) for x in own))
-        for skeleton, own in zip(skeletons, arrows, strict=True)
+        _track(skeleton, tuple(_rescale(x, scales[x.kind]) for x in own), shown)
+        for skeleton, own, shown in zip(skeletons, arrows, _list_shown(motions, wanted), strict=True)
     )
     points = _list_points(actors, tracks, wanted.markers)
     low, high = _bound(points)
@@ -124,10 +126,29 @@ def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
         view=_choose_view(low, high, up),
         planes=tuple(_list_planes(motions, low, high, up)),
         markers=wanted.markers,
-        meshes=list_meshes(visuals),
-        parts=tuple((part.name, float(part.t[0])) for part in motions[0].parts if part.name),
+        meshes=list_meshes(wanted.visuals),
+        parts=tuple(
+            (part.name, float(part.t[0]))
+            for motion in (motions if wanted.is_sequence else motions[:1])
+            for part in motion.parts
+            if part.name
+        ),
         is_apart=wanted.is_apart,
     )
+
+
+def _list_visuals(manifest: Manifest, wanted: Wanted) -> tuple[Visual, ...]:
+    """List the wanted shapes, and the model's own of other bodies."""
+    shown = {x.body for x in wanted.visuals}
+    return (*wanted.visuals, *(x for x in show_drawings(manifest) if x.body not in shown))
+
+
+def _list_shown(motions: Sequence[Motion], wanted: Wanted) -> list[tuple[float, float] | None]:
+    """List the times of motions in a sequence: until the next one starts; the last one stays after its end."""
+    if not wanted.is_sequence or len(motions) == 1:
+        return [None] * len(motions)
+    ends = [*(motion.start for motion in motions[1:]), motions[-1].end + 1.0]
+    return [(motion.start, end) for motion, end in zip(motions, ends, strict=True)]
 
 
 def choose_times(start: float, end: float, rate: float = RATE) -> Array:
@@ -162,10 +183,10 @@ def _interpolate(part: Part, times: Array) -> Array:
     return np.asarray(CubicHermiteSpline(part.t, part.q, part.rates)(times))
 
 
-def _track(skeleton: Skeleton, arrows: tuple[Arrow, ...]) -> Track:
+def _track(skeleton: Skeleton, arrows: tuple[Arrow, ...], shown: tuple[float, float] | None) -> Track:
     K = len(skeleton.p)
     R = skeleton.R.reshape(K, 3, -1, 3).transpose(0, 2, 1, 3)
-    return Track(np.ascontiguousarray(skeleton.p.swapaxes(1, 2)), np.ascontiguousarray(R), arrows)
+    return Track(np.ascontiguousarray(skeleton.p.swapaxes(1, 2)), np.ascontiguousarray(R), arrows, shown)
 
 
 # --- arrows ----------------------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ def write_page(film: Film) -> str:
         "end": float(film.times[-1]),
         "times": len(film.times),
         "parts": [{"name": name, "start": start} for name, start in film.parts],
+        "sequence": film.is_sequence,
         "options": {"apart": film.is_apart, "skeleton": not film.has_visuals},
         "scene": describe_scene(film),
         "courses": [_describe_track(track) for track in film.tracks],
@@ -85,6 +86,7 @@ def _describe_track(track: Track) -> dict[str, Any]:
         "places": _encode(track.p, "<f4"),
         "turns": _encode(_find_quaternions(track.R), "<i2"),
         "arrows": [_describe_arrow(arrow) for arrow in track.arrows],
+        "shown": track.shown,
     }
 
 

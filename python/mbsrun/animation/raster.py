@@ -136,6 +136,8 @@ class _Stage:
         film, solid = self._film, list[Paint]()
         glassy, front = list[Paint](), list[Paint]()
         for i, (actor, track) in enumerate(zip(film.actors, film.tracks, strict=True)):
+            if track.shown is not None and not track.shown[0] <= film.times[k] + 1e-9 < track.shown[1]:
+                continue
             poses = _Poses(track, k, self._shifts[i])
             for each, shape in zip(actor.solids, self._shapes[i], strict=True):
                 turn = poses.turn(each.frame) @ np.array(each.axes).reshape(3, 3).T
@@ -176,7 +178,7 @@ class _Stage:
                 yield self._draw_path(path, 2.0, SENSOR if line.kind is Course.GAP else "#1d2733")
 
     def _draw_traces(self, actor: Actor, track: Track, k: int, shift: Array) -> Iterator[Paint]:
-        color = actor.color if len(self._film.actors) > 1 else SENSOR
+        color = actor.color if len(self._film.actors) > 1 and not self._film.is_sequence else SENSOR
         for i, frame in enumerate(actor.frames):
             if frame.sensor and len(track.p) > 1:
                 path = track.p[:, i] + shift
@@ -445,7 +447,7 @@ def _write_texts(image: Image.Image, film: Film, k: int) -> None:
     parts = [name for name, start in film.parts if start <= film.times[k] + 1e-9]
     label = f"{parts[-1]}   " if parts else ""
     pen.text((image.width - margin, margin), f"{label}{film.times[k]:.2f} s", fill=ink, font=small, anchor="ra")
-    if len(film.actors) > 1:
+    if len(film.actors) > 1 and not film.is_sequence:
         for i, actor in enumerate(film.actors):
             y = round(1.9 * margin + image.height * (0.036 + 0.04 * i))
             r = round(0.011 * image.height)

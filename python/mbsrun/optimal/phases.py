@@ -133,12 +133,12 @@ class SolvedPhases:
         return Picture(make_phased_mechanism(self.solution, self._shifted, self.plants))
 
     def animate(self) -> Page:
-        """Return a page that plays all phases. Raises ProblemError where the mechanisms have other frames."""
+        """Return a page that plays all phases. Raises ProblemError where they do not follow each other."""
         from mbsrun.ocp.phases.pictures import make_animations
 
         pages = make_animations(self.solution, self._shifted, self.plants)
         if len(pages) != 1:
-            finding = "the phases have mechanisms with other frames, or do not follow each other"
+            finding = "the phases do not follow each other"
             raise ProblemError(self.solution.name, [("animate", finding, "animate each phase, as solution[name]")])
         return Page(next(iter(pages.values())))
 

@@ -16,7 +16,7 @@ from PIL import Image
 from mbsgen.errors import InputError
 from mbsgen.manifest import Frame, Point
 from mbsrun import Mechanism
-from mbsrun.animation import Motion, Part, Wanted, make_film, write_page
+from mbsrun.animation import Motion, Part, Wanted, make_film, render_parts, write_page
 from mbsrun.animation.actors import fit_solid
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Kind, Layer, Solid, Track
 from mbsrun.animation.raster import PAPER, draw_film, look, rasterise, read_color
@@ -116,6 +116,27 @@ def test_motions_of_different_length_share_a_page(pendulum: Mechanism) -> None:
     assert (arrow.values[~after, 1] == 1).all()
     assert np.ptp(film.tracks[0].p[after], axis=0).max() == 0
     assert film.actors[0].color != film.actors[1].color
+
+
+def test_mechanisms_that_follow_each_other_are_shown_one_by_one(
+    pendulum: Mechanism, double_pendulum: Mechanism
+) -> None:
+    """The second one's lower rod has another colour, which the pictures of its time alone hold."""
+    second = Part(double_pendulum, np.array([1.0, 2.0]), np.ones((2, 2)), name="double")
+    first = Part(pendulum, np.array([0.0, 1.0]), np.ones((2, 1)), name="single")
+    film = make_film([Motion((first,)), Motion((second,))], Wanted(is_sequence=True, rate=2.0))
+    assert film.parts == (("single", 0.0), ("double", 1.0))
+    lower = read_color(film.actors[1].solids[1].color)
+    assert film.actors[0].solids[0].color == film.actors[1].solids[0].color
+    counts = []
+    for picture in draw_film(film, 160, 120):
+        hue = picture / np.maximum(picture.sum(axis=2, keepdims=True, dtype=float), 1)
+        counts.append(int((np.abs(hue - lower / lower.sum()).max(axis=2) < 0.03).sum()))
+    assert [count > 20 for count in counts] == [False, False, True, True, True]
+    page = json.loads(
+        re.findall(r'application/json"[^>]*>(.*?)</script>', render_parts([first, second], "two"), re.S)[0]
+    )
+    assert [course["shown"] for course in page["courses"]] == [[0.0, 1.0], [1.0, 3.0]]
 
 
 def test_the_page_draws_in_a_browser(pendulum: Mechanism, tmp_path: Path, requires: Callable[[str], str]) -> None:

@@ -102,12 +102,10 @@ def write_animations(
 
 
 def make_animations(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> dict[str, str]:
-    """Return a page that plays all phases, or one for each where their mechanisms have other frames, by their names."""
+    """Return a page that plays all phases, or one for each where they do not follow each other, by their names."""
     named = zip(solution.names, phases, plants.phases, strict=True)
     parts = [make_part(phase, plant, name) for name, phase, plant in named]
-    frames = [[frame.name for frame in plant.manifest.frames] for plant in plants.phases]
-    follow = all(np.isclose(a.t[-1], b.t[0]) for a, b in pairwise(parts))
-    if follow and all(names == frames[0] for names in frames):
+    if all(np.isclose(a.t[-1], b.t[0]) for a, b in pairwise(parts)):
         return {"animation.html": render_parts(parts, solution.name)}
     return {
         f"{name}.html": render_parts([part], f"{solution.name}: {name}")
