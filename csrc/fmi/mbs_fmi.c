@@ -1,6 +1,6 @@
 /* A mechanism for FMI, of any version.
  *
- * States are coordinates and velocities. Value references count the time, states, their derivatives, inputs, outputs,
+ * States are the coordinates and velocities of joints that are not driven; driven joints have inputs. Value references count the time, states, their derivatives, inputs, outputs,
  * parameters, and the longest step of co-simulation. Derivatives by states and inputs come from generated functions.
  * Loops are kept closed by a projection of the states after every step. */
 #include "mbs_fmi.h"
@@ -11,7 +11,8 @@
 #include <string.h>
 
 #define MODEL mbs_fmi_model
-#define STATES ((mbs_fmi_reference)(MODEL.coordinates + MODEL.velocities))
+#define STATES ((mbs_fmi_reference)MODEL.states)
+#define WHOLE (MODEL.coordinates + MODEL.velocities) /* of states and driven joints */
 #define FIRST_STATE ((mbs_fmi_reference)1)
 #define FIRST_DERIVATIVE (FIRST_STATE + STATES)
 #define FIRST_INPUT (FIRST_DERIVATIVE + STATES)
@@ -74,13 +75,13 @@ static void change(instance *c)
 static mbs_real *find(instance *c, mbs_fmi_reference r)
 {
     if (r >= FIRST_STATE && r < FIRST_DERIVATIVE)
-        return c->numbers + (r - FIRST_STATE);
+        return c->numbers + MODEL.state[r - FIRST_STATE];
     if (r >= FIRST_DERIVATIVE && r < FIRST_INPUT)
-        return c->numbers + MODEL.results + (r - FIRST_DERIVATIVE);
+        return c->numbers + MODEL.results + MODEL.state[r - FIRST_DERIVATIVE];
     if (r >= FIRST_INPUT && r < FIRST_OUTPUT)
-        return c->numbers + STATES + (r - FIRST_INPUT);
+        return c->numbers + MODEL.input[r - FIRST_INPUT];
     if (r >= FIRST_OUTPUT && r < FIRST_PARAMETER)
-        return c->numbers + MODEL.results + STATES + (r - FIRST_OUTPUT);
+        return c->numbers + MODEL.results + WHOLE + (r - FIRST_OUTPUT);
     if (r >= FIRST_PARAMETER && r < STEP)
         return c->numbers + MODEL.parameter + (r - FIRST_PARAMETER);
     return NULL;
@@ -217,7 +218,7 @@ int mbs_fmi_open(instance *c, const char *token)
     if (!token || strcmp(token, MODEL.token))
         return mbs_fmi_fail(c, "the token is not this model's");
     c->numbers = malloc((size_t)MODEL.size * sizeof *c->numbers);
-    c->work = malloc(5 * (size_t)STATES * sizeof *c->work);
+    c->work = malloc((5 * (size_t)STATES + 2 * (size_t)MODEL.driven) * sizeof *c->work);
     if (!c->numbers || !c->work) {
         mbs_fmi_close(c);
         return mbs_fmi_fail(c, "there is no memory for an instance");
@@ -250,7 +251,7 @@ int mbs_fmi_get_states(instance *c, double states[], size_t count)
     if (check_count(c, count))
         return 1;
     for (k = 0; k < count; ++k)
-        states[k] = (double)c->numbers[k];
+        states[k] = (double)c->numbers[MODEL.state[k]];
     return 0;
 }
 
@@ -260,7 +261,7 @@ int mbs_fmi_set_states(instance *c, const double states[], size_t count)
     if (check_count(c, count))
         return 1;
     for (k = 0; k < count; ++k)
-        c->numbers[k] = (mbs_real)states[k];
+        c->numbers[MODEL.state[k]] = (mbs_real)states[k];
     change(c);
     return 0;
 }
@@ -271,7 +272,7 @@ int mbs_fmi_get_rates(instance *c, double rates[], size_t count)
     if (check_count(c, count) || evaluate(c))
         return 1;
     for (k = 0; k < count; ++k)
-        rates[k] = (double)c->numbers[(size_t)MODEL.results + k];
+        rates[k] = (double)c->numbers[MODEL.results + MODEL.state[k]];
     return 0;
 }
 
@@ -313,7 +314,8 @@ int mbs_fmi_has_drifted(instance *c)
     if (MODEL.project(c->numbers))
         return 1;
     for (k = 0; k < STATES; ++k) {
-        const double x = (double)c->numbers[k], change = fabs((double)c->numbers[(size_t)MODEL.closed + k] - x);
+        const mbs_real *place = c->numbers + MODEL.state[k];
+        const double x = (double)*place, change = fabs((double)place[MODEL.closed] - x);
         if (!(change <= DRIFT * (1 + fabs(x))))
             return 1;
     }
@@ -328,33 +330,79 @@ int mbs_fmi_project(instance *c)
         return 1;
     if (MODEL.project(c->numbers))
         return report_open(c);
-    memcpy(c->numbers, c->numbers + MODEL.closed, STATES * sizeof *c->numbers);
+    memcpy(c->numbers, c->numbers + MODEL.closed, (size_t)WHOLE * sizeof *c->numbers);
     change(c);
     return 0;
 }
 
 /* --- steps --- */
 
-static int step(instance *c, double h)
+static void save_states(const instance *c, mbs_real *states)
+{
+    size_t k;
+    for (k = 0; k < STATES; ++k)
+        states[k] = c->numbers[MODEL.state[k]];
+}
+
+static void restore_states(instance *c, const mbs_real *states)
+{
+    size_t k;
+    for (k = 0; k < STATES; ++k)
+        c->numbers[MODEL.state[k]] = states[k];
+    change(c);
+}
+
+/* Return the place of a driven joint's coordinate; its velocity and acceleration are `driven` and 2 `driven` inputs on. */
+static const int *find_driven(int joint)
+{
+    return MODEL.input + MODEL.inputs - 3 * MODEL.driven + joint;
+}
+
+static void save_driven(const instance *c, mbs_real *given)
+{
+    int k;
+    for (k = 0; k < 2 * MODEL.driven; ++k)
+        given[k] = c->numbers[*find_driven(k)];
+}
+
+/* Put driven joints where their accelerations bring them in the time since q and qd were `given`. */
+static void guide(instance *c, const mbs_real *given, double since)
+{
+    const int d = MODEL.driven;
+    const mbs_real t = (mbs_real)since;
+    int k;
+    for (k = 0; k < d; ++k) {
+        const int *place = find_driven(k);
+        const mbs_real qd = given[d + k], qdd = c->numbers[place[2 * d]];
+        c->numbers[place[0]] = given[k] + t * (qd + (mbs_real)0.5 * t * qdd);
+        c->numbers[place[d]] = qd + t * qdd;
+    }
+}
+
+/* Take a step that begins `since` driven joints were given. */
+static int step(instance *c, double since, double h)
 {
     static const double when[] = {0, 0.5, 0.5, 1}, weight[] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
     const size_t n = STATES;
-    const mbs_real *before = c->work + 4 * n;
+    const mbs_real *before = c->work + 4 * n, *given = before + n;
     size_t i, k;
     for (i = 0; i < 4; ++i) {
         for (k = 0; k < n; ++k)
-            c->numbers[k] = before[k] + (mbs_real)(h * when[i]) * (i ? c->work[(i - 1) * n + k] : 0);
+            c->numbers[MODEL.state[k]] = before[k] + (mbs_real)(h * when[i]) * (i ? c->work[(i - 1) * n + k] : 0);
+        guide(c, given, since + h * when[i]);
         change(c);
         if (evaluate(c))
             return 1;
-        memcpy(c->work + i * n, c->numbers + MODEL.results, n * sizeof *before);
+        for (k = 0; k < n; ++k)
+            c->work[i * n + k] = c->numbers[MODEL.results + MODEL.state[k]];
     }
     for (k = 0; k < n; ++k) {
+        mbs_real *const place = c->numbers + MODEL.state[k];
         mbs_real sum = 0;
         for (i = 0; i < 4; ++i)
             sum += (mbs_real)weight[i] * c->work[i * n + k];
-        c->numbers[k] = before[k] + (mbs_real)h * sum;
-        if (!(c->numbers[k] - c->numbers[k] == 0))
+        *place = before[k] + (mbs_real)h * sum;
+        if (!(*place - *place == 0))
             return mbs_fmi_fail(c, "the motion diverges: its numbers overflow");
     }
     change(c);
@@ -364,17 +412,21 @@ static int step(instance *c, double h)
 int mbs_fmi_advance(instance *c, double time, double size)
 {
     const double steps = size / c->step;
-    const size_t n = STATES;
+    mbs_real *const before = c->work + 4 * STATES, *const given = before + STATES;
     long count, k;
     c->time = time;
     if (!(size >= 0) || !(steps < 1e9))
         return mbs_fmi_fail(c, "the communication step is negative, or holds too many steps");
+    if (MODEL.driven && mbs_fmi_project(c)) /* new inputs open loops */
+        return 1;
     count = (long)(steps * (1 - 1e-12)) + (size > 0);
+    save_driven(c, given);
     for (k = 0; k < count; ++k) {
-        memcpy(c->work + 4 * n, c->numbers, n * sizeof *c->numbers);
-        if (step(c, size / (double)count)) {
-            memcpy(c->numbers, c->work + 4 * n, n * sizeof *c->numbers);
-            change(c);
+        const double since = size * (double)k / (double)count;
+        save_states(c, before);
+        if (step(c, since, size / (double)count)) {
+            guide(c, given, since);
+            restore_states(c, before);
             return 1;
         }
         c->time = time + size * (double)(k + 1) / (double)count;

@@ -19,19 +19,23 @@
 #endif
 
 /* A generated function, which takes its arguments from the numbers of an instance, and writes its results there. The
- * numbers are the inputs (coordinates, velocities, forces, wrenches, parameters, set-up), then the results (rates,
+ * numbers are the inputs (coordinates, velocities, forces, wrenches, given accelerations,
+ * parameters, set-up), then the results (rates,
  * accelerations, outputs, closed coordinates and velocities, independent velocities, slopes). */
 typedef int (*mbs_fmi_function)(mbs_real *numbers);
 
-/* A mechanism: sizes, first values, functions, and the nonzeros of the derivatives of (rates, accelerations, outputs)
- * by (coordinates, velocities, forces and wrenches). A function is NULL where there is none. */
+/* A mechanism: sizes, first values, functions, and the nonzeros of the derivatives of (rates of states, outputs)
+ * by (states, inputs). A function is NULL where there is none. */
 typedef struct {
     const char *token;
-    int coordinates, velocities, inputs, parameters, outputs;
+    int coordinates, velocities, states, inputs;
+    int driven; /* joints, whose coordinates, velocities and accelerations are the last inputs */
+    int parameters, outputs;
     int size;              /* of the numbers */
     int results;           /* where rates begin; accelerations and outputs follow */
     int parameter;         /* where parameters begin */
     int closed;            /* where closed coordinates begin; closed velocities, then independent ones follow */
+    const int *state, *input; /* their places among the numbers */
     const mbs_real *start; /* of the numbers up to the set-up */
     int given;             /* how many they are */
     mbs_real step;         /* the longest step of co-simulation [s] */
@@ -53,7 +57,8 @@ typedef struct mbs_fmi_instance {
     void (*report)(struct mbs_fmi_instance *c, const char *message);
     double time, step;
     int is_set_up, is_known; /* whether set-up, and rates, accelerations and outputs, belong to the present numbers */
-    mbs_real *numbers, *work; /* work: four rates of the states, and the states before a step */
+    mbs_real *numbers, *work; /* work: four rates of the states, the states before a step, and the
+                                 coordinates and velocities of driven joints before all steps */
 } mbs_fmi_instance;
 
 typedef uint32_t mbs_fmi_reference;
@@ -84,7 +89,8 @@ int mbs_fmi_initialise(mbs_fmi_instance *c);
 int mbs_fmi_has_drifted(mbs_fmi_instance *c);
 /* Put the states back on the closed loops. */
 int mbs_fmi_project(mbs_fmi_instance *c);
-/* Take steps of the classical Runge-Kutta method from `time`; c->time is where they end. */
+/* Take steps of the classical Runge-Kutta method from `time`; c->time is where they end. Driven joints go on with their
+ * given accelerations. */
 int mbs_fmi_advance(mbs_fmi_instance *c, double time, double size);
 
 size_t mbs_fmi_count_bytes(void);

@@ -29,7 +29,7 @@ def write_fmu(
     """Write a functional mock-up unit for model exchange and co-simulation, of FMI 2.0 or 3.0.
 
     It holds the sources and, where `compiled`, a library for this machine's system, for any processor of its kind.
-    `step` is the longest step of co-simulation [s]. Raises FmuError for driven joints, CompileError, PlatformError.
+    `step` is the longest step of co-simulation [s]. Raises FmuError, CompileError, PlatformError.
     """
     from mbsgen.targets.fmu import STEP, VERSIONS, collect, pack
 

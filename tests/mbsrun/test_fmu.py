@@ -288,13 +288,120 @@ def test_equal_models_give_equal_bytes(tmp_path: Path) -> None:
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_driven_joints_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "crane.yaml").write_text(CRANE, encoding="utf-8")
-    run = CliRunner().invoke(cli, ["fmu", "crane.yaml"])
-    assert run.exit_code != 0
-    assert "driven joints" in str(run.exception)
-    assert not (tmp_path / "crane.fmu").exists()
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Path]:
+    folder = tmp_path_factory.mktemp("crane")
+    (folder / "crane.yaml").write_text(CRANE, encoding="utf-8")
+    return _write(folder / "crane.yaml", folder)
+
+
+@pytest.fixture(scope="module")
+def compressor(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Path]:
+    return _write(FOLDER / "compressor.yaml", tmp_path_factory.mktemp("compressor"), fmi="2.0")
+
+
+def _simulate(model: Path, out: Path, *options: str) -> tuple[list[str], list[float]]:
+    """Return the columns of `mbsrun simulate --method rk4`, and their last row."""
+    command = ["simulate", str(model), "--method", "rk4", *options, "-o", str(out)]
+    assert CliRunner().invoke(cli, command, catch_exceptions=False).exit_code == 0
+    header, *rows = (out / "trajectory.csv").read_text(encoding="utf-8").splitlines()
+    return header.split(","), [float(x) for x in rows[-1].split(",")]
+
+
+def test_driven_joints_are_inputs_and_their_forces_outputs(
+    crane: tuple[Mechanism, Path], compressor: tuple[Mechanism, Path]
+) -> None:
+    for (_, unit), joint in ((crane, "swing"), (compressor, "crank")):
+        assert validate_fmu(str(unit)) == []
+        variables = {v.name: v.causality for v in fmpy.read_model_description(unit).modelVariables}
+        assert [variables[f"{kind}_{joint}"] for kind in ("q", "qd", "qdd")] == ["input"] * 3
+        assert variables[f"tau_{joint}"] == "output"
+        assert f"der(q_{joint})" not in variables
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "start", "course", "options"),
+    [
+        ("crane", "swing", (0.1, 0.5, 2.0), "0.1 + 0.5*t + t**2", ("--input", "drive=3")),
+        ("compressor", "crank", (0.7, 150.0, 30.0), "0.7 + 150*t + 15*t**2", ("--loops", "projection")),
+    ],
+)
+def test_driven_joints_go_on_with_their_accelerations(
+    name: str,
+    joint: str,
+    start: tuple[float, float, float],
+    course: str,
+    options: Sequence[str],
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+) -> None:
+    """In co-simulation; with constant acceleration this is the whole motion, in one communication step or in many."""
+    unit = request.getfixturevalue(name)[1]
+    model = FOLDER / "compressor.yaml" if name == "compressor" else unit.parent / "crane.yaml"
+    header, last = _simulate(model, tmp_path, "--duration", "0.05", "--driven", f"{joint}={course}", *options)
+    described = fmpy.read_model_description(unit).modelVariables
+    given = {f"{kind}_{joint}": value for kind, value in zip(("q", "qd", "qdd"), start, strict=True)}
+    given |= {v.name: 3.0 for v in described if v.name == "u_drive"}
+    outputs = [v.name for v in described if v.name.startswith(("q_", "qd_", "tau_"))]
+    columns = [f"{kind}[{joint}]" for kind, joint in (x.split("_", 1) for x in outputs)]
+    for interval in (0.05, 0.01):
+        ends = {"stop_time": 0.05, "output_interval": interval}
+        found = fmpy.simulate_fmu(str(unit), fmi_type="CoSimulation", start_values=given, output=outputs, **ends)[-1]
+        expected = [last[header.index(column)] for column in columns]
+        assert list(found)[1:] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_model_exchange_follows_any_course(crane: tuple[Mechanism, Path], tmp_path: Path) -> None:
+    """Stages of the Runge-Kutta method, with the inputs of each, are steps of the simulator."""
+    unit, h = crane[1], 1e-3
+    options = ("--duration", "0.05", "--driven", "swing=sin(3*t)")
+    header, last = _simulate(unit.parent / "crane.yaml", tmp_path / "out", *options)
+    with _open(unit, tmp_path / "open") as (slave, places):
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        names = ["q_trolley", "qd_trolley"] if "q_trolley" in places else ["q_drive", "qd_drive"]
+        state, inputs = [places[x] for x in names], [places[f"{kind}_swing"] for kind in ("q", "qd", "qdd")]
+
+        def slope(t: float, y: np.ndarray) -> np.ndarray:
+            slave.setFloat64(state, list(y))
+            slave.setFloat64(inputs, [np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)])
+            return np.array(slave.getFloat64([places[f"der({x})"] for x in names]))
+
+        y = np.zeros(2)
+        for k in range(50):
+            t = k * h
+            a = slope(t, y)
+            b = slope(t + h / 2, y + h / 2 * a)
+            c = slope(t + h / 2, y + h / 2 * b)
+            y = y + h / 6 * (a + 2 * b + 2 * c + slope(t + h, y + h * c))
+    expected = [last[header.index(f"{kind}[{joint}]")] for kind, joint in (x.split("_", 1) for x in names)]
+    assert y == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_derivatives_by_the_motion_of_driven_joints_are_the_kernels(
+    crane: tuple[Mechanism, Path], tmp_path: Path
+) -> None:
+    kernels, unit = crane
+    rng = np.random.default_rng(5)
+    q, qd, u, a = rng.normal(size=2), rng.normal(size=2), rng.normal(size=1), rng.normal(size=1)
+    with _open(unit, tmp_path) as (slave, places):
+        slave.enterInitializationMode()
+        values = dict(zip(("q_drive", "q_swing", "qd_drive", "qd_swing"), (*q, *qd), strict=True))
+        values |= {"u_drive": u[0], "qdd_swing": a[0]}
+        slave.setFloat64([places[x] for x in values], list(values.values()))
+        unknowns = [places[x] for x in ("der(q_drive)", "der(qd_drive)", "tau_swing")]
+        arguments: dict[str, Any] = {"q": q, "qd": qd, "u": u, "a": a}
+        found = kernels("exp2", **arguments)
+        assert slave.getFloat64(unknowns) == pytest.approx([qd[0], found["qdd"][0], found["tau"][0]], abs=1e-14)
+        blocks, by = kernels("jac_exp2", **arguments), ("q", "qd", "u", "a")
+        rows = [np.hstack([np.atleast_2d(blocks[f"jac_{of}_{x}"])[0] for x in by]) for of in ("qdd", "tau")]
+        slopes = np.vstack(([0, 0, 1, 0, 0, 0], rows))
+        seed, adjoint = rng.normal(size=6), rng.normal(size=3)
+        knowns = [places[x] for x in values]
+        forward = slave.getDirectionalDerivative(unknowns, knowns, list(seed))
+        backward = slave.getAdjointDerivative(unknowns, knowns, list(adjoint), 6)
+    assert forward == pytest.approx(slopes @ seed, abs=1e-12)
+    assert backward == pytest.approx(adjoint @ slopes, abs=1e-12)
 
 
 def test_mbsgen_packs_the_same_sources(tmp_path: Path) -> None:

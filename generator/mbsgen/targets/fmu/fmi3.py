@@ -16,7 +16,7 @@ def describe(layout: Layout, step: float, sources: Sequence[str]) -> Mapping[str
     return {
         "modelDescription.xml": _describe_model(layout, variables, step),
         "sources/buildDescription.xml": _describe_build(layout.manifest, sources),
-        "terminalsAndIcons/terminalsAndIcons.xml": _describe_terminals(layout.manifest, variables),
+        "terminalsAndIcons/terminalsAndIcons.xml": _describe_terminals(layout, variables),
     }
 
 
@@ -85,13 +85,14 @@ def _describe_build(manifest: Manifest, sources: Sequence[str]) -> str:
     return write_document(root)
 
 
-def _describe_terminals(manifest: Manifest, variables: Sequence[Variable]) -> str:
-    """Describe a terminal for each joint, with its position, velocity and force."""
-    names = {v.name for v in variables}
+def _describe_terminals(layout: Layout, variables: Sequence[Variable]) -> str:
+    """Describe a terminal for each joint, with its position, velocity and force, and a given acceleration."""
+    names, driven = {v.name for v in variables}, layout.driven
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     terminals = ET.SubElement(root, "Terminals")
-    for coordinate in manifest.coordinates:
-        members = {"position": "q_", "velocity": "qd_", "force": "u_"}
+    for coordinate in layout.manifest.coordinates:
+        force = "tau_" if coordinate.name in driven else "u_"
+        members = {"position": "q_", "velocity": "qd_", "acceleration": "qdd_", "force": force}
         found = {kind: f"{start}{coordinate.name}" for kind, start in members.items()}
         terminal = ET.SubElement(terminals, "Terminal", name=coordinate.name, matchingRule="plug")
         for kind, name in found.items():

@@ -1,8 +1,9 @@
 """The numbers of an instance and the functions that compute with them, as `csrc/fmi` takes them.
 
-Numbers are coordinates, velocities, forces and wrenches, parameters, differentiated parameters, the set-up; then the
-results: rates of the coordinates, accelerations, outputs, closed coordinates and velocities, independent velocities;
-then the nonzeros of derivatives.
+Numbers are coordinates, velocities, forces and wrenches, accelerations of driven joints, parameters, differentiated
+parameters, the set-up; then the results: rates of the coordinates, accelerations, outputs, closed coordinates and
+velocities, independent velocities; then the nonzeros of derivatives. States are the
+coordinates and velocities of joints that are not driven; driven joints have inputs.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Entry:
-    """A nonzero of the derivatives: row among rates, accelerations and outputs, column among states and inputs."""
+    """A nonzero of the derivatives: row among rates of states and outputs, column among states and inputs."""
 
     row: int
     column: int
@@ -51,16 +52,19 @@ class Layout:
     """Where the numbers of a mechanism are."""
 
     def __init__(self, manifest: Manifest) -> None:
-        """Number them. Raises FmuError for a mechanism with driven joints, and where functions are missing."""
+        """Number them. Raises FmuError for a mechanism without joints, and where functions are missing."""
         self.manifest = manifest
         _check(manifest)
         inputs = len(manifest.inputs)
         velocities, positions = len(manifest.coordinates), len(manifest.positions)
+        names = [c.name for c in manifest.coordinates]
+        self.driven = tuple(names[i] for i in manifest.driven)
         sizes = {
             Role.COORDINATE: positions,
             Role.VELOCITY: velocities,
             Role.FORCE: len(manifest.actuated),
             Role.WRENCH: inputs - len(manifest.actuated),
+            Role.DRIVE: len(self.driven),
             Role.PARAMETER: len(manifest.parameters),
             Role.DESIGN: len(manifest.design),
             Role.SETUP: manifest.setup.outputs[0].nnz if manifest.setup else 0,
@@ -71,12 +75,16 @@ class Layout:
             self.first[role] = place
             place += size
         self.given = self.first[Role.SETUP]
-        self.states = positions + velocities
-        self.inputs = inputs
+        given = [*(manifest.positions.index(name) for name in self.driven), *(positions + i for i in manifest.driven)]
+        self.states = tuple(k for k in range(positions + velocities) if k not in given)
+        forces, drives = self.first[Role.FORCE], self.first[Role.DRIVE]
+        self.inputs = (*range(forces, forces + inputs), *given, *range(drives, drives + len(self.driven)))
         self.outputs = tuple(f"{f.name}.{axis}" for f in manifest.frames if f.sensor for axis in "xyz")
         self.results = place
-        self.closed = place + self.states + len(self.outputs)
-        self.independent = self.closed + (self.states if manifest.loops else 0)
+        self.places = place + positions + velocities
+        self.driving = self.places + len(self.outputs)
+        self.closed = self.driving + len(self.driven)
+        self.independent = self.closed + (positions + velocities if manifest.loops else 0)
         self._free = self.independent + len(manifest.independent)
 
     @property
@@ -101,9 +109,10 @@ class Layout:
             found["setup"] = self._call(manifest.setup, self.first[Role.SETUP])
         if manifest.configuration:
             found["rates"] = self._call(self._find(RATES), self.results)
-        found["accelerations"] = self._call(self._find(DYNAMICS), self.results + nq)
+        dynamics = self._find(DYNAMICS)
+        found["accelerations"] = self._call(dynamics, *self._list_results(dynamics))
         if self.outputs:
-            found["places"] = self._call(self._find(OUTPUTS), self.results + self.states)
+            found["places"] = self._call(self._find(OUTPUTS), self.places)
         if manifest.loops:
             found["close"] = self._call(self._find(CLOSE), self.closed)
             found["close_rates"] = self._call(self._find(CLOSE_RATES), self.closed + nq)
@@ -114,36 +123,54 @@ class Layout:
     def slopes(self) -> tuple[tuple[Call, ...], tuple[Entry, ...], int]:
         """Return the functions of derivatives, all nonzeros, and the size of all numbers."""
         nq, n = self.first[Role.VELOCITY], len(self.manifest.coordinates)
-        rows = {DYNAMICS: nq, RATES: 0, OUTPUTS: self.states}
-        calls, entries, free = [], list[Entry](), self._free + self._spare
+        calls, found, free = [], list[tuple[int, int, int]](), self._free + self._spare
         if not self.manifest.configuration:
-            entries += [Entry(k, nq + k, -1) for k in range(n)]
+            found += [(self.results + k, nq + k, -1) for k in range(n)]
         for base in (DYNAMICS, *([RATES] * bool(self.manifest.configuration)), *([OUTPUTS] * bool(self.outputs))):
-            kernel = self._find(base, Order.JACOBIAN)
-            first, results = self._find(base).outputs[0].name, list[int]()
+            kernel, placed = self._find(base, Order.JACOBIAN), self._place_results(base)
+            results = list[int]()
             for block in kernel.outputs:
                 results.append(free)
-                column = self.first[_find_role(kernel, block)]
-                if block.of == first:  # not the multipliers
-                    nonzeros = enumerate(_list_nonzeros(block))
-                    entries += [Entry(rows[base] + r, column + c, free + k) for k, (r, c) in nonzeros]
+                column, row = self.first[_find_role(kernel, block)], placed.get(block.of or "")
+                if row is not None:  # not the multipliers
+                    found += [(row + r, column + c, free + k) for k, (r, c) in enumerate(_list_nonzeros(block))]
                 free += block.nnz
             calls.append(self._call(kernel, *results))
-        known = self.states + self.inputs
-        return tuple(calls), tuple(e for e in entries if e.column < known), free
+        unknowns = [*(self.results + k for k in self.states), *range(self.places, self.closed)]
+        rows = {place: k for k, place in enumerate(unknowns)}
+        columns = {place: k for k, place in enumerate((*self.states, *self.inputs))}
+        entries = (Entry(rows[r], columns[c], place) for r, c, place in found if r in rows and c in columns)
+        return tuple(calls), tuple(entries), free
 
     @property
     def _spare(self) -> int:
         """Return the room for results that nothing reads: multipliers."""
         return max(sum(o.nnz for o in call.kernel.outputs[1:]) for call in self.calls.values())
 
-    def _call(self, kernel: Kernel, *results: int) -> Call:
+    def _place_results(self, base: str) -> Mapping[str, int]:
+        """Return where the results of a function begin that rates of states and outputs are made of, by their names."""
+        first = {
+            DYNAMICS: self.results + self.first[Role.VELOCITY],
+            RATES: self.results,
+            OUTPUTS: self.places,
+        }
+        kernel = self._find(base)
+        driving = {o.name: self.driving for o in kernel.outputs if o.role is Role.DRIVING_FORCE}
+        return {kernel.outputs[0].name: first[base]} | driving
+
+    def _list_results(self, kernel: Kernel) -> Iterator[int | None]:
+        """List where the results of the accelerations' function begin; None: nothing reads them."""
+        placed = self._place_results(DYNAMICS)
+        yield from (placed.get(result.name) for result in kernel.outputs)
+
+    def _call(self, kernel: Kernel, *results: int | None) -> Call:
         """Place the arguments of a function, and its results; results without a place are not read."""
         arguments = [self._place(argument) for argument in kernel.inputs if argument.nnz]
         free, placed = self._free, list[int]()
         for k, result in enumerate(kernel.outputs):
-            if k < len(results):
-                placed += [results[k]] * bool(result.nnz)
+            place = results[k] if k < len(results) else None
+            if place is not None:
+                placed += [place] * bool(result.nnz)
             elif result.nnz:
                 placed.append(free)
                 free += result.nnz
@@ -165,11 +192,6 @@ class Layout:
 
 
 def _check(manifest: Manifest) -> None:
-    if manifest.driven:
-        raise FmuError(
-            f"{manifest.model} has driven joints, whose motions FMI cannot give with their derivatives; actuate them, "
-            "or simulate the model with mbsrun simulate"
-        )
     if not manifest.coordinates:
         raise FmuError(f"{manifest.model} has no joint, and nothing to simulate; give a body a joint")
 

@@ -29,7 +29,8 @@ def pack_source(manifest: Manifest, files: Mapping[str, str]) -> Mapping[str, by
 def collect(manifest: Manifest, files: Mapping[str, str], version: Version, step: float) -> dict[str, bytes]:
     """Return the files of a unit without a library, path -> content; `step`: the longest of co-simulation [s].
 
-    `files` are a generated folder's, by name. Raises FmuError for driven joints, and where functions are missing.
+    `files` are a generated folder's, by name. Raises FmuError for a mechanism without joints,
+    and where functions are missing.
     """
     layout = Layout(manifest)
     sources = _collect_sources(layout, files, version, step)
@@ -79,9 +80,11 @@ def _write_tables(layout: Layout, step: float) -> str:
         token=manifest.model_hash,
         coordinates=len(manifest.positions),
         velocities=len(manifest.coordinates),
+        states=layout.states,
         inputs=layout.inputs,
+        driven=len(layout.driven),
         parameters=len(manifest.parameters),
-        outputs=len(layout.outputs),
+        outputs=len(layout.outputs) + len(layout.driven),
         size=size,
         results=layout.results,
         parameter=layout.given - len(manifest.parameters) - len(manifest.design),

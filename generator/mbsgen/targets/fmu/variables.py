@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from mbsgen.targets.fmu.layout import Layout
@@ -52,8 +52,14 @@ def list_variables(layout: Layout, step: float) -> list[Variable]:
     for k, name in enumerate(manifest.inputs):
         unit = forces[k] if k < len(forces) else "N" if ".force." in name else "N m"
         found.append(Variable(0, f"u_{name}", "input", "continuous", unit, 0.0, description=f"input {name}"))
+    found += _list_drives(layout)
     text = "place in the base frame"
     found += [Variable(0, name, "output", "continuous", "m", description=text) for name in layout.outputs]
+    found += [
+        Variable(0, f"tau_{c.name}", "output", "continuous", c.force_unit, description=f"force that drives {c.name}")
+        for c in manifest.coordinates
+        if c.name in layout.driven
+    ]
     text = "parameter of the model"
     found += [Variable(0, p.name, "parameter", "tunable", start=p.value, description=text) for p in manifest.parameters]
     found.append(Variable(0, "step", "parameter", "tunable", "s", step, description="longest step of co-simulation"))
@@ -64,6 +70,7 @@ def _list_states(layout: Layout) -> list[Variable]:
     """List the states, which are outputs too, and their derivatives."""
     manifest, start = layout.manifest, layout.start
     joints = [c.name for c in manifest.coordinates]
+    places = layout.states
     units = {c.name: c.unit for c in manifest.coordinates}
     states = [(f"q_{x}", units.get(x), f"coordinate of {x}") for x in manifest.positions]
     states += [(f"qd_{x}", f"{units[x]}/s", f"velocity of {x}") for x in joints]
@@ -71,8 +78,8 @@ def _list_states(layout: Layout) -> list[Variable]:
     rates += [f"{units[x]}/s2" for x in joints]
     initial = "approx" if manifest.loops else "exact"
     found = [
-        Variable(0, name, "output", "continuous", unit, start[k], initial, description=text)
-        for k, (name, unit, text) in enumerate(states)
+        Variable(0, name, "output", "continuous", unit, start[place], initial, description=text)
+        for place, (name, unit, text) in ((place, states[place]) for place in places)
     ]
     found += [
         Variable(
@@ -80,13 +87,26 @@ def _list_states(layout: Layout) -> list[Variable]:
             f"der({name})",
             "local",
             "continuous",
-            rates[k],
+            rates[place],
             derivative=1 + k,
             description=f"derivative of the {text}",
         )
-        for k, (name, _, text) in enumerate(states)
+        for k, (place, (name, _, text)) in enumerate((place, states[place]) for place in places)
     ]
     return found
+
+
+def _list_drives(layout: Layout) -> Iterator[Variable]:
+    """List the inputs of driven joints: all coordinates, then all velocities, then all accelerations."""
+    units = {c.name: c.unit for c in layout.manifest.coordinates}
+    places = layout.inputs[len(layout.manifest.inputs) :]
+    kinds = (("q", "", "coordinate"), ("qd", "/s", "velocity"), ("qdd", "/s2", "acceleration"))
+    named = [(kind, per, text, name) for kind, per, text in kinds for name in layout.driven]
+    for place, (kind, per, text, name) in zip(places, named, strict=True):
+        text = f"given {text} of {name}"
+        yield Variable(
+            0, f"{kind}_{name}", "input", "continuous", f"{units[name]}{per}", layout.start[place], description=text
+        )
 
 
 def _distinguish(variables: Sequence[Variable]) -> list[Variable]:
