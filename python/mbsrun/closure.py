@@ -8,13 +8,14 @@ free. Newton's method finds a pose near another one; velocities and acceleration
     dq_f = -((J E^+)_f)^+ h,    x_f = -J_f^+ (J_g x_g + b)
 
 The pseudo-inverses take the change of least norm, and none along directions in which J has lost its rank. So poses are
-found where the kernels `close`, `close_rates`, `close_accelerations` and `project` fail. E is 1 without quaternions.
+found where the kernels `close`, `close_rates`, `close_accelerations` and `project` fail. E is 1 without quaternions;
+closed poses have quaternions of length 1.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.kernel import Kernels
 from mbsrun.ocp.plant import Plant
+from mbsrun.quaternions import list_entries, list_quaternions, normalise
 
 Array = NDArray[np.float64]
 
@@ -74,6 +76,7 @@ class Closure:
         self.independent, self.dependent = list(self.manifest.independent), list(self.manifest.dependent)
         self.places, self.size = len(self.manifest.positions), len(self.manifest.coordinates)
         self.count = len(self.manifest.owners)  # m
+        self.places_independent = list_entries(self.manifest, self.independent)
 
     # --- the equations ---
 
@@ -157,7 +160,7 @@ class Closure:
             active = active[goes_on]
             if not active.size:
                 break
-        return q
+        return normalise(q, self.manifest)
 
     def move(self, pose: Array, given: Sequence[int], values: Array) -> Array:
         """Return a closed pose (nq,) with given entries at some values, reached from the pose `pose`.
@@ -283,18 +286,31 @@ class Closure:
         return np.where(is_regular, np.sign(np.linalg.det(block)), 0.0)
 
     def choose(self, q: Array, candidates: Sequence[int]) -> list[int]:
-        """Choose the first candidates that can have any value near a pose (n,), whatever the chosen before have."""
-        basis = np.linalg.svd(self.jacobian(q), full_matrices=False)[2]
-        chosen = []
-        for i in candidates:
-            left = np.eye(q.size)[i]
-            for _ in range(2):  # twice is enough: the second time removes the rounding of the first
-                left = left - basis.T @ (basis @ left)
-            length = float(np.linalg.norm(left))
-            if length > INDEPENDENT:
-                chosen.append(i)
-                basis = np.concatenate((basis, left[None] / length))
-        return chosen
+        """Choose the first entries of qd that can have any value in a pose (nq,), whatever the chosen before have."""
+        return [i for (i,) in _choose(self.jacobian(q), [([i], 1) for i in candidates])]
+
+    def choose_places(self, q: Array, candidates: Sequence[int]) -> list[int]:
+        """Choose the first entries of q likewise; the four of a quaternion are chosen whole, or none of them is."""
+        turns = {x.first: x.entries for x in list_quaternions(self.manifest)}
+        own = {i for entries in turns.values() for i in entries}
+        groups = [(turns[i], 3) if i in turns else ([i], 1) for i in candidates if i in turns or i not in own]
+        lengths = np.zeros((len(turns), self.places))
+        for row, entries in zip(lengths, turns.values(), strict=True):
+            row[entries] = q[entries]
+        return [i for chosen in _choose(np.concatenate((self.slopes(q[None])[0], lengths)), groups) for i in chosen]
+
+
+def _choose(rows: Array, groups: Sequence[tuple[list[int], int]]) -> Iterator[list[int]]:
+    """Choose the first groups of entries that conditions leave free by a number of directions, and hold these then."""
+    basis = np.linalg.svd(rows, full_matrices=False)[2]
+    for entries, freedoms in groups:
+        left = np.eye(rows.shape[1])[entries]
+        for _ in range(2):  # twice is enough: the second time removes the rounding of the first
+            left = left - (left @ basis.T) @ basis
+        lengths, directions = np.linalg.svd(left, full_matrices=False)[1:]
+        if lengths[freedoms - 1] > INDEPENDENT:
+            basis = np.concatenate((basis, directions[:freedoms]))
+            yield entries
 
 
 def _solve(A: Array, b: Array) -> Array:

@@ -11,7 +11,7 @@ multiple are one attitude. In a model without quaternions, rates are velocities,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,36 @@ def list_quaternions(manifest: Manifest) -> tuple[Quaternion, ...]:
 def find_quaternion(quaternions: Iterable[Quaternion], i: int) -> Quaternion | None:
     """Return the quaternion that entry i of q belongs to; None for a coordinate of another kind."""
     return next((x for x in quaternions if i in x.entries), None)
+
+
+def list_places(manifest: Manifest) -> list[tuple[list[int], list[int]]]:
+    """Pair the entries of q with the entries of qd that their rates read: one each, or the ones of a turn or a place.
+
+    The velocity of a free body is along its own axes, so its three entries go together.
+    """
+    turns = {x.first: x for x in list_quaternions(manifest)}
+    bodies = {
+        x.first - 3 for x in turns.values() if f"{x.joint}.x" in manifest.positions[max(x.first - 3, 0) : x.first]
+    }
+    pairs, i, k = [], 0, 0
+    while k < len(manifest.positions):
+        places, speeds = (4, 3) if k in turns else (3, 3) if k in bodies else (1, 1)
+        pairs.append(([*range(k, k + places)], [*range(i, i + speeds)]))
+        k, i = k + places, i + speeds
+    return pairs
+
+
+def list_entries(manifest: Manifest, velocities: Collection[int]) -> list[int]:
+    """List the entries of q whose rates read some entries of qd alone."""
+    return [k for places, speeds in list_places(manifest) if set(speeds) <= set(velocities) for k in places]
+
+
+def list_divided(manifest: Manifest, velocities: Collection[int]) -> list[int]:
+    """List the entries of q whose rates read some of these entries of qd, and others too."""
+    chosen = set(velocities)
+    return [
+        k for places, speeds in list_places(manifest) if 0 < len(chosen & set(speeds)) < len(speeds) for k in places
+    ]
 
 
 def neutral(manifest: Manifest) -> Array:

@@ -38,7 +38,7 @@ from mbsrun.ocp.problem import (
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.quantities import find_component
-from mbsrun.quaternions import list_quaternions
+from mbsrun.quaternions import list_divided, list_quaternions
 from mbsrun.recordings import references
 
 MAX_INTERVALS = 10_000
@@ -111,8 +111,6 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
         if loops is not None:
             yield Conflict("loops", "the model has no closed loops", "leave this out")
         return
-    if manifest.quaternions:
-        yield Conflict("model", "a loop with quaternions", "write balls and free joints as hinges and slides")
     if form is not Form.STANDARD:
         yield Conflict("form", f"the {form.value} form takes no closed loops", "take standard")
     if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
@@ -125,6 +123,10 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
         if representation in _WITHOUT_REDUCTION:
             finding = f"{representation.value} has no reduced form"
             yield Conflict("loops", finding, "take representation: IMPL or EXP1-O, or loops: multipliers")
+        if divided := list_divided(manifest, manifest.independent):
+            named = ", ".join(dict.fromkeys(manifest.positions[i].rpartition(".")[0] for i in divided))
+            finding = f"of the velocities of {named} some are independent and some are not"
+            yield Conflict("loops", finding, "take loops: multipliers, or name independent joints in the model")
         yield from _find_dependent_accelerations(problem, manifest)
 
 

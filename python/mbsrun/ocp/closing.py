@@ -2,7 +2,7 @@
 
 With h(q) = 0 the m equations of the loops and J its Jacobian, the form `multipliers` has at each point j
 
-    sum_r D_jr q_kr - h qd_kj - J(q_kj)' mu_kj = 0            n rows
+    sum_r D_jr q_kr - h qd_kj - J(q_kj)' mu_kj = 0            nq rows
     sum_r D_jr qd_kr - h z_kj = 0                             n rows
     Phi(q_kj, qd_kj, z_kj, u_k) - J(q_kj)' lam_kj = 0         n rows
     h(q_kj) = 0,  J(q_kj) qd_kj = 0                           2 m rows
@@ -22,13 +22,20 @@ inner variables, found from h(q_kj) = 0 at every point and mesh point:
     sum_r D_jr y_kr - h yd_kj = 0,    sum_r D_jr yd_kr - h ydd_kj = 0,    Phi_red(q_kj, yd_kj, ydd_kj, u_k) = 0
 
 Velocities of dependent coordinates are variables only where a problem reads them; J(q_kj) qd_kj = 0 gives them.
+
+Where joints have quaternions, q' = E(q) qd: the first rows have E qd_kj and E J' mu_kj. The rotation does not depend on
+a quaternion's length. So h has no slope along it, and neither E qd nor E J' mu changes it. In the reduced form,
+collocation carries on a quaternion whose three velocities are independent; where all three are dependent, h(q) = 0 and
+|x|^2 = 1 give it. A joint of which only some velocities are independent has no coordinates for them to carry on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mbsgen.manifest import Manifest
+from mbsrun.ocp import formulas
 from mbsrun.ocp.functions import Array, Indices, KernelResult
 from mbsrun.ocp.layout import Motions, Places
 from mbsrun.ocp.problem import list_names
@@ -36,6 +43,7 @@ from mbsrun.ocp.program import Block, Column
 from mbsrun.ocp.representations import Loops
 from mbsrun.ocp.structure import Structure
 from mbsrun.quantities import list_quantities
+from mbsrun.quaternions import list_entries, list_places, list_quaternions
 
 POSITIONS = KernelResult("loops", ("q",), "gap")
 RATES = KernelResult("loop_rates", ("q", "qd"), "hd")
@@ -45,20 +53,27 @@ FORCES = KernelResult("loop_forces", ("q", "lam"), "Q")
 def list_motions(shape: Structure, manifest: Manifest) -> Motions:
     """List the parts of a motion that are variables of a program."""
     nq, every, m = len(manifest.positions), tuple(range(len(manifest.coordinates))), len(manifest.dependent)
+    places = tuple(range(nq))
     if shape.loops is None:
-        return Motions(nq, every, every)
+        return Motions(nq, places, every, every)
     if shape.loops is Loops.REDUCED:
+        places = tuple(list_entries(manifest, manifest.independent))
         velocities = every if _reads_dependent_velocities(shape, manifest) else manifest.independent
-        return Motions(nq, velocities, manifest.independent, is_reduced=True)
+        lengths = tuple(x.first for x in list_quaternions(manifest) if x.first not in places)
+        return Motions(nq, places, velocities, manifest.independent, lengths=lengths)
     equations = shape.representation.equations
     has_multipliers = equations.has_accelerations and not equations.is_explicit
-    return Motions(nq, every, every, m * has_multipliers, m * (2 if equations.is_explicit else 1))
+    return Motions(nq, places, every, every, m * has_multipliers, m * (2 if equations.is_explicit else 1))
 
 
 def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
-    """Return whether a problem reads the velocities of dependent coordinates, by bounds, targets or expressions."""
+    """Return whether a problem reads the velocities of dependent coordinates, by bounds, targets or expressions.
+
+    The kernel `rates`, which models with quaternions need, reads all velocities.
+    """
     if (
-        shape.sensor_velocities
+        manifest.configuration
+        or shape.sensor_velocities
         or shape.contacts
         or set(manifest.dependent) & {*shape.known_velocities, *shape.velocities}
     ):
@@ -73,8 +88,33 @@ def correct(q: Column, corrections: Indices, rows: Indices, interval: Indices) -
     return Block(FORCES, (q, corrections), rows, interval, scale=-1.0)
 
 
+def correct_places(
+    q: Column, corrections: Indices, rows: Indices, interval: Indices, manifest: Manifest
+) -> list[Block]:
+    """Subtract E(q) J(q)' mu from the rows (nq, places) of the coordinates at every point."""
+    if not manifest.configuration:
+        return [correct(q, corrections, rows, interval)]
+    pairs = list_places(manifest)
+    slides = [(places[0], speeds[0]) for places, speeds in pairs if len(places) == 1]
+    blocks = []
+    if slides:
+        own, speeds = zip(*slides, strict=True)
+        part = replace(FORCES, entries=speeds)
+        blocks.append(Block(part, (q, corrections), rows[list(own)], interval, scale=-1.0))
+    turns = list_quaternions(manifest)
+    moved = [(places, speeds) for places, speeds in pairs if len(places) == len(speeds) == 3]
+    function = formulas.turn(
+        [(x.entries, x.spins) for x in turns],
+        [(next(x.entries for x in turns if x.first == places[0] + 3), speeds) for places, speeds in moved],
+        (len(manifest.positions), len(manifest.dependent)),
+        FORCES,
+    )
+    entries = [*(i for x in turns for i in x.entries), *(i for places, _ in moved for i in places)]
+    return [*blocks, Block(function, (q, corrections), rows[entries], interval, scale=-1.0)]
+
+
 def close(places: Places, rows: Sequence[Indices], stages: Indices, scale: Array | float = 1.0) -> list[Block]:
-    """Write h, and its rate where rows of it follow, at some places."""
+    """Write h, and its rate where there are rows for it, at some places."""
     columns: list[tuple[Column, ...]] = [(places.q,), (places.q, places.qd)]
     functions = (POSITIONS, RATES)
     return [

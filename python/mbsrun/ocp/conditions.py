@@ -8,13 +8,14 @@ of each other and of the loops.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbsrun.closure import Array, Closure, Gap
+from mbsrun.closure import INDEPENDENT, Array, Closure, Gap
 from mbsrun.ocp.problem import Problem
+from mbsrun.quaternions import list_quaternions
 
 ASIDE = 0.1  # how far poses are moved to leave a singular one [rad, m]
 SAME = 1e-6  # the difference from a given value that counts as rounding [rad, m, 1/s]
@@ -45,10 +46,13 @@ class Completion:
 
 
 def complete_pose(closure: Closure, near: Array, given: Mapping[int, float], usual: Sequence[int]) -> Completion:
-    """Complete a pose; entries of `usual` keep their values of the pose `near` where given ones leave them free."""
+    """Complete a pose; entries of `usual` keep their values of the pose `near` where given ones leave them free.
+
+    A quaternion is given whole.
+    """
     q = np.array(near, dtype=np.float64)
     q[list(given)] = list(given.values())
-    kept = closure.choose(closure.close(q), [*given, *(i for i in usual if i not in given)])
+    kept = closure.choose_places(closure.close(q), [*given, *(i for i in usual if i not in given)])
     found = closure.close(q, kept)
     if not closure.is_closed(found):
         return Completion(found, tuple(kept), (), closure.find_gap(found))
@@ -63,13 +67,37 @@ def complete_velocities(closure: Closure, q: Array, given: Mapping[int, float], 
 
 
 def find_surplus(closure: Closure, q: Array, chosen: Sequence[int]) -> list[int]:
-    """Find chosen entries that follow from the ones before, in the pose q and in another one near it.
+    """Find chosen entries of qd that follow from the ones before, in the pose q and in another one near it.
 
     In a singular pose loops keep entries that are free elsewhere.
     """
+    return _list_surplus(closure, q, chosen, closure.choose)
+
+
+def find_surplus_places(closure: Closure, q: Array, chosen: Sequence[int]) -> list[int]:
+    """Find chosen entries of q likewise. A quaternion that follows in part is among them, too."""
+    return _list_surplus(closure, q, chosen, closure.choose_places)
+
+
+def _list_surplus(
+    closure: Closure, q: Array, chosen: Sequence[int], choose: Callable[[Array, Sequence[int]], list[int]]
+) -> list[int]:
     other = closure.close(q + ASIDE * np.cos(np.arange(q.size)))
-    kept = max((closure.choose(pose, chosen) for pose in (q, other)), key=len)
+    kept = max((choose(pose, chosen) for pose in (q, other)), key=len)
     return [i for i in chosen if i not in kept]
+
+
+def find_divided_attitudes(closure: Closure, q: Array, kept: Sequence[int], surplus: Sequence[int]) -> list[str]:
+    """Name the joints whose quaternions are among `surplus`, and of which loops and kept entries leave a part free."""
+    unit, found = np.eye(q.size), []
+    held = np.concatenate((closure.slopes(q[None])[0], unit[list(kept)]))
+    for x in list_quaternions(closure.manifest):
+        if set(x.entries) <= set(surplus):
+            own = np.concatenate((held, [q[x.entries] @ unit[x.entries]]))
+            whole = np.concatenate((own, unit[x.entries]))
+            before, after = (np.linalg.matrix_rank(rows, tol=INDEPENDENT) for rows in (own, whole))
+            found += [x.joint] if after > before else []
+    return found
 
 
 def find_strays(completion: Completion, given: Mapping[int, float]) -> Completion:
@@ -93,14 +121,14 @@ def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, 
         if len(speeds) == len(qd) and closure.measure_rates(q[None], qd[None]) > SAME:
             gap = f"the loops open at {closure.measure_rates(q[None], qd[None]):.3g} m/s or 1/s"
             yield "start_qd", gap, "give velocities that keep them closed: ocp.conditions.complete_velocities"
-    names = closure.manifest.positions
-    for key, chosen in (
-        ("free_start", given if len(given) < nq else []),
-        ("free_start", speeds if len(speeds) < len(qd) else []),
-        ("end.coordinates", [i for i, _ in problem.end.coordinates]),
-        ("end.velocities", [i for i, _ in problem.end.velocities]),
-        ("end.accelerations", [i for i, _ in problem.end.accelerations]),
+    positions, velocities = closure.manifest.positions, [c.name for c in closure.manifest.coordinates]
+    for key, names, chosen, find in (
+        ("free_start", positions, given if len(given) < nq else [], find_surplus_places),
+        ("free_start", velocities, speeds if len(speeds) < len(qd) else [], find_surplus),
+        ("end.coordinates", positions, [i for i, _ in problem.end.coordinates], find_surplus_places),
+        ("end.velocities", velocities, [i for i, _ in problem.end.velocities], find_surplus),
+        ("end.accelerations", velocities, [i for i, _ in problem.end.accelerations], find_surplus),
     ):
-        if surplus := find_surplus(closure, q, chosen):
+        if surplus := find(closure, q, chosen):
             named = ", ".join(names[i] for i in surplus)
             yield key, f"{named} follows from the others by the loops", "leave it out"

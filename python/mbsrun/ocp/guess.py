@@ -32,6 +32,7 @@ from mbsrun.quaternions import (
     find_rates,
     find_turn,
     find_velocities,
+    list_divided,
     list_quaternions,
     measure_lengths,
     normalise,
@@ -164,14 +165,15 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
 
 def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
     """Close the loops along a motion that begins closed; numbers that are not finite show that none was found."""
-    (N, d), n = motion.point_t.shape, motion.q.shape[1]
+    N, d = motion.point_t.shape
     order = np.argsort(np.concatenate((motion.t, motion.point_t.ravel())), kind="stable")
     q, qd = (
-        np.concatenate((mesh, points.reshape(N * d, n)))
+        np.concatenate((mesh, points.reshape(N * d, mesh.shape[1])))
         for mesh, points in ((motion.q, motion.point_q), (motion.qd, motion.point_qd))
     )
     found, closed = None, np.empty_like(q)
-    for held in (closure.independent, []):
+    is_whole = not list_divided(closure.manifest, closure.independent)
+    for held in (closure.places_independent, []) if is_whole else ([],):
         path = closure.follow(q[order], q[0], held)
         if path is not None and (held == [] or _ends_at(path[-1], motion.q[-1])):
             found = held
@@ -179,22 +181,22 @@ def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
             break
     if found is None:
         return replace(motion, point_q=np.full_like(motion.point_q, np.nan))
-    qdd = motion.point_qdd.reshape(N * d, n)
+    qdd = motion.point_qdd.reshape(N * d, qd.shape[1])
     if found:
+        found = closure.independent
         qd = closure.complete_velocities(closed, found, qd[:, found])
         qdd = closure.complete_accelerations(closed[N + 1 :], qd[N + 1 :], found, qdd[:, found])
     else:
         qd = closure.project_velocities(closed, qd)
         qdd = closure.project_accelerations(closed[N + 1 :], qd[N + 1 :], qdd)
     (mesh_q, point_q), (mesh_qd, point_qd) = (np.split(x, [N + 1]) for x in (closed, qd))
-    shape = (N, d, n)
     return replace(
         motion,
         q=mesh_q,
         qd=mesh_qd,
-        point_q=point_q.reshape(shape),
-        point_qd=point_qd.reshape(shape),
-        point_qdd=qdd.reshape(shape),
+        point_q=point_q.reshape(N, d, -1),
+        point_qd=point_qd.reshape(N, d, -1),
+        point_qdd=qdd.reshape(N, d, -1),
     )
 
 

@@ -46,17 +46,22 @@ class Motions:
     """The parts of a motion that are variables; all of it without closed loops."""
 
     nq: int  # entries of q
+    places: tuple[int, ...]  # entries of q that collocation carries on
     velocities: tuple[int, ...]  # entries of qd that are variables
     independent: tuple[int, ...]  # entries of qd that collocation carries on, and that have accelerations
     multipliers: int = 0  # of loops, at a point
     corrections: int = 0  # of states, at a point
-    is_reduced: bool = False  # the loops give the dependent coordinates
+    lengths: tuple[int, ...] = ()  # first entries of quaternions that the loops give, and whose length is an equation
+
+    @property
+    def is_reduced(self) -> bool:
+        """Return whether the loops give the dependent coordinates."""
+        return len(self.places) < self.nq
 
     @property
     def carried(self) -> list[int]:
         """List the entries of a state, (q, velocities), that collocation carries on."""
-        q = self.independent if self.is_reduced else range(self.nq)
-        return [*q, *(self.nq + i for i in self.carried_velocities)]
+        return [*self.places, *(self.nq + i for i in self.carried_velocities)]
 
     @property
     def carried_velocities(self) -> list[int]:

@@ -42,7 +42,15 @@ from mbsrun.ocp.checks import (
     find_unknown_conflicts,
     list_open_inputs,
 )
-from mbsrun.ocp.conditions import Completion, complete_pose, complete_velocities, find_strays, find_surplus
+from mbsrun.ocp.conditions import (
+    Completion,
+    complete_pose,
+    complete_velocities,
+    find_divided_attitudes,
+    find_strays,
+    find_surplus,
+    find_surplus_places,
+)
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
@@ -230,7 +238,7 @@ class _Reading(PartReading):
         if not self.faults:
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
-        self.closure = None if self.manifest.quaternions else find_closure(self.plant)
+        self.closure = find_closure(self.plant)
         chosen = section.controls or section.wrenches or section.contacts or section.unknowns
         if not (self.inputs.known or chosen or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
@@ -426,15 +434,16 @@ class _Reading(PartReading):
         self, closure: Closure, section: StartSection, bounds: Bounds
     ) -> tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...], tuple[int, ...]]:
         """Return coordinates and velocities of the start, each with the indices of free ones; close the loops."""
-        named_q = self.named(("start", "pose"), section.pose, self.coordinates)
+        named_q = self.whole(("start", "pose"), self.named(("start", "pose"), section.pose, self.coordinates))
         named_qd = self.named(("start", "velocity"), section.velocity, self.velocities)
-        usual = [i for i in closure.independent if i not in named_q]
+        usual = [i for i in closure.places_independent if i not in named_q]
         pose = complete_pose(closure, np.array(self.manifest.pose), _list_given(named_q), usual)
         self.check_completion(("start", "pose"), pose, self.coordinates)
         usual = [i for i in closure.independent if i not in named_qd]
         speeds = complete_velocities(closure, pose.values, _list_given(named_qd), usual)
         self.check_completion(("start", "velocity"), speeds, self.velocities)
         is_free = None in named_q.values()
+        self.check_free(("start", "pose"), [i for i, value in named_q.items() if value is None])
         free_q = _list_others(pose, is_free=is_free)
         free_qd = _list_others(speeds, is_free=is_free or None in named_qd.values())
         for key, known, values, free, limits in (
@@ -467,6 +476,19 @@ class _Reading(PartReading):
                 found[i] = None if expression is None else self.number(inner, expression)
         return {i: value for i, value in found.items() if value is None or math.isfinite(value)}
 
+    def whole(self, place: Place, given: dict[int, float | None]) -> dict[int, float | None]:
+        """Complete quaternions of which some entries are given by zeros, and scale them to length 1."""
+        for x in list_quaternions(self.manifest):
+            entries = [given.get(i, 0.0) for i in x.entries]
+            values = [value for value in entries if value is not None]
+            if len(values) == 4 and given.keys() & set(x.entries):
+                q = np.zeros(len(self.coordinates.known))
+                q[[y.first + 3 for y in list_quaternions(self.manifest)]] = 1.0
+                q[x.entries] = values
+                q = np.array(self.attitudes(place, list(q)))
+                given = {**given, **{i: float(q[i]) for i in x.entries}}
+        return given
+
     def check_completion(self, place: Place, completion: Completion, among: _Names) -> None:
         """Report loops that do not close, and values that they contradict."""
         if completion.gap is not None:
@@ -481,11 +503,18 @@ class _Reading(PartReading):
     def closed_end(self, closure: Closure, end: End, start_q: Sequence[float]) -> End:
         """Drop coordinates of the end that follow from others; refuse values that contradict the others."""
         given, near = dict(end.coordinates), np.array(start_q)
-        surplus = find_surplus(closure, near, list(given))
+        surplus = find_surplus_places(closure, near, list(given))
         if surplus:
             kept = {i: x for i, x in given.items() if i not in surplus}
-            found = complete_pose(closure, near, kept, ())
+            turned = near.copy()
+            for x in list_quaternions(self.manifest):
+                if set(x.entries) <= set(surplus):
+                    turned[x.entries] = [given[i] for i in x.entries]
+            found = complete_pose(closure, turned, kept, ())
             self.check_completion(("end", "pose"), find_strays(found, given), self.coordinates)
+            for joint in find_divided_attitudes(closure, near, list(kept), surplus):
+                finding = f"the loops give a part of the attitude of {joint}, and leave the rest free"
+                self.fault(("end", "pose"), finding, "give other coordinates, or constrain its entries at: end")
         for key, targets in (("velocity", end.velocities), ("acceleration", end.accelerations)):
             for i in find_surplus(closure, near, [i for i, _ in targets]):
                 finding = f"{self.velocities.known[i]} follows from the others by the loops"

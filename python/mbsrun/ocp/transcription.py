@@ -331,8 +331,8 @@ class Transcription:
 
 def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
     """Find the multipliers of loops at the points of a motion, (N, d, m), by least squares."""
-    N, d, n = trajectory.point_q.shape
-    q, qd, qdd = (x.reshape(N * d, n) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
+    N, d, _ = trajectory.point_q.shape
+    q, qd, qdd = (x.reshape(N * d, -1) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
     u = trajectory.spread_inputs()[0].reshape(N * d, trajectory.u.shape[1])
     state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": u, "lam": np.zeros((N * d, len(closure.dependent)))}
     if trajectory.point_w.size:

@@ -209,7 +209,12 @@ class Writer:
 
     @property
     def loop_rows(self) -> int:
-        """Count the rows of loops at a point: of coordinates, and of velocities where all are variables."""
+        """Count the rows of loops at a point, with the lengths of quaternions that loops give."""
+        return self.closing_rows + len(self.motions.lengths)
+
+    @property
+    def closing_rows(self) -> int:
+        """Count the rows of coordinates, and of velocities where all are variables."""
         if self.shape.loops is None:
             return 0
         m = len(self.manifest.dependent)
@@ -254,24 +259,34 @@ class Writer:
         return np.concatenate(inner, axis=2), equations, continuity
 
     def write_closure(self, places: Places, rows: Indices, stages: Indices) -> None:
-        """Close the loops at some places: rows are (equations, places)."""
-        if rows.size:
-            m = len(self.manifest.dependent)
-            self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, len(rows), m)], stages)
+        """Close the loops at some places: rows are (equations, places); the last ones are lengths of quaternions."""
+        if not rows.size:
+            return
+        m, count = len(self.manifest.dependent), self.closing_rows
+        self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, count, m)], stages)
+        for row, first in zip(rows[count:], self.motions.lengths, strict=False):  # a start has other rows for these
+            assert isinstance(places.q, np.ndarray), "coordinates that loops give are variables"
+            self.blocks.append(Block(formulas.fix_length(), (places.q[first : first + 4],), row[None], stages))
 
     def write_start_closure(self) -> Indices:
         """Close the loops at a start that is free."""
-        rows = self.take(0, self.loop_rows * self.shape.start_is_free)
+        rows = self.take(0, self.closing_rows * self.shape.start_is_free)
         self.write_closure(self.first, rows[:, None], np.zeros(1, dtype=np.int64))
         return rows
 
     def write_corrections(self, states: Indices) -> None:
         """Correct the derivatives of coordinates, and of velocities where the equations of motion are explicit."""
-        corrections, n, m = self.layout.corrections, len(self.motions.independent), len(self.manifest.dependent)
-        for k in range(corrections.shape[2] // m if m else 0):
-            rows, part = states[:, :, k * n : (k + 1) * n], corrections[:, :, k * m : (k + 1) * m]
-            placed, read = (x.reshape(-1, x.shape[2]).T for x in (rows, part))
-            self.blocks.append(closing.correct(self.points.q, read, placed, self.points.interval))
+        corrections, nq, m = self.layout.corrections, self.motions.nq, len(self.manifest.dependent)
+        if not corrections.size:
+            return
+        q, interval = self.points.q, self.points.interval
+        places, velocities, first, second = (
+            part.reshape(interval.size, part.shape[2]).T
+            for part in (*np.split(states, [nq], axis=2), *np.split(corrections, [m], axis=2))
+        )
+        self.blocks += closing.correct_places(q, first, places, interval, self.manifest)
+        if second.size:
+            self.blocks.append(closing.correct(q, second, velocities, interval))
 
     def write_inner_bounds(self) -> Indices:
         """Write the states at the points that have bounds, where they are no variables and no mesh points."""
@@ -308,8 +323,8 @@ class Writer:
             self.write_integrated(states[:, :, :integrated], continuity[:, carried[:ended]])
             states = states[:, :, integrated:]
         elif self.quaternions:
-            rows, states = layout.split(states)
-            self.write_turning(rows.reshape(-1, layout.nq).T, self.points)
+            rows, states = np.split(states, [len(self.motions.places)], axis=2)
+            self.write_turning(rows.reshape(-1, rows.shape[2]).T, self.points)
         else:
             velocities = layout.split(layout.points)[1][:, :, self.motions.carried_velocities]
             rates = np.concatenate((velocities, rates), axis=2)
@@ -467,7 +482,8 @@ class Writer:
 
     def write_turning(self, rows: Indices, places: Places) -> None:
         """Write -h times the rates of coordinates that are no velocities."""
-        rates = KernelResult("rates", ("q", "qd"), "rate")
+        carried = self.motions.places
+        rates = KernelResult("rates", ("q", "qd"), "rate", None if len(carried) == self.layout.nq else carried)
         columns, interval = (places.q, places.qd), places.interval
         self.blocks.append(Block(rates, columns, rows, interval, scale=-self.h[interval], factor=self.layout.horizon))
 

@@ -390,13 +390,10 @@ def test_what_loops_contradict_is_refused(name: str) -> None:
         solve(make(), arms())
 
 
-@pytest.mark.parametrize(
-    ("part", "finding"),
-    [({"driven": (1,)}, "the motion of left_elbow is given"), ({"quaternions": (0,)}, "a loop with quaternions")],
-)
-def test_mechanisms_without_an_optimal_control_problem_are_refused(part: dict[str, object], finding: str) -> None:
-    manifest = arms().manifest.model_copy(update=part)
-    assert any(finding in conflict.finding for conflict in find_loop_conflicts(reach(), manifest))
+def test_mechanisms_without_an_optimal_control_problem_are_refused() -> None:
+    manifest = arms().manifest.model_copy(update={"driven": (1,)})
+    findings = [conflict.finding for conflict in find_loop_conflicts(reach(), manifest)]
+    assert any("the motion of left_elbow is given" in finding for finding in findings)
 
 
 def test_a_form_of_loops_needs_loops() -> None:

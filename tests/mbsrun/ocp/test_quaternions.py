@@ -12,12 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mbsgen.errors import InputError
+from mbsgen.expressions import evaluate
 from mbsgen.model.construction import body, frame, free, make_model
 from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
 from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
+from mbsrun.ocp import formulas
 from mbsrun.ocp.backends.condensation import build as build_functions
+from mbsrun.ocp.functions import KernelResult
 from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.phases.problem import Plants
@@ -32,6 +35,7 @@ from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.transcription import transcribe
 from mbsrun.quaternions import find_rates
+from mbsrun.simulation.drive import ARRAYS
 from tests.mbsrun.ocp.phases.motions import split
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -54,6 +58,18 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def sphere(file: Path) -> Mechanism:
     return Mechanism(find_folder(file, Extent(FUNCTIONS)))
+
+
+def test_the_formula_of_rates_is_the_kernel(sphere: Mechanism) -> None:
+    """For quaternions of any length."""
+    rng = np.random.default_rng(2)
+    q, qd = rng.normal(size=7), rng.normal(size=6)
+    places, turn = range(3), range(3, 7)
+    formula = formulas.turn([(turn, range(3, 6))], [(turn, places)], (7, 0), KernelResult("", (), ""))
+    numbers = {f"q{i}": x for i, x in enumerate(q)} | {f"v{i}": x for i, x in enumerate(qd)}
+    found = [np.asarray(evaluate(x, numbers, ARRAYS)).item() for x in formula.expressions]
+    expected = sphere("rates", q=q, qd=qd)["rate"].ravel()
+    assert found == pytest.approx([*expected[3:], *expected[:3]], rel=1e-14)
 
 
 def attitude(axis: np.ndarray, angle: float) -> tuple[float, ...]:
