@@ -5,7 +5,9 @@ The palette is Okabe and Ito's (Color Universal Design, 2008), in an order whose
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
 from pathlib import Path
 from types import MappingProxyType
@@ -69,6 +71,32 @@ METADATA: Mapping[str, Mapping[str, None]] = MappingProxyType(  # versions and d
         "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
     }
 )
+
+
+FORMATS = ("png", "svg", "pdf")
+_FORMAT = ContextVar("format", default=FORMATS[0])
+
+
+@contextmanager
+def picture_format(name: str) -> Iterator[None]:
+    """Draw plots in one of FORMATS within the context."""
+    assert name in FORMATS, name
+    token = _FORMAT.set(name)
+    try:
+        yield
+    finally:
+        _FORMAT.reset(token)
+
+
+def in_format(path: Path) -> Path:
+    """Return the path of a plot, given as PNG, in the format of the context; other paths stay as they are."""
+    return path.with_suffix(f".{_FORMAT.get()}") if path.suffix == f".{FORMATS[0]}" else path
+
+
+def save_plot(figure: Figure, path: Path) -> Path:
+    """Write a plot of a command in the format of the context, and return its path."""
+    save_figure(figure, in_format(path))
+    return in_format(path)
 
 
 @styled

@@ -30,6 +30,7 @@ from mbsrun.ocp.solve import solve
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trials import COUNTS
 from tests.mbsrun.peer_arm import peer_arm
+from tests.picture_kinds import find_kind
 from tests.sample import write_sample
 
 PAPER = (Path(__file__).parents[2] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
@@ -77,13 +78,14 @@ def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 def test_a_problem_is_solved(run: Run) -> None:
     """Exit code 0; the summary on stdout, what was written on stderr; a solution, two pictures and an animation."""
-    result = run("solve", "task.ocp.yaml", "-o", "out")
+    result = run("solve", "task.ocp.yaml", "-o", "out", "--format", "pdf")
     assert result.exit_code == 0, result.stderr
     for word in ("task, model peer arm", "Solve_Succeeded", "variables", "cost", "defect", "open loop"):
         assert word in result.stdout
-    assert "wrote out/solution.json, out/solution.csv, out/trajectories.png, out/mechanism.png" in result.stderr
-    names = ["animation.html", "mechanism.png", "solution.csv", "solution.json", "trajectories.png"]
+    assert "wrote out/solution.json, out/solution.csv, out/trajectories.pdf, out/mechanism.pdf" in result.stderr
+    names = ["animation.html", "mechanism.pdf", "solution.csv", "solution.json", "trajectories.pdf"]
     assert sorted(os.listdir("out")) == names
+    assert [find_kind(Path("out", name)) for name in names if name.endswith(".pdf")] == ["pdf", "pdf"]
     solution = read_solution(Path("out/solution.json"))
     assert f"{solution.cost.total:.10g}" in result.stdout
     assert solution.resimulation is not None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import keep_grid, say, show_progress
+from mbsrun.commands.console import choose_format, keep_grid, say, show_progress
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves, surveys
@@ -104,6 +104,7 @@ def chart() -> None:
 @click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
 @click.option("--rounds", type=click.IntRange(1), help="Rounds of timing; 40.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+@choose_format
 @accept_robots
 def chart_kernels_command(
     model: Path, out: Path | None, sizes: tuple[int, ...], rounds: int | None, quick: bool
@@ -124,6 +125,7 @@ def chart_kernels_command(
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="Without a settings file [s]; 2.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+@choose_format
 @accept_robots
 def chart_simulation_command(
     model: Path, out: Path | None, file: Path | None, duration: float | None, quick: bool
@@ -156,6 +158,7 @@ def chart_simulation_command(
     help="By default all.",
 )
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+@choose_format
 def chart_optimisation_command(
     problem: Path,
     out: Path | None,
@@ -188,6 +191,7 @@ def chart_optimisation_command(
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="A scene to measure.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+@choose_format
 @accept_robots
 def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ...], quick: bool) -> None:
     """Measure, write, draw."""
@@ -207,6 +211,7 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
+@choose_format
 @accept_robots
 def chart_fronts_command(model: Path, out: Path | None, accuracy: float, quick: bool) -> None:
     """Measure, write, draw."""

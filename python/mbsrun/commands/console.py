@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsgen.style import FORMATS, in_format, picture_format
 from mbsrun.ocp.problem import Problem, find_conflicts
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
@@ -74,6 +76,23 @@ def output_folder(kind: str) -> Callable[[F], F]:
     """Return the option for the folder that a command on a problem file writes to."""
     told = f"The folder to write to; by default NAME.{kind} here, for a problem file NAME.ocp.yaml."
     return click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help=told)
+
+
+def choose_format(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the option for the format of the plots that a command draws."""
+
+    @functools.wraps(command)
+    def call(*args: object, format: str, **own: object) -> None:
+        with picture_format(format):
+            command(*args, **own)
+
+    told = "The format of plots; by default png. PDF and SVG are for print."
+    return click.option("--format", type=click.Choice(FORMATS), default=FORMATS[0], help=told)(call)
+
+
+def list_written(folder: Path, names: Iterable[str]) -> str:
+    """Return the paths of written files as text; plots are in their format."""
+    return ", ".join(str(in_format(folder / name)) for name in names)
 
 
 def read_numbers(pairs: Sequence[str], known: Collection[str], option: str) -> dict[str, float]:

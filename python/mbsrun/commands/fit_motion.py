@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.animation import write_animation
-from mbsrun.commands.console import NOT_SOLVED, NumberType, say, show_progress
+from mbsrun.commands.console import NOT_SOLVED, NumberType, choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
     cut,
     read_numbers,
@@ -82,6 +82,7 @@ Exit codes
     "--gap", type=NumberType(), default=0.1, metavar="T", help="With --smooth: the longest gap to fill [s]; 0.1."
 )
 @recording_options
+@choose_format
 @accept_robots
 @click.pass_context
 def fit_motion_command(
@@ -119,7 +120,7 @@ def fit_motion_command(
     out.mkdir(parents=True, exist_ok=True)
     _write(out, mechanism, fit, shown, list(pairs), smooth)
     _print_summary(fit, shown, list(pairs), manifest)
-    say(f"wrote {', '.join(str(out / name) for name in (TABLE, SUMMARY, PICTURE, ANIMATION))}")
+    say(f"wrote {list_written(out, (TABLE, SUMMARY, PICTURE, ANIMATION))}")
     context.exit(NOT_SOLVED if not fit.converged.all() or np.isnan(shown).any() else 0)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.commands.console import NumberType, say, show_progress
+from mbsrun.commands.console import NumberType, choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
     cut,
     recording_options,
@@ -80,6 +80,7 @@ Exit codes
     "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
 )
 @recording_options
+@choose_format
 @accept_robots
 def inverse_dynamics_command(
     model: Path,
@@ -125,7 +126,7 @@ def inverse_dynamics_command(
     write_json(out / SUMMARY, _summarise(found, manifest, forces))
     _plot(found.forces, manifest, forces, out / PICTURE)
     _print_summary(found, forces)
-    say(f"wrote {', '.join(str(out / name) for name in (TABLE, SUMMARY, PICTURE))}")
+    say(f"wrote {list_written(out, (TABLE, SUMMARY, PICTURE))}")
 
 
 def _read_load(text: str) -> Load:

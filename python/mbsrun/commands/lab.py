@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mbsrun.commands.console import UNCUT, show_progress
+from mbsrun.commands.console import UNCUT, choose_format, show_progress
 from mbsrun.lab.case import Case, Finding, Verdict, judge
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.maps import draw_maps, measure_maps
@@ -47,6 +47,7 @@ Exit codes
 @click.option("--list", "listed", is_flag=True, help="Print the cases and their criteria, and run nothing.")
 @click.option("--quick", is_flag=True, help="Leave long trials out: chains of 20 and more, swing-ups.")
 @click.option("--maps/--no-maps", default=None, help="Draw the maps; by default where all cases are run.")
+@choose_format
 @click.pass_context
 def lab_command(
     context: click.Context, /, names: tuple[str, ...], out: Path, listed: bool, quick: bool, maps: bool | None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from mbsrun.commands.console import print_table, read_numbers, say
+from mbsrun.commands.console import choose_format, print_table, read_numbers, say
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.linearisation import Equilibrium, Linearisation, balance, find_pose, linearise, settle
@@ -59,6 +59,7 @@ _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less ar
     help="Also find the gains that minimise the integral of |x|² + |ẋ|² + W |u|².",
 )
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The folder; by default NAME.linear.")
+@choose_format
 @accept_robots
 def linearise_command(
     model: Path, poses: Sequence[str], inputs: Sequence[str], settles: bool, weight: float | None, out: Path | None

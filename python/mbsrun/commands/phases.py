@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, say
+from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.multistart import Wish
@@ -67,7 +67,7 @@ def solve_file(
         written = write_files(outcome, plants, out)
     for name, value in summarise_phases(outcome).items():
         click.echo(f"{name:<24}{value}")
-    say(f"wrote {', '.join(str(out / name) for name in written)}")
+    say(f"wrote {list_written(out, written)}")
     shortcomings = list_phased_shortcomings(outcome)
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")

@@ -16,6 +16,8 @@ from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
     NameType,
+    choose_format,
+    list_written,
     say,
 )
 from mbsrun.commands.robots import accept_robots
@@ -160,6 +162,7 @@ def list_keeping() -> str:
     type=click.Path(path_type=Path),
     help="A solution.json of `mbsrun solve`: its inputs, and its start unless another is given.",
 )
+@choose_format
 @accept_robots
 @click.pass_context
 def simulate_command(
@@ -183,7 +186,7 @@ def simulate_command(
         status.update("writing")
         write_motion(motion, mechanism, out)
     _print_motion(motion, mechanism.manifest)
-    say(f"wrote {', '.join(str(out / name) for name in MOTION_FILES)}")
+    say(f"wrote {list_written(out, MOTION_FILES)}")
     for warning in motion.warnings:
         say(f"warning: {warning}")
     if motion.halt is not None:

@@ -15,7 +15,9 @@ from mbsrun.commands.console import (
     NameType,
     NumberType,
     check_conflicts,
+    choose_format,
     find_sensor,
+    list_written,
     output_folder,
     say,
 )
@@ -153,6 +155,7 @@ Exit codes
 @click.option(
     "--sensitivities", is_flag=True, help="Print the derivative of the cost by each differentiated parameter, too."
 )
+@choose_format
 @click.pass_context
 def solve_command(
     context: click.Context,
@@ -215,7 +218,7 @@ def solve_command(
         written = _write(outcome, plant, out)
     for name, value in summarise(outcome).items():
         click.echo(f"{name:<14}{value}")
-    say(f"wrote {', '.join(str(out / name) for name in written)}")
+    say(f"wrote {list_written(out, written)}")
     shortcomings = list_shortcomings(outcome)
     if sensitivities and not outcome.sensitivities:
         shortcomings.append(

@@ -10,7 +10,16 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
 from mbsgen.documents import Data
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, NameType, keep_grid, output_folder, say
+from mbsrun.commands.console import (
+    MESSAGES,
+    NOT_SOLVED,
+    NameType,
+    choose_format,
+    keep_grid,
+    list_written,
+    output_folder,
+    say,
+)
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
@@ -101,6 +110,7 @@ MAX_STEPS = 100  # of Newton's method in a sample
     metavar="N",
     help="With --controller: control in real time, by N steps of Newton's method a sample; by default it solves.",
 )
+@choose_format
 @click.pass_context
 def track_command(
     context: click.Context,
@@ -149,7 +159,7 @@ def track_command(
         report = report_track(found, problem, true)
         write_track(report, true, out)
     _print_report(report)
-    say(f"wrote {', '.join(str(out / name) for name in FILES)}")
+    say(f"wrote {list_written(out, FILES)}")
     for warning in _list_warnings(report):
         say(f"warning: {warning}")
     context.exit(0 if report.is_met else NOT_SOLVED)

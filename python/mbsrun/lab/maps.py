@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from mbsgen.style import BAD, PALETTE, styled
+from mbsgen.style import BAD, PALETTE, in_format, styled
 from mbsrun.lab import chains, locks
 from mbsrun.lab.case import Loss, Report, Workspace
 from mbsrun.lab.digits import EXPLICIT
@@ -91,7 +91,7 @@ def draw_maps(losses: Sequence[Loss], folder: Path) -> list[Path]:
         ("map_mass_ratio", _draw_ratios(tips)),
         ("map_lock", _draw_locks(near)),
     ):
-        paths.append(folder / f"{name}.png")
+        paths.append(in_format(folder / f"{name}.png"))
         save_picture(figure, paths[-1], 90)
     return [*paths, write_outline(OUTLINE, folder)]
 

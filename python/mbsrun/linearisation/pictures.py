@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbsgen.style import PALETTE, save_figure, styled
+from mbsgen.style import PALETTE, save_plot, styled
 from mbsrun.linearisation.equations import Array, Linearisation
 
 COLORS = PALETTE
@@ -31,7 +31,7 @@ def plot_poles(found: Linearisation, path: Path) -> None:
     axes.set_title("Poles", loc="left")
     axes.margins(0.15)
     axes.grid(alpha=0.3)
-    save_figure(figure, path)
+    save_plot(figure, path)
 
 
 @styled
@@ -58,7 +58,7 @@ def plot_responses(found: Linearisation, path: Path) -> None:
     plots[1, 0].set_ylabel("phase [degrees]")
     for axes in plots.flat:
         axes.grid(alpha=0.3)
-    save_figure(figure, path)
+    save_plot(figure, path)
 
 
 def _choose_frequencies(found: Linearisation) -> Array:

@@ -15,6 +15,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from mbsgen.style import in_format
 from mbsrun.measuring.advice import Advice, Option
 from mbsrun.measuring.fronts import Mark, find_front
 from mbsrun.measuring.pictures import COLORS, EXACT, plain, prepare, save_picture, space_ticks
@@ -69,7 +70,7 @@ def draw_overview(surveys: Sequence[Advice], folder: Path) -> list[Path]:
         f"{plain(first.model)}: fronts of all formulations; ring: the advice for errors of {first.accuracy:g} (dashed)",
         fontsize=11,
     )
-    path = folder / "fronts.png"
+    path = in_format(folder / "fronts.png")
     save_picture(figure, path, 90)
     return [path, *write_table(tabulate_fronts(panels), folder, "fronts")]
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 from PIL import Image
 
-from mbsgen.style import PALETTE, styled
+from mbsgen.style import PALETTE, in_format, save_figure, styled
 from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
 from mbsrun.measuring.fronts import Mark, describe_front, find_front
 from mbsrun.measuring.kernels import EXACT as DIGITS
@@ -38,7 +38,10 @@ ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
-    """Write a figure as PNG, in few colours and a third of the bytes; the same figure gives the same bytes."""
+    """Write a figure; a PNG in few colours, with a third of the bytes. The same figure gives the same bytes."""
+    if path.suffix != ".png":
+        save_figure(figure, path)
+        return
     whole = io.BytesIO()
     figure.savefig(whole, format="png", dpi=dpi)
     with Image.open(whole) as picture:
@@ -57,7 +60,7 @@ def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
     for name, (tasks, number, axis) in pictures.items():
         shown = [p for p in points if p.task in tasks and (number == "error" or _has_backward(p, points))]
         if shown:
-            paths.append(folder / f"{name}.png")
+            paths.append(in_format(folder / f"{name}.png"))
             _draw_tasks(shown, number, axis, paths[-1])
     return paths
 
@@ -88,7 +91,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     figure.suptitle(f"{plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
-    path = folder / "simulation.png"
+    path = in_format(folder / "simulation.png")
     save_picture(figure, path, 110)
     return [path]
 
@@ -117,7 +120,7 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     mechanism = plain(points[0].mechanism)
     text = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
     figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({text})", fontsize=10)
-    path = folder / "optimisation.png"
+    path = in_format(folder / "optimisation.png")
     save_picture(figure, path, 90)
     return [path, _draw_grids(points, grids, folder)]
 
@@ -146,7 +149,7 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
     )
     handles, labels = rows[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
-    path = folder / "fidelity.png"
+    path = in_format(folder / "fidelity.png")
     save_picture(figure, path, 90)
     return [path]
 
@@ -183,7 +186,7 @@ def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     axes.set_title(
         f"{plain(points[0].mechanism)}: errors of the control grid, and of collocation on it; {text}", fontsize=9
     )
-    path = folder / "control_grid.png"
+    path = in_format(folder / "control_grid.png")
     save_picture(figure, path, 90)
     return path
 

@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.style import in_format
 
 Cell = str | float | int | bool | None
 
@@ -126,7 +127,10 @@ class Outline:
 def write_outline(outline: Outline, folder: Path) -> Path:
     """Write an outline as NAME.section.json; return the path."""
     path = folder / f"{_spell(outline.name)}{OUTLINE}"
-    path.write_text(json.dumps(asdict(outline), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    items = tuple(replace(item, file=in_format(Path(item.file)).name) for item in outline.items)
+    path.write_text(
+        json.dumps(asdict(replace(outline, items=items)), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
     return path
 
 

@@ -17,7 +17,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Frame, Manifest
-from mbsgen.style import BAD, GOOD, PALETTE, save_figure, styled
+from mbsgen.style import BAD, GOOD, PALETTE, save_plot, styled
 from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
@@ -331,4 +331,4 @@ def write_title(solution: Solution) -> str:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a picture; equal pictures have equal bytes."""
-    save_figure(figure, path)
+    save_plot(figure, path)

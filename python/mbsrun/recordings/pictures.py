@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mbsgen.style import PALETTE, save_figure, styled
+from mbsgen.style import PALETTE, save_plot, styled
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def plot_panels(times: Array, panels: Sequence[Panel], title: str, path: Path) -
             axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
         axes.set_xlabel("time [s]" if panel is shown[-1] else "")
     figure.suptitle(_plain(title))
-    save_figure(figure, path)
+    save_plot(figure, path)
 
 
 def _plain(name: str) -> str:

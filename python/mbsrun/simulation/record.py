@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsgen.style import BAD, NEUTRAL, PALETTE, save_figure, styled
+from mbsgen.style import BAD, NEUTRAL, PALETTE, save_plot, styled
 from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
@@ -122,7 +122,7 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
 def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
     """Write the picture of a motion."""
     figure = draw_motion(motion, manifest)
-    save_figure(figure, path)
+    save_plot(figure, path)
 
 
 @styled

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mbsgen.style import BAD, PALETTE, save_figure, styled
+from mbsgen.style import BAD, PALETTE, save_plot, styled
 from mbsrun.external import Mechanism
 from mbsrun.ocp.problem import Problem, Range
 from mbsrun.tracking.analysis import TAIL, Margin, Measured, Times, follow_references, read_quantities
@@ -79,7 +79,7 @@ def draw_times(track: Track, times: Times) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a picture."""
-    save_figure(figure, path)
+    save_plot(figure, path)
 
 
 def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:

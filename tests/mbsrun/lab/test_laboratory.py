@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbsgen.style import picture_format
 from mbsrun import cli
 from mbsrun.commands import lab as lab_commands
 from mbsrun.lab import (
@@ -36,6 +37,7 @@ from mbsrun.lab.mechanisms import describe_lock, describe_spatial, draw, write
 from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 from mbsrun.measuring.sections import read_folders
 from mbsrun.ocp.solution import Failure, Run
+from tests.picture_kinds import find_kind
 
 Measure = Callable[[Workspace], list[Finding]]
 
@@ -334,6 +336,10 @@ def test_maps_show_errors_and_statuses(tmp_path: Path) -> None:
         for d, error, estimate in ((1e-3, 1e-12, 1e-12), (1e-8, None, None), (0.0, None, 2.0))
     ]
     losses += [replace(x, mechanism="heavy tip", number=10 ** (1 + k % 3)) for k, x in enumerate(losses)]
+    (tmp_path / "printed").mkdir()
+    with picture_format("pdf"):
+        printed = maps.draw_maps(losses, tmp_path / "printed")
+    assert [find_kind(path) for path in printed if path.suffix == ".pdf"] == ["pdf"] * 3
     paths = maps.draw_maps(losses, tmp_path)
     assert sum(path.suffix == ".png" for path in paths) == 3
     assert all(path.stat().st_size > 4_000 for path in paths if path.suffix == ".png")

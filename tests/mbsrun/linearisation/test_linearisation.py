@@ -15,6 +15,7 @@ from mbsrun.closure import Closure, OpenError
 from mbsrun.external import Mechanism, load
 from mbsrun.linearisation import BalanceError, balance, find_pose, linearise, settle
 from mbsrun.models import INTEGRATED
+from tests.picture_kinds import find_kind
 from tests.shipped import FOLDER
 
 
@@ -156,12 +157,15 @@ def test_a_pose_that_nothing_keeps_is_refused() -> None:
 def test_the_command_writes_a_feedback_that_balances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     model, runner = str(FOLDER / "cart_pole.yaml"), CliRunner()
-    run = runner.invoke(cli, ["linearise", model, "--pose", "pole=pi", "--regulate", "0.1"], catch_exceptions=False)
+    run = runner.invoke(
+        cli, ["linearise", model, "--pose", "pole=pi", "--regulate", "0.1", "--format", "svg"], catch_exceptions=False
+    )
     assert run.exit_code == 0
     written = json.loads(Path("cart_pole.linear/linearisation.json").read_text(encoding="utf-8"))
     assert written["stable"] is False
     assert len(written["gains"][0]) == 4
-    assert {x.name for x in Path("cart_pole.linear").iterdir()} == {"linearisation.json", "poles.png", "responses.png"}
+    assert {x.name for x in Path("cart_pole.linear").iterdir()} == {"linearisation.json", "poles.svg", "responses.svg"}
+    assert [find_kind(x) for x in Path("cart_pole.linear").glob("*.svg")] == ["svg", "svg"]
     (feedback,) = re.findall(r"--input '(.*)'", run.stdout)
     arguments = ["simulate", model, "--pose", "pole=pi+0.2", "--duration", "12", "--input", feedback, "-o", "out"]
     assert runner.invoke(cli, arguments, catch_exceptions=False).exit_code == 0

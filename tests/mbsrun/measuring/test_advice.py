@@ -17,6 +17,7 @@ from mbsrun.measuring.points import Cost, SolvePoint
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.schemes import Family
+from tests.picture_kinds import find_kind
 
 ROD = """
 name: rod
@@ -145,9 +146,10 @@ def test_the_command_tells_choice_measurements_and_what_it_left_out(
 
 
 def test_charts_are_written_with_their_numbers(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run(monkeypatch, "chart", "simulation", str(rod), "--quick", "-o", "chart") in (0, None)
+    assert run(monkeypatch, "chart", "simulation", str(rod), "--quick", "-o", "chart", "--format", "pdf") in (0, None)
     names = {path.name for path in Path("chart").iterdir()}
-    assert names == {f"simulation.{kind}" for kind in ("png", "csv", "json", "jsonl", "section.json")}
+    assert names == {f"simulation.{kind}" for kind in ("pdf", "csv", "json", "jsonl", "section.json")}
+    assert find_kind(Path("chart/simulation.pdf")) == "pdf"
 
 
 def test_the_picture_of_fronts_shows_every_need_and_the_advice(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:

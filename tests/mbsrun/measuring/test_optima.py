@@ -20,6 +20,7 @@ from mbsrun.measuring.solves import Case
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.schemes import Family
+from tests.picture_kinds import find_kind
 
 PUSH = """
 model: slide.yaml
@@ -84,11 +85,25 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
 def test_the_command_writes_chart_and_tables(slide: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (slide.parent / "push.ocp.yaml").write_text(PUSH, encoding="utf-8")
     monkeypatch.chdir(slide.parent)
-    arguments = ["--quick", "--intervals", "4", "--degree", "2", "--representation", "EXP2-O", "-o", "chart"]
+    arguments = [
+        "--quick",
+        "--intervals",
+        "4",
+        "--degree",
+        "2",
+        "--representation",
+        "EXP2-O",
+        "-o",
+        "chart",
+        "--format",
+        "svg",
+    ]
     monkeypatch.setattr(sys, "argv", ["mbsrun", "chart", "optimisation", "push.ocp.yaml", *arguments])
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code in (0, None)
     (solved,) = json.loads(Path("chart/optimisation.json").read_text(encoding="utf-8"))
     assert (solved["intervals"], solved["representation"], solved["total_error"]) == (4, "EXP2-O", None)
-    assert Path("chart/control_grid.png").exists()
+    assert find_kind(Path("chart/control_grid.svg")) == "svg"
+    (section,) = read_folders([Path("chart")])  # its captions name the files
+    assert section.name == "optimisation"

@@ -11,6 +11,7 @@ import pytest
 
 from mbsrun import cli
 from mbsrun.recordings import read_recording
+from tests.picture_kinds import find_kind
 from tests.recordings_made import FOLDER, swing
 
 ARM, SWING = str(FOLDER / "arm.yaml"), str(FOLDER / "swing.trc")
@@ -34,7 +35,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
     """One file is the next command's input; a hidden marker leaves cells open, and a longer gap fills them."""
-    code, out, err = run("fit-motion", ARM, SWING, "-o", "fit")
+    code, out, err = run("fit-motion", ARM, SWING, "-o", "fit", "--format", "svg")
     assert code == 1  # the hidden hand leaves the elbow open
     assert "121, from 0 to 1.2 s" in out
     assert "missing in 5 frames" in out
@@ -43,8 +44,9 @@ def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
         "animation.html",
         "motion.csv",
         "motion.json",
-        "motion.png",
+        "motion.svg",
     ]
+    assert find_kind(Path("fit/motion.svg")) == "svg"
     summary = json.loads(Path("fit/motion.json").read_text("utf-8"))
     assert summary["open"] == {"elbow": 5}
     assert summary["markers"]["hand"]["frames"] == 116
@@ -55,13 +57,24 @@ def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
     found = read_recording(Path("smooth/motion.csv"))
     np.testing.assert_allclose(found.column("q[elbow]"), swing(found.times)[1], atol=0.03)
     code, out, err = run(
-        "inverse-dynamics", ARM, "smooth/motion.csv", "--noise", "5e-3", "-o", "forces", "--from", "0.1"
+        "inverse-dynamics",
+        ARM,
+        "smooth/motion.csv",
+        "--noise",
+        "5e-3",
+        "-o",
+        "forces",
+        "--from",
+        "0.1",
+        "--format",
+        "pdf",
     )
     assert code == 0, err
     assert "111 of 111, from 0.1 to 1.2 s" in out
     forces = json.loads(Path("forces/forces.json").read_text("utf-8"))["forces"]
     assert list(forces) == ["u[shoulder]", "u[elbow]"]
-    assert sorted(x.name for x in Path("forces").iterdir()) == ["forces.csv", "forces.json", "forces.png"]
+    assert sorted(x.name for x in Path("forces").iterdir()) == ["forces.csv", "forces.json", "forces.pdf"]
+    assert find_kind(Path("forces/forces.pdf")) == "pdf"
     code, out, err = run("inverse-dynamics", ARM, "fit/motion.csv", "--gap", "0.02", "-o", "open")
     assert (code, "116 of 121" in out, "1 left out" in out) == (0, True, True)
 

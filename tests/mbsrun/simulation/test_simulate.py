@@ -26,6 +26,7 @@ from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_step
 from mbsrun.simulation.methods import Family
 from mbsrun.simulation.record import draw_motion
 from mbsrun.simulation.statement import Statement, read_statement
+from tests.picture_kinds import find_kind
 
 REST = hold(np.zeros(4))
 ADAPTIVE = [name for name, method in METHODS.items() if method.family is Family.ADAPTIVE]
@@ -254,11 +255,25 @@ def run(tmp_path: Path, bench_file: Path, monkeypatch: pytest.MonkeyPatch, capsy
 
 
 def test_the_command_writes_and_tells(run: Run) -> None:
-    result = run("--duration", "1", "--method", "rk4", "--pose", "bob=pi/2", "--input", "slider=sin(t)", "-o", "out")
+    result = run(
+        "--duration",
+        "1",
+        "--method",
+        "rk4",
+        "--pose",
+        "bob=pi/2",
+        "--input",
+        "slider=sin(t)",
+        "-o",
+        "out",
+        "--format",
+        "pdf",
+    )
     assert result.exit_code == 0, result.stderr
     for word in ("bench, 3 coordinates", "rk4", "step 0.001", "1000, 0 rejected", "energy drift"):
         assert word in result.stdout
-    assert sorted(os.listdir("out")) == ["animation.html", "plots.png", "simulation.json", "trajectory.csv"]
+    assert sorted(os.listdir("out")) == ["animation.html", "plots.pdf", "simulation.json", "trajectory.csv"]
+    assert find_kind(Path("out/plots.pdf")) == "pdf"
     with Path("out/trajectory.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 1001

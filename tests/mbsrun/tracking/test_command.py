@@ -21,6 +21,7 @@ from mbsrun.tracking import record
 from mbsrun.tracking.record import FILES
 from mbsrun.tracking.statement import TrialStatement
 from tests.mbsrun.tracking.tasks import FOLLOW
+from tests.picture_kinds import find_kind
 
 SETTINGS = """
 duration: 0.3
@@ -66,9 +67,10 @@ def read_table(folder: str) -> list[dict[str, str]]:
 
 def test_a_trial_is_run_and_written(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exit code 0 where measures stay below their limits, 1 where one does not; the same trial gives the same table."""
-    code, stdout, stderr = run("-o", "met", settings=SETTINGS.replace("LIMIT", "0.01"))
+    code, stdout, stderr = run("-o", "met", "--format", "svg", settings=SETTINGS.replace("LIMIT", "0.01"))
     assert code == 0, stderr
-    assert sorted(os.listdir("met")) == sorted(FILES)
+    assert sorted(os.listdir("met")) == sorted(name.replace(".png", ".svg") for name in FILES)
+    assert [find_kind(Path("met", name)) for name in ("plots.svg", "times.svg")] == ["svg", "svg"]
     for words in ("task", "6 Solve_Succeeded", "error ", "(99.9th percentile)", "input x", "q_x - t0"):
         assert words in stdout
     rows = read_table("met")
