@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -354,8 +355,9 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
         states = {weights: find_state(replace(study, costs=(weights,)), record) for weights in study.costs}
         counts = Counter(text for rows in (record.list_all(), *(rows for _, rows in own)) for _, text in rows)
     judgements, scatter = judge_all(results), tabulate_spreads(results.spreads)
+    derivatives = [a for _, attempts in _select(campaign, results, own, "derivatives") for a in attempts]
     sections = [
-        summarise_run(results, judgements),
+        summarise_run(results, judgements, questions.summarise_derivatives(derivatives)),
         Section(
             "statements",
             "Claims of the paper, and verdicts of this run",
@@ -368,7 +370,7 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
     run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_environments(counts)))
-    rest = (report_robust(results, states), *_answer(campaign, results, own))
+    rest = (report_robust(results, states), *_answer(campaign, results, own, derivatives))
     return sections + [section for section in (*rest, run) if section is not None]
 
 
@@ -382,15 +384,20 @@ def describe_missing(results: Results) -> str:
     )
 
 
-def _answer(campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]]) -> list[Section | None]:
-    def select(question: str) -> list[tuple[Study, list[Attempt]]]:
-        """Select the attempts of a question: one study may serve several questions."""
-        part = [(s, [a for a, _ in rows if a.part == question]) for s, rows in own]
-        part.append((campaign.study, [a for a in results.attempts if a.part == question]))
-        return [(s, attempts) for s, attempts in part if attempts]
+def _select(
+    campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]], question: str
+) -> list[tuple[Study, list[Attempt]]]:
+    """Select the attempts of a question: one study may serve several questions."""
+    part = [(s, [a for a, _ in rows if a.part == question]) for s, rows in own]
+    part.append((campaign.study, [a for a in results.attempts if a.part == question]))
+    return [(s, attempts) for s, attempts in part if attempts]
 
+
+def _answer(
+    campaign: Campaign, results: Results, own: Sequence[tuple[Study, Attempts]], derivatives: Sequence[Attempt]
+) -> list[Section | None]:
     ways = _read_report(campaign.subject.folder).get("ways", {})
-    derivatives = [a for _, attempts in select("derivatives") for a in attempts]
+    select = partial(_select, campaign, results, own)
     grids = [GridPoint(s.problem, a) for s, attempts in select("grids") for a in attempts]
     systems = [(s.problem.name, attempts) for s, attempts in select("systems")]
     return [

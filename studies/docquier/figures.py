@@ -7,7 +7,7 @@ whiskers to the most extreme points that are not outliers (1.5 boxes away), and 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -202,6 +202,26 @@ def draw_scatter(
     axes.grid(alpha=0.3)
     axes.legend(fontsize="x-small", ncols=2, title=labels[2])
     return save(figure, title, note)
+
+
+def draw_ratios(rows: Mapping[str, Mapping[str, float]], ways: Sequence[str]) -> Picture:
+    """Draw by representation how long functions and derivatives take, relative to the first way, on a log axis."""
+    figure = Figure(figsize=(9, 1.2 + 0.55 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    height = 0.8 / len(ways)
+    for k, way in enumerate(ways):
+        places = {i + k * height: row[way] for i, row in enumerate(rows.values()) if way in row}
+        bars = axes.barh([*places], [*places.values()], height, color=COLORS[k], label=way)
+        axes.bar_label(bars, fmt="%.2g", padding=2, fontsize="small")
+    axes.set_yticks([i + (len(ways) - 1) * height / 2 for i in range(len(rows))], list(rows))
+    axes.set_xscale("log")
+    axes.axvline(1, color="0.5", linewidth=0.8)
+    axes.margins(x=0.12)
+    axes.invert_yaxis()
+    axes.set_xlabel("CPU time of functions and derivatives per iteration, relative to the generated ones")
+    axes.legend(fontsize="small")
+    note = "Shorter is better; 1 is the time of the generated functions with recursive sensitivities."
+    return save(figure, "Recursive sensitivities against algorithmic differentiation", note)
 
 
 def draw_parts(parts: Sequence[tuple[str, float, float]]) -> Picture:

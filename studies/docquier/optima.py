@@ -3,21 +3,33 @@
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
 motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist. Motions
 with whole turns of joints without limits are listed apart: the paper's motions make none.
+
+A certificate takes a second or two. The record keeps each by a hash of problem, motion, kernels and code, so that a
+page that is written again takes seconds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from pathlib import Path
 
+from pydantic import TypeAdapter
+
+from mbsrun import ocp
 from mbsrun.measuring.sections import Cell, Section, Table
 from mbsrun.ocp.attempts import INDEPENDENT, is_higher
 from mbsrun.ocp.certificate import Certificate, certify_motion
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, Task
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.study import Place, Study, Weights
+from mbsrun.ocp.trajectory import Trajectory
 
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
@@ -58,8 +70,15 @@ def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]
                     continue
                 problem = study.state(found.task)
                 motion = record.best_motion(found.task, found.protocol, turns=found.turns)
-                solver = solvers.setdefault(structure(problem), Solver(problem, plant))
                 assert motion is not None, "a record keeps the motion of every best attempt"
+
+                def check(problem: Problem = problem, motion: Trajectory = motion) -> Certificate:
+                    kind = structure(problem)
+                    if kind not in solvers:
+                        solvers[kind] = Solver(problem, plant)
+                    return certify_motion(problem, solvers[kind], motion)
+
+                key = _name(problem, motion, plant)
                 paper = [a for a in tried if a.protocol == "paper" and a.cost is not None]
                 parts = ("turns",) if is_turned else INDEPENDENT
                 starts = [a for a in tried if a.protocol == "robust" and a.part in parts]
@@ -71,8 +90,33 @@ def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]
                     len(paper),
                     _count_hits(starts, found),
                     len(starts),
-                    certify_motion(problem, solver, motion),
+                    _find_or_certify(record, key, check),
                 )
+
+
+def _name(problem: Problem, motion: Trajectory, plant: Plant) -> str:
+    """Return a hash of everything that a certificate depends on."""
+    digest = hashlib.sha256(b"certificate 1" + _fingerprint_code())
+    digest.update(plant.manifest.model_hash.encode())
+    digest.update(TypeAdapter(Problem).dump_json(problem))
+    for field in fields(motion):
+        values = getattr(motion, field.name)
+        digest.update(f"{field.name} {values.shape} {values.dtype}".encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+@cache
+def _fingerprint_code() -> bytes:
+    """Return a hash of the modules that transcribe problems and check their optima."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(ocp.__file__).parent.rglob("*.py")):
+        digest.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    return digest.digest()
+
+
+def _find_or_certify(record: Record, key: str, check: Callable[[], Certificate]) -> Certificate:
+    told = record.find_or_derive(key, lambda: json.dumps(asdict(check())))
+    return TypeAdapter(Certificate).validate_json(told)
 
 
 def _find_attempt(attempts: Sequence[Attempt], *, is_turned: bool) -> Attempt | None:

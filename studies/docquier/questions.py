@@ -28,7 +28,7 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.study import ONE, Place, Study, Weights
 from mbsrun.ocp.trials import Interpolation, Trial, list_interpolations
 from studies.docquier.differentiated import WAYS, Way
-from studies.docquier.figures import draw_parts, draw_scatter, name_set
+from studies.docquier.figures import draw_parts, draw_ratios, draw_scatter, name_set
 from studies.docquier.judgement import SHOWN
 from studies.docquier.judges import COLLOCATION
 from studies.docquier.results import Results
@@ -323,6 +323,39 @@ def answer_derivatives(attempts: Sequence[Attempt], ways: Mapping[str, Mapping[s
         items.append(Table("Flops of derivatives, by the way of writing them", columns, flops, note))
     title = "Generated sensitivities against algorithmic differentiation"
     return Section("derivatives", title, _compare_ways(found), tuple(items))
+
+
+def summarise_derivatives(attempts: Sequence[Attempt]) -> tuple[str, Picture] | None:
+    """Answer the question about the source of derivatives in one sentence and one chart."""
+    found = {name: quickest for name, quickest in _find_quickest(attempts).items() if WAYS[0] in quickest}
+    rows = {
+        name: {way: _evaluate(a) / _evaluate(quickest[WAYS[0]]) for way, a in quickest.items()}
+        for name, quickest in found.items()
+    }
+    others = [way for way in WAYS[1:] if any(way in row for row in rows.values())]
+    if not others:
+        return None
+    parts = []
+    for way in others:
+        ratios = [row[way] for row in rows.values() if way in row]
+        pairs = [(quickest[WAYS[0]], quickest[way]) for quickest in found.values() if way in quickest]
+        whole = [theirs.cpu_seconds / ours.cpu_seconds for ours, theirs in pairs]
+        quicker = sum(ratio > 1 for ratio in ratios)
+        parts.append(
+            f"{way}, takes {_span(ratios)} times as long, and is slower in {quicker} of {len(ratios)} "
+            f"representations (whole solves: {_span(whole)} times)"
+        )
+    least = min(min(row[way] for way in others if way in row) for row in rows.values())
+    sentence = (
+        "Are recursive sensitivities quicker than algorithmic differentiation of the same equations? "
+        f"{'Yes' if least > 1 else 'Not always'}: beside the generated functions and derivatives, {'; '.join(parts)}."
+    )
+    return sentence, draw_ratios(rows, WAYS)
+
+
+def _evaluate(attempt: Attempt) -> float:
+    """Return the time of functions and derivatives per iteration [s]."""
+    return max(attempt.cpu_seconds_evaluating, 1e-9) / max(attempt.iterations, 1)
 
 
 def _find_quickest(attempts: Sequence[Attempt]) -> dict[str, dict[str, Attempt]]:

@@ -6,15 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbsrun.measuring.sections import Cell, Section, Table
+from mbsrun.measuring.sections import Cell, Picture, Section, Table
 from studies.docquier.figures import list_sets, name_set
 from studies.docquier.judgement import SHOWN, Judgement
 from studies.docquier.results import Results
 from studies.docquier.tables import count_verdicts
 
 
-def summarise_run(results: Results, judgements: Sequence[Judgement]) -> Section:
-    """Write the summary: size, verdicts, and one row for each cost and representation."""
+def summarise_run(results: Results, judgements: Sequence[Judgement], answer: tuple[str, Picture] | None) -> Section:
+    """Write the summary: the study's question, size, verdicts, and one row for each cost and representation.
+
+    `answer` is the sentence and the chart about the sources of derivatives, where they were compared.
+    """
     targets, names = len(results.study.targets.places), len(results.representations)
     text = (
         f"The paper's protocol on {targets} targets, {len(results.study.costs)} costs and {names} representations. "
@@ -25,7 +28,11 @@ def summarise_run(results: Results, judgements: Sequence[Judgement]) -> Section:
     columns = ("cost", "representation", "tasks", "solved", "in a higher minimum", "iterations, median")
     note = "The paper's protocol alone. Differences of medians count only beyond the scatter, which is listed below."
     table = Table("Summary", (*columns, "CPU s, median"), rows, note)
-    return Section("summary", "Summary", text, (table,) if rows else ())
+    items: list[Table | Picture] = [table] if rows else []
+    if answer is not None:
+        text = f"{answer[0]} {text}"
+        items.insert(0, answer[1])
+    return Section("summary", "Summary", text, tuple(items))
 
 
 def _list_rows(results: Results, weights: tuple[float, float]) -> list[tuple[Cell, ...]]:

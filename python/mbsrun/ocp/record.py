@@ -3,14 +3,15 @@
 An attempt is one transaction, on the disk before the next begins: a process that is killed loses its present attempt
 alone. One file holds any number of studies. The file keeps one motion for a task, a protocol, a round and a number of
 whole turns, if it is better than all motions of earlier rounds. So the starts of a round depend neither on the order of
-attempts nor on interruptions.
+attempts nor on interruptions. The file also keeps texts that follow from motions, such as certificates, by a hash of
+all that they depend on.
 """
 
 from __future__ import annotations
 
 import io
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -157,6 +158,18 @@ class Record:
         values = (self._study, *task.row, protocol, turns, _LAST if before is None else before)
         found = self._connection.execute(f"{query} order by round desc limit 1", values).fetchone()
         return None if found is None else _unpack(found[0])
+
+    def find_or_derive(self, key: str, derive: Callable[[], str]) -> str:
+        """Return a text that follows from its key alone; derive and keep a text that is missing."""
+        with self._connection:
+            self._connection.execute("create table if not exists derived (key text primary key, told text)")
+        found = self._connection.execute("select told from derived where key = ?", (key,)).fetchone()
+        if found is not None:
+            return str(found[0])
+        told = derive()
+        with self._connection:
+            self._connection.execute("insert or replace into derived values (?, ?)", (key, told))
+        return told
 
     def attempts(self) -> Iterator[Attempt]:
         """List the attempts, in order."""

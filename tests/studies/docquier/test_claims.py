@@ -22,8 +22,9 @@ from studies.docquier.differentiated import WAYS
 from studies.docquier.growth import Growth
 from studies.docquier.judgement import INSIDE, THRESHOLDS, TURNS, UNMEASURED, judge_all, write_thresholds
 from studies.docquier.judges import COLLOCATION, CONFIRMED, REFUTED, Finding
-from studies.docquier.questions import answer_derivatives
+from studies.docquier.questions import answer_derivatives, summarise_derivatives
 from studies.docquier.results import Effort, Results, find_outliers
+from studies.docquier.summary import summarise_run
 from tests.studies.docquier.made import NAMES, PLACES, ROUGH, SMOOTH, TARGETS, Number, make
 
 IMPLICIT, ODE, DAE = ("IMPL", "SEMI"), ("EXP1-O", "EXP2-O"), ("EXP1-A", "EXP2-A")
@@ -372,6 +373,16 @@ def test_sources_of_derivatives_are_compared_in_one_sentence() -> None:
         "generated ones, and the whole solve 1.5 to 2.5 times."
     )
     assert isinstance(section.items[0], Picture)
+    answer = summarise_derivatives(attempts)
+    assert answer is not None
+    assert answer[0].endswith(
+        "beside the generated functions and derivatives, CasADi's AD, compiled, takes 2 to 4 times as long, and is "
+        "slower in 2 of 2 representations (whole solves: 1.5 to 2.5 times)."
+    )
+    assert summarise_run(make(), [], answer).items[0] == answer[1]
+    slower = [*attempts, solve("EXP1-O", WAYS[0], 0, 0.2, 0.1), solve("EXP1-O", WAYS[1], 0, 0.2, 0.05)]
+    assert "Not always" in (summarise_derivatives(slower) or ("",))[0]
+    assert summarise_derivatives([]) is None
 
 
 def test_costs_are_compared_on_the_targets_that_both_have() -> None:

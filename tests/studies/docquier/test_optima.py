@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,7 @@ from mbsrun.ocp.study import Study
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import optima
 from studies.docquier.optima import describe_optima, list_optima, tabulate_optima
+from tests.mbsrun.ocp.plants import push
 from tests.studies.docquier.made import SMOOTH, STUDY
 
 CERTIFICATE = Certificate(1e-9, 1.0, 1e-9, 1e-9, 2, is_minimum=True)
@@ -23,10 +25,19 @@ CERTIFICATE = Certificate(1e-9, 1.0, 1e-9, 1e-9, 2, is_minimum=True)
 def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three bumps two end in the minimum; a turn leads lower at one target, and higher at the other."""
     study = replace(STUDY, costs=(SMOOTH,))
+    certified = []
+
+    def certify(*_: object) -> Certificate:
+        certified.append(CERTIFICATE)
+        return CERTIFICATE
+
     monkeypatch.setattr(Study, "state", lambda *_: None)
     monkeypatch.setattr(optima, "structure", lambda _: "one")
     monkeypatch.setattr(optima, "Solver", lambda *_: None)
-    monkeypatch.setattr(optima, "certify_motion", lambda *_: CERTIFICATE)
+    monkeypatch.setattr(optima, "certify_motion", certify)
+    names = iter(f"{k}" for k in range(8))  # of four certificates, then of the same three and another one
+    again = [*map(str, range(4)), "0", "1", "2", "other"]
+    monkeypatch.setattr(optima, "_name", lambda *_: again[int(next(names))])
     shapes = ((2,), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1))
     motion = Trajectory(*map(np.zeros, shapes))
     with open_record(tmp_path / "study.sqlite", "one") as record:
@@ -47,6 +58,8 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
             numbers = (0, "", 20, 1.0, 0.5, cost)
             record.add(Attempt(task, protocol, part, str(k), *numbers, turns=turns), motion)
         found = list(list_optima(study, record, cast(Any, None)))
+        assert list(list_optima(study, record, cast(Any, None))) == found
+    assert len(certified) == 5, "the second time, only what has changed is checked again"
     assert [(o.task.place[0], o.turns, o.cost, o.found, o.tried, o.hits, o.starts) for o in found] == [
         (0, "", 4.0, 0, 1, 2, 3),
         (0, "q1 -1", 3.0, 0, 1, 1, 2),
@@ -59,3 +72,17 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
     assert "found at 2 targets, and are lower at 1 of them" in text
     table = tabulate_optima(study, found)
     assert [row[table.columns.index("whole turns")] for row in table.rows] == ["none", "q1 -1"] * 2
+
+
+def test_a_certificate_depends_on_the_motion_the_problem_and_the_kernels() -> None:
+    problem = push(4)
+    motion = Trajectory(*map(np.zeros, ((2,), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1))))
+    plant, other = (cast(Any, SimpleNamespace(manifest=SimpleNamespace(model_hash=x))) for x in ("a", "b"))
+    names = [
+        optima._name(problem, motion, plant),
+        optima._name(problem, motion, other),
+        optima._name(replace(problem, intervals=problem.intervals + 1), motion, plant),
+        optima._name(problem, replace(motion, q=motion.q + 1e-16), plant),
+    ]
+    assert len(set(names)) == 4
+    assert optima._name(problem, replace(motion, q=motion.q.copy()), plant) == names[0]
