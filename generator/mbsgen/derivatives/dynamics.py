@@ -29,7 +29,7 @@ from mbsgen.request import MEASURED, CodeSize
 from mbsgen.roles import Order, Role
 from mbsgen.tape import reverse
 from mbsgen.tape.counts import count
-from mbsgen.tape.passes import drop_dead, keep_results
+from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity, Tape
 
@@ -273,20 +273,9 @@ class _OfAccelerations(_Chosen):
         self._residual, self._choice, self._constraints = residual, choice, constraints
         self._first = None if choice.is_compared or constraints else first
 
-    def _take(self, written: Tape) -> Tape | None:
-        """Return the first form's derivative, with the guards of this form; None where these guards are too weak.
-
-        The pivots and scales of both forms come from M: guards differ by their tolerances alone.
-        """
-        assert self._first is not None, "there is something to be taken"
-        known = {guard.joint: guard for guard in written.guards if not guard.early}
-        own = [guard for guard in self.tape.guards if not guard.early]
-        if not known.keys() >= {guard.joint for guard in own}:
-            return None
-        early = tuple(guard for guard in written.guards if guard.early)
-        guards = early + tuple(replace(known[guard.joint], tolerance=guard.tolerance) for guard in own)
-        found = replace(written, function=self.tape.function.to(written.function.order), guards=guards)
-        return found if len(guards) == len(written.guards) else drop_dead(found)
+    def _take(self, written: Tape) -> Tape:
+        """Return the first form's derivative under this form's name: both eliminate in M, with the same guards."""
+        return replace(written, function=self.tape.function.to(written.function.order))
 
     @cached_property
     def written_jac(self) -> Written[Tape] | Written[Computation]:
@@ -306,8 +295,8 @@ class _OfAccelerations(_Chosen):
         function = self.tape.function.to(Order.LINEARISATION)
         if self._is_surely_long:
             return self._count_columns(self._write_staged(function, self._patterns))
-        if self._first and (taken := self._take(straight(self._first.lin))):
-            return _without_choice("implicit", taken)
+        if self._first:
+            return _without_choice("implicit", self._take(straight(self._first.lin)))
         return self._choice.among(
             function,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt, self._constraints)},
@@ -326,7 +315,8 @@ class _OfAccelerations(_Chosen):
     @cached_property
     def _columns(self) -> Procedure:
         """Write the accelerations and their Jacobian, with columns that are solved for in a loop."""
-        if self._first and (taken := self._take(self._first._columns.stages[0].tapes[0])):
+        if self._first:
+            taken = self._take(self._first._columns.stages[0].tapes[0])
             function = self.tape.function.to(Order.LINEARISATION)
             own = replace(taken, function=Function(f"columns_{function.name}"))
             return self._first._columns.rewrite(lambda _: own, function)
@@ -364,8 +354,8 @@ class _OfAccelerations(_Chosen):
 
     @cached_property
     def written_adj1(self) -> Written[Tape]:
-        if self._first and (taken := self._take(self._first.adj1)):
-            return _without_choice("implicit", taken)
+        if self._first:
+            return _without_choice("implicit", self._take(self._first.adj1))
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT),
             {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt, self._constraints)},
@@ -374,8 +364,8 @@ class _OfAccelerations(_Chosen):
 
     @cached_property
     def written_jac_adj1(self) -> Written[Tape]:
-        if self._first and (taken := self._take(self._first.jac_adj1)):
-            return _without_choice("implicit", taken)
+        if self._first:
+            return _without_choice("implicit", self._take(self._first.jac_adj1))
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
             self.tape.function.to(Order.ADJOINT_JACOBIAN),

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from mbsgen.derivatives.kernels import Derivatives
-from mbsgen.formulations import multipliers, ports
+from mbsgen.formulations import exp1, exp2, multipliers, ports
 from mbsgen.formulations.multipliers import Bordered, Owner
 from mbsgen.formulations.parsimony.elimination import Column, Entries, Factors, factorise
 from mbsgen.manifest import FIRST_LENGTH
@@ -43,7 +43,7 @@ from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards, replay_lengths
-from mbsgen.tape.types import Input, Sparsity, Tape
+from mbsgen.tape.types import Guard, Input, Sparsity, Tape
 
 ACCELERATIONS, RESIDUAL = ports.ACCELERATIONS.name, ports.RESIDUAL.name
 UNKNOWNS = (ports.ACCELERATIONS, ports.MULTIPLIERS, ports.DRIVING_FORCES)  # y, in this order
@@ -65,7 +65,7 @@ class Constraints:
 def jacobian(tape: Tape, residual: Derivatives, wrt: Sequence[str], constraints: Constraints | None = None) -> Tape:
     """Write the Jacobian of `tape`: x -> qdd [, lam] [, tau], by the columns `wrt`, from the residual's derivatives.
 
-    The pivots of M have the guards of `tape`.
+    The pivots of M have guards that suit its elimination.
     """
     return _write_slopes(_State.declare(tape, residual, constraints), wrt, Order.JACOBIAN)
 
@@ -202,6 +202,7 @@ class _State:
     system: Bordered
     unknowns: Mapping[Port, int]  # their sizes
     weights: Mapping[Port, Sequence[Scalar]]  # mu, by the results of the residual; empty without seeds
+    diagonal: Mapping[int, Scalar]  # of M
 
     @staticmethod
     def declare(
@@ -224,7 +225,8 @@ class _State:
         found = {ACCELERATIONS: [x[i] for i in range(1, size + 1)]}
         found |= {port.name: [next(forces) for _ in range(n)] for port, n in [*unknowns.items()][1:]}
         weights = _weigh(builder, tape, system, unknowns) if seeded else {}
-        state = _State(builder, tape, residual, constraints, {**given, **found}, system, unknowns, weights)
+        diagonal = {i: upper[i, i] for i in range(1, size + 1)}
+        state = _State(builder, tape, residual, constraints, {**given, **found}, system, unknowns, weights, diagonal)
         state._guard()
         return state
 
@@ -305,20 +307,34 @@ class _State:
         return found
 
     def _guard(self) -> None:
-        """Guard the pivots by the scales and tolerances of the tape's own."""
+        """Guard the pivots of M as EXP1 does, whatever form the values have: elimination loses digits that EXP2 keeps.
+
+        So a joint of EXP2 whose own body has inertia is compared with its entry of M, and any other one with the
+        largest inertia.
+        """
         of_joints = self.constraints.unrestrained if self.constraints else self.tape
         values = replay(of_joints, self.builder, {i.name: self.inputs[i.name] for i in of_joints.inputs})
         replay_guards(of_joints, self.builder, values, only_early=True)
         replay_lengths(of_joints, self.builder, values)
-        for guard in (g for g in of_joints.guards if not g.early and g.joint < FIRST_LENGTH):
-            pivot = self.factors.D[guard.joint]
-            self.builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint)
+        pivots = (g for g in of_joints.guards if not g.early and g.joint < FIRST_LENGTH and of_joints.is_pivot(g))
+        demands = {
+            (g.joint, scale.ref, tolerance): scale for g in pivots for scale, tolerance in [self._demand(g, values)]
+        }
+        for (joint, _, tolerance), scale in demands.items():
+            self.builder.guard(self.factors.D[joint], scale, tolerance, joint)
         if self.constraints:
             system = self.system
             multipliers.guard(self.builder, self.constraints.owners, system.A, system.reduced.pivots)
             rows = self.constraints.guards
             values = replay(rows, self.builder, {i.name: self.inputs[i.name] for i in rows.inputs})
             replay_guards(rows, self.builder, values)
+
+    def _demand(self, guard: Guard, values: Sequence[Scalar]) -> tuple[Scalar, float]:
+        """Return the scale and the tolerance of a pivot of M."""
+        if guard.tolerance == exp2.OWN_TOLERANCE:
+            return self.diagonal[guard.joint], self.factors.size * exp1.PIVOT_TOLERANCE
+        tolerance = exp1.LOCKING_TOLERANCE if guard.tolerance in exp2.WITHOUT_MASS else guard.tolerance
+        return values[guard.scale], tolerance
 
     def slope(self, of: Port, name: str) -> Port:
         """Return the port of the derivative of a result by an input."""

@@ -51,7 +51,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     writing = begin(chain, segments, find_plans(tree, reductions).articulated, reductions)
     bodies = articulate(writing)
     held = _hold(writing)
-    free, lost = _give_way(writing.kinematics, bodies)
+    free, lost = give_way(writing.kinematics, bodies)
     n = len(segments)
     builder.output_dense(ports.ELIMINATION, [[_size(held[i] * free[i])] for i in range(1, n + 1)])
     builder.output_dense(ports.ARTICULATED, [[lost[i]] for i in range(1, n + 1)])
@@ -70,7 +70,7 @@ def _hold(writing: Writing) -> dict[int, Scalar]:
     return diagonal
 
 
-def _give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[int, Scalar], dict[int, Scalar]]:
+def give_way(kinematics: Kinematics, bodies: Mapping[int, Body]) -> tuple[dict[int, Scalar], dict[int, Scalar]]:
     """Compute the diagonal of M^-1 and the effect of rounding on the pivots, by joint, from the base to the leaves."""
     b = kinematics.builder
     compliances: dict[int, Square] = {0: [[b.zero] * 6 for _ in range(6)]}

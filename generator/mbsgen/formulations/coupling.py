@@ -389,8 +389,10 @@ def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: 
     builder = own.map.builder
     for guard in tape.guards:
         pivot = -values[guard.value] if guard.negated else values[guard.value]
-        scale = own.weigh(guard.joint, values[guard.scale])
-        builder.guard(own.weigh(guard.joint, pivot), scale, guard.tolerance, own.map.joint(guard.joint))
+        scale = values[guard.scale]
+        if tape.is_pivot(guard):
+            pivot, scale = own.weigh(guard.joint, pivot), own.weigh(guard.joint, scale)
+        builder.guard(pivot, scale, guard.tolerance, own.map.joint(guard.joint))
     scales = own.scales
     for k, part in lost.items():
         joint = own.map.joint(own.tree.couplings[k - 1].leader)

@@ -6,17 +6,20 @@ Docquier, Bruls, Fisette, eq. (19); Schwertassek, Rulka (1989); Featherstone (19
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
+from mbsgen.formulations.condition import give_way
 from mbsgen.formulations.links import declare_state, joint_forces, write_chain
-from mbsgen.formulations.parsimony.articulated import accelerations
+from mbsgen.formulations.parsimony.articulated import Body, accelerations
+from mbsgen.formulations.parsimony.proportions import find_spatial
 from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
-from mbsgen.formulations.parsimony.writing import begin
-from mbsgen.formulations.planning import find_plans, finish
+from mbsgen.formulations.parsimony.writing import Writing, begin
+from mbsgen.formulations.planning import align_numbers, find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
@@ -27,17 +30,25 @@ from mbsgen.tape.types import Tape
 # Elsewhere a result errs by up to 2.5 epsilon over the pivot's ratio to the largest inertia: from 2.5e6 epsilon on,
 # errors stay below 1e-6, as in EXP1.
 #
-# Where the joint's own body has inertia about the axis, the pivot is at least that. The bound holds in any position,
-# and most positions subtract less: above 2 epsilon, chains with a heavy tip err by 8e-3 at most.
+# Where the joint's own body has inertia about the axis, the pivot is at least that. Two joints without mass before a
+# body that is no rod, all axes through one point: the first pivot is the square of a sine or a cosine times an inertia
+# of the body. Nothing is subtracted, so the pivot is right however small it is. It is only bounded where the rounding
+# of the angle itself decides, some 1e-14 rad from the lock.
 #
-# Two joints without mass before a body that is no rod, all axes through one point: the first pivot is the square of a
-# sine or a cosine times an inertia of the body. Nothing is subtracted, so the pivot is right however small it is. It is
-# only bounded where the rounding of the angle itself decides, some 1e-14 rad from the lock.
+# So a joint is safe where the inertia that stays in any position, the body's or the least of the next one with mass, is
+# known to be above SURE of the largest: errors then stay below 1e-6. Where numbers are set at run time, their values at
+# generation decide, with room for others; beyond it, there is a status. At other joints, as before a tip 1e9 times as
+# heavy or a rod on massless joints, pivots say too little: the estimate of `condition` is computed along, and decides.
 PIVOT_TOLERANCE = 8.0
 OWN_TOLERANCE = 2.0
 LOCKING_TOLERANCE = 2.5e6
 PRODUCT_TOLERANCE = 1e-12
+ESTIMATE_TOLERANCE = 1e3  # the estimate promises errors of 5e-4, and in single precision of 2e-3
+ROUNDED_TOLERANCE = 2.5e3  # of inertias that are computed at run time, and rounded beside the largest of their body
+WITHOUT_MASS = (PIVOT_TOLERANCE, PRODUCT_TOLERANCE, ROUNDED_TOLERANCE)
 ROUND = 1e-3  # the least moment of inertia of such a body, relative to the largest inertia that the joint can feel
+SURE = 1e-9  # least inertia relative to the largest, where both are known
+SURE_AT_RUN_TIME = 1e-4  # the same by the values at generation of numbers that are set later; single precision has 3e-5
 
 
 def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
@@ -48,12 +59,44 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     segments = align(chain, group=reductions.share_frames)
     plan = find_plans(tree, reductions).articulated
     Q = joint_forces(chain)
-    qdd, bodies = accelerations(begin(chain, segments, plan, reductions), state.qd, Q)
+    writing = begin(chain, segments, plan, reductions)
+    qdd, bodies = accelerations(writing, state.qd, Q)
     largest = largest_inertias(chain, segments)
+    shares = _find_least_shares(tree, reductions)
+    doubtful = set()
     for i in range(len(tree.bodies), 0, -1):
-        builder.guard(bodies[i].pivot, largest[i], _choose_tolerance(segments, segments[i - 1], largest[i]), i)
+        tolerance = _choose_tolerance(segments, segments[i - 1], largest[i])
+        if tolerance in (OWN_TOLERANCE, PIVOT_TOLERANCE):
+            is_known = largest[i].literal is not None
+            if is_known and shares[i] >= SURE:
+                pass  # its pivot stands out in any position
+            elif shares[i] >= SURE_AT_RUN_TIME and not _is_pair(tree, segments, segments[i - 1]):
+                tolerance = LOCKING_TOLERANCE
+            else:
+                doubtful.add(i)
+                if not is_known and not feels_itself(segments[i - 1]):
+                    tolerance = ROUNDED_TOLERANCE
+                elif not is_known and segments[i - 1].is_revolute:
+                    P = segments[i - 1].moments.P
+                    one, other = segments[i - 1].across
+                    builder.guard(P[one, one] + P[other, other], P[0, 0] + P[1, 1] + P[2, 2], ROUNDED_TOLERANCE, i)
+        builder.guard(bodies[i].pivot, largest[i], tolerance, i)
+    if doubtful:
+        _guard_estimates(writing, bodies, doubtful)
     builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
     return finish(builder.build("exp2"), reductions)
+
+
+def _guard_estimates(writing: Writing, bodies: Mapping[int, Body], doubtful: Collection[int]) -> None:
+    """Demand digits of the joints in doubt, and of the bodies beyond them, which round what these joints feel."""
+    builder, segments = writing.chain.builder, writing.kinematics.segments
+    _, lost = give_way(writing.kinematics, bodies)
+    concerned: set[int] = set()
+    for segment in segments:
+        if segment.number in doubtful or segment.parent in concerned:
+            concerned.add(segment.number)
+    for i in sorted(concerned, reverse=True):
+        builder.guard(builder.number(1.0), lost[i], ESTIMATE_TOLERANCE, i)
 
 
 def _choose_tolerance(segments: Sequence[Segment], segment: Segment, largest: Scalar) -> float:
@@ -64,6 +107,57 @@ def _choose_tolerance(segments: Sequence[Segment], segment: Segment, largest: Sc
     return PRODUCT_TOLERANCE if _is_product(segments, segment, largest) else PIVOT_TOLERANCE
 
 
+def _find_least_shares(tree: Tree, reductions: Reductions) -> dict[int, float]:
+    """Return the least inertia that each joint feels in any position, relative to the largest, at known numbers.
+
+    A pair of joints without mass may feel less, close to its lock.
+    """
+    chain, segments = align_numbers(tree, reductions)
+    largest = largest_inertias(chain, segments)
+    return {s.number: _find_least(segments, s) / (largest[s.number].literal or np.inf) for s in segments}
+
+
+def _find_least(segments: Sequence[Segment], segment: Segment) -> float:
+    """Return the inertia about the axis of a joint's own body, or the least of the next body that has inertia.
+
+    Where joints of both kinds lie between, this body is free to turn while it is moved, and the other way round.
+    """
+    passed = [segment]
+    while not feels_itself(passed[-1]):
+        following = children(segments, passed[-1].number)
+        if len(following) != 1:
+            return 0.0
+        passed.append(following[0])
+    body = passed[-1]
+    moments = body.moments
+    if body is segment:
+        own = (moments.P[k, k] for k in segment.across) if segment.is_revolute else (moments.m,)
+        return sum(x.literal or 0.0 for x in own)
+    inertia = find_spatial(moments)
+    mine, other = (slice(3, 6), slice(0, 3)) if segment.is_revolute else (slice(0, 3), slice(3, 6))
+    least = inertia[mine, mine]
+    if any(s.is_revolute != segment.is_revolute for s in passed):
+        least = least - inertia[mine, other] @ np.linalg.pinv(inertia[other, other]) @ inertia[other, mine]
+    return max(float(np.linalg.eigvalsh(least)[0]), 0.0)
+
+
+def _is_pair(tree: Tree, segments: Sequence[Segment], segment: Segment) -> bool:
+    """Return whether two joints without mass follow each other; a quaternion's are at rest, and never lock."""
+    if feels_itself(segment) or any(segment.number in x.bodies for x in tree.quaternions):
+        return False
+    return any(not feels_itself(child) for child in children(segments, segment.number))
+
+
+def _find_moments(segment: Segment) -> NDArray[np.float64] | None:
+    """Return the principal moments of inertia of a body about its origin, ascending; None unless they are known."""
+    P = [[segment.moments.P[r, c].literal for c in range(3)] for r in range(3)]
+    if any(x is None for row in P for x in row):
+        return None
+    second = np.array(P, dtype=np.float64)
+    moments: NDArray[np.float64] = np.linalg.eigvalsh(np.trace(second) * np.eye(3) - second)
+    return moments
+
+
 def _is_product(segments: Sequence[Segment], segment: Segment, largest: Scalar) -> bool:
     """Return whether a massless joint has one more massless joint, and then a known body that is no rod."""
     following = children(segments, segment.number)
@@ -72,12 +166,8 @@ def _is_product(segments: Sequence[Segment], segment: Segment, largest: Scalar) 
     beyond = children(segments, following[0].number)
     if len(beyond) != 1 or not feels_itself(beyond[0]) or largest.literal is None:
         return False
-    P = [[beyond[0].moments.P[r, c].literal for c in range(3)] for r in range(3)]
-    if any(x is None for row in P for x in row):
-        return False
-    second = np.array(P, dtype=np.float64)
-    moments = np.linalg.eigvalsh(np.trace(second) * np.eye(3) - second)
-    return bool(moments[0] >= ROUND * float(largest.literal))
+    moments = _find_moments(beyond[0])
+    return moments is not None and bool(moments[0] >= ROUND * float(largest.literal))
 
 
 def _may_lock(segments: Sequence[Segment], segment: Segment) -> bool:

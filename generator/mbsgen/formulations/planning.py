@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
 
 from mbsgen.errors import TapeError
-from mbsgen.formulations.links import check_pivot, declare_state, write_chain
+from mbsgen.formulations.links import Chain, check_pivot, declare_state, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
@@ -107,16 +107,17 @@ class Plans:
         return search(shared.segments, cost, self._reductions, trials, start, restrain)
 
 
-def _align_numbers(tree: Tree, reductions: Reductions) -> tuple[Builder, tuple[Segment, ...]]:
+def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:
     """Align the bodies of a tree, with the parameters at their values."""
     builder = Builder()
     known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
-    return builder, align(write_chain(known, builder, declare_state(known, builder)), group=reductions.share_frames)
+    chain = write_chain(known, builder, declare_state(known, builder))
+    return chain, align(chain, group=reductions.share_frames)
 
 
 def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], restrain: Restraint) -> Restraint:
     """Refuse plans that divide by 0, or move masses out of proportion, at the parameters' values."""
-    builder, known = _align_numbers(tree, reductions)
+    chain, known = align_numbers(tree, reductions)
 
     def vanishes(plan: Plan, own: Segment, number: Segment) -> bool:
         if not (own.parent and plan[own.parent].scaled):
@@ -126,7 +127,7 @@ def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], rest
     @cache
     def fits(plan: Plan) -> bool:
         try:
-            regroup(builder, known, plan)
+            regroup(chain.builder, known, plan)
         except TapeError:
             return False
         return not any(vanishes(plan, own, number) for own, number in zip(segments, known, strict=True))
@@ -142,7 +143,7 @@ def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
     """Keep inertia in place where it would dwarf the inertia that it moves to, with the parameters at their values."""
     if not reductions.regroup:
         return leave
-    builder, segments = _align_numbers(tree, reductions)
+    chain, segments = align_numbers(tree, reductions)
     proportions = Proportions(segments)
 
     def fits(number: int, moved: Moments) -> bool:
@@ -151,7 +152,7 @@ def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
     @cache
     def move(plan: Plan) -> Plan | None:
         try:
-            return restrain(builder, segments, plan, fits)
+            return restrain(chain.builder, segments, plan, fits)
         except NoSuchPlanError:
             return None
 

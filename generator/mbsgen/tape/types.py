@@ -210,6 +210,10 @@ class Tape:
         """Number the first value that an operation computes."""
         return self.first_literal + len(self.literals)
 
+    def is_pivot(self, guard: Guard) -> bool:
+        """Return whether a guard's value is computed; a guard on a literal demands that an estimate is small."""
+        return guard.value >= self.first_operation or guard.value < self.first_literal
+
     def input(self, name: str) -> Input:
         """Look an input up by name."""
         return next(i for i in self.inputs if i.name == name)

@@ -40,7 +40,7 @@ class Proportions:
 
     def _bound(self, segment: Segment, beyond: Sequence[int]) -> Array:
         """Bound the articulated inertia of a body from below."""
-        own = _spatial(segment.moments)
+        own = find_spatial(segment.moments)
         if _weakest(own) > NEGLIGIBLE:
             return own
         return own + sum((self._carry(number, ANGLE) for number in beyond), np.zeros((6, 6)))
@@ -59,7 +59,7 @@ class Proportions:
 
     def growth(self, number: int, moved: Moments) -> float:
         """Return the largest ratio of the moments that leave body `number` to the inertia present."""
-        inertia = _spatial(moved)
+        inertia = find_spatial(moved)
         there = self._least[self._segments[number].parent], self._carry(number, 0.0)
         return min(_ratio(inertia, x) for x in there)
 
@@ -77,7 +77,7 @@ def _number(x: Scalar) -> float:
     return x.literal
 
 
-def _spatial(moments: Moments) -> Array:
+def find_spatial(moments: Moments) -> Array:
     """Make the 6 x 6 inertia: force and moment for the acceleration of the origin and the angular one."""
     P, lever = _numbers(moments.P), _cross(_vector(moments.S))
     J = np.trace(P) * np.eye(3) - P
