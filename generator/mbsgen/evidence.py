@@ -162,8 +162,7 @@ class _Comparison:
     def _draw(self, seed: int) -> State:
         source = random.Random(seed)
         n, m = len(self.whole.joints), sum(joint.actuated for joint in self.whole.joints)
-        forces = 3 * sum(v is None for x in self.whole.wrenches for v in (x.force, x.moment))
-        sizes = {"q": len(self.at), "qd": n, "qdd": n, "u": m, "w": forces}
+        sizes = {"q": len(self.at), "qd": n, "qdd": n, "u": m, "w": self.whole.open_entries}
         state = {name: np.array([source.uniform(-1.0, 1.0) for _ in range(size)]) for name, size in sizes.items()}
         held = [k for k in range(len(self.at)) if k not in self.free]
         still = [k for k in range(n) if k not in self.moving]
@@ -178,6 +177,7 @@ class _Comparison:
         driven = [k for k, joint in enumerate(self.whole.joints) if joint.actuated]
         kept = [x.name for x in self.reduced.wrenches]
         left = [x.name in kept for x in self.whole.wrenches for v in (x.force, x.moment) if v is None for _ in "xyz"]
+        left += [name in self.reduced.signals for name in self.whole.signals]
         return {
             "q": state["q"][self.free],
             **{name: state[name][self.moving] for name in ("qd", "qdd")},

@@ -244,6 +244,7 @@ class Loop(_Entry):
     redundant: tuple[str, ...] = ()  # its equations that follow from others, and are no entries of h
 
 
+TIME = "t"  # the signal that is the time
 FIRST_LENGTH = 100_000  # the status of the first force element; joints and loops have the numbers below
 
 
@@ -265,6 +266,7 @@ class Manifest(_Entry):
     design: tuple[Parameter, ...] = ()  # differentiated parameters, in the order of theta
     frames: tuple[Frame, ...]
     wrenches: tuple[Wrench, ...] = ()
+    signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
     lengths: tuple[str, ...] = ()  # force elements that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
@@ -318,7 +320,7 @@ class Manifest(_Entry):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs: entries of u by their joints, then entries of w by wrench and component."""
+        """Names of the inputs: entries of u by their joints, then entries of w: of wrenches, and signals."""
         joints = [self.coordinates[i].name for i in self.actuated]
         parts = [
             f"{wrench.name}.{part}.{axis}"
@@ -327,7 +329,17 @@ class Manifest(_Entry):
             if is_input
             for axis in "xyz"
         ]
-        return (*joints, *parts)
+        return (*joints, *parts, *self.signals)
+
+    @property
+    def open_entries(self) -> int:
+        """Count the entries of w: components of open wrenches, then signals."""
+        return len(self.inputs) - len(self.actuated)
+
+    @property
+    def reads_time(self) -> bool:
+        """Return whether forces depend on the time, the last entry of w then."""
+        return self.signals[-1:] == (TIME,)
 
 
 def write(manifest: Manifest) -> str:
@@ -339,7 +351,17 @@ def write(manifest: Manifest) -> str:
         unsaid["tolerance"] = True
     unsaid |= {
         name: True
-        for name in ("appearance", "contacts", "lengths", "loops", "independent", "dependent", "pose", "driven")
+        for name in (
+            "appearance",
+            "signals",
+            "contacts",
+            "lengths",
+            "loops",
+            "independent",
+            "dependent",
+            "pose",
+            "driven",
+        )
         if not getattr(manifest, name)
     }
     return manifest.model_dump_json(indent=2, exclude=unsaid) + "\n"

@@ -263,6 +263,7 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     told = [(b.name, b.parent, b.joint) for b in tree.bodies], [(s.name, s.body) for s in tree.sensors], tree.wrenches
     text = repr(tree.couplings) if tree.couplings else ""
     text += repr((tree.loops, tree.constraints, tree.driven, tree.closure)) if tree.is_constrained else ""
+    text += repr(tree.signals) if tree.signals else ""
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))
     bounds = [(j.max_speed, j.max_force) for j in (b.joint for b in tree.bodies)]
     text += repr(bounds) if any(map(any, bounds)) else ""
@@ -322,6 +323,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model) -> Manife
             for x in tree.wrenches
             if x.force is None or x.moment is None
         ),
+        signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
         lengths=tuple(x.length.name for x in tree.definitions if x.length is not None),
         loops=_describe_loops(tree),

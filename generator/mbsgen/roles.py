@@ -23,7 +23,7 @@ class Role(Enum):
     VELOCITY = "velocity"  # qd
     ACCELERATION = "acceleration"  # qdd, as an input or as a result
     FORCE = "force"  # u, the forces of the actuated joints
-    WRENCH = "wrench"  # w, components of external wrenches
+    WRENCH = "wrench"  # w, components of external wrenches, and other numbers that forces read
     PARAMETER = "parameter"  # p, run-time parameters
     DESIGN = "design"  # theta, differentiated parameters
     SETUP = "setup"  # h, computed from the run-time parameters by a separate function

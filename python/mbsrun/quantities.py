@@ -53,24 +53,28 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
     return known
 
 
+SIGNAL = -1  # the component of a signal, which has one number
+
+
 def find_component(manifest: Manifest, wrench: str, component: int) -> int | None:
-    """Return the entry of w that is a component of a wrench (0 to 2: force, 3 to 5: moment); None where none is."""
+    """Return the entry of w that is a component of a wrench (0 to 2: force, 3 to 5: moment), or SIGNAL; else None."""
     i = 0
     for known in manifest.wrenches:
         for k, is_open in ((0, known.force), (3, known.moment)):
             if is_open and known.name == wrench and k <= component < k + 3:
                 return i + component - k
             i += 3 * is_open
-    return None
+    return i + manifest.signals.index(wrench) if component == SIGNAL and wrench in manifest.signals else None
 
 
 def name_components(manifest: Manifest) -> list[str | None]:
-    """Name the entries of w, the components of open wrenches: fx_NAME to fz_NAME, mx_NAME to mz_NAME."""
+    """Name the entries of w: fx_NAME to fz_NAME and mx_NAME to mz_NAME of open wrenches, signal_NAME of signals."""
     names = spell([wrench.name for wrench in manifest.wrenches])
-    return [
+    components = [
         None if name is None else f"{part}{axis}_{name}"
         for wrench, name in zip(manifest.wrenches, names, strict=True)
         for part, is_open in (("f", wrench.force), ("m", wrench.moment))
         if is_open
         for axis in _AXES
     ]
+    return [*components, *(f"signal_{name}" for name in manifest.signals)]

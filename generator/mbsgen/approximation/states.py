@@ -37,8 +37,7 @@ def _draw(tree: Tree, source: random.Random, *, at_ends: bool, motion: bool) -> 
     yield "q", list(_draw_coordinates(tree, source))
     yield "qd", [draw_rate(speed) if motion else 0.0 for speed in speeds]
     yield "qdd", [draw_rate(ACCELERATION) for _ in tree.joints]
-    open_entries = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
-    yield "w", [source.uniform(-WRENCH, WRENCH) for _ in range(open_entries)]
+    yield "w", [source.uniform(-WRENCH, WRENCH) for _ in range(tree.open_entries)]
 
 
 def _draw_coordinates(tree: Tree, source: random.Random) -> Iterator[float]:

@@ -413,6 +413,7 @@ def _open(tree: Tree) -> Tree:
         parameters=(*tree.parameters, *(p for p in gravity if p)),
         bodies=tuple(replace(body, joint=joint) for body, joint in zip(tree.bodies, joints, strict=True)),
         wrenches=tuple(replace(wrench, force=None, moment=None) for wrench in tree.wrenches),
+        signals=(),
     )
 
 

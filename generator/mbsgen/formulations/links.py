@@ -37,6 +37,7 @@ from mbsgen.model.tree import (
     Wrench,
     coordinate_symbol,
     rate_symbol,
+    signal_symbol,
 )
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.lowering import lower
@@ -159,6 +160,8 @@ class Chain:
         known: dict[Expr, Scalar] = dict(self.symbols)
         for symbol, column in ((coordinate_symbol, state.q), (rate_symbol, state.qd)):
             known |= {symbol(body.joint.name): x for body, x in zip(tree.bodies, column, strict=True)}
+        if state.w and tree.signals:
+            known |= zip(map(signal_symbol, tree.signals), state.w[-len(tree.signals) :], strict=True)
         points = Points(self.links, state.qd, self.still)
         for probe in tree.probes:
             known |= zip(probe.symbols, points.read(probe.reading, probe.body, self.vector(probe.point)), strict=True)
@@ -277,7 +280,7 @@ def declare_state(
     drive: bool = False,
     more: Mapping[Port, int] = MappingProxyType({}),
 ) -> State:
-    """Declare q; qd, qdd, u, a where requested; w for open wrenches; theta and p for parameters, if there are any.
+    """Declare q; qd, qdd, u, a where requested; w, theta and p where there are open wrenches, signals, parameters.
 
     `more` are the sizes of further columns, which follow the accelerations.
     """
@@ -289,8 +292,7 @@ def declare_state(
     further = {port.name: builder.vector(port, size) for port, size in more.items()}
     u = builder.vector(ports.FORCES, sum(body.joint.actuated for body in tree.bodies)) if forces else []
     a = builder.vector(ports.DRIVE, len(tree.driven)) if drive and tree.driven else []
-    left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
-    w = builder.vector(ports.WRENCHES, left_open) if wrenches and left_open else []
+    w = builder.vector(ports.WRENCHES, tree.open_entries) if wrenches and tree.open_entries else []
 
     def declare(port: Port, kind: Kind) -> list[Scalar]:
         size = sum(x.kind is kind for x in tree.parameters)

@@ -327,7 +327,6 @@ def known_closure(tree: Tree) -> Closure:
 def _list_inputs(tree: Tree, more: Sequence[Port], *, wrenches: bool) -> Iterator[Input]:
     """List the inputs of a reduced form, for the uncoupled tree: q, yd, `more`, w, theta, p."""
     f = len(known_closure(tree).independent)
-    left_open = 3 * sum(vector is None for x in tree.wrenches for vector in (x.force, x.moment))
     sizes = {
         ports.COORDINATES: len(tree.uncoupled.coordinates),
         ports.INDEPENDENT_VELOCITIES: f,
@@ -335,7 +334,7 @@ def _list_inputs(tree: Tree, more: Sequence[Port], *, wrenches: bool) -> Iterato
         ports.DRIVING_FORCES: len(tree.driven),
         ports.FORCES: sum(body.joint.actuated for body in tree.bodies),
         ports.DRIVE: len(tree.driven),
-        ports.WRENCHES: left_open if wrenches else 0,
+        ports.WRENCHES: tree.open_entries if wrenches else 0,
         ports.DESIGN: sum(x.kind is Kind.DIFFERENTIATED for x in tree.parameters),
         ports.PARAMETERS: sum(x.kind is Kind.RUNTIME for x in tree.parameters),
     }

@@ -82,7 +82,7 @@ def _lock_constraints(model: Model, coordinates: Mapping[str, Expression]) -> It
 
 def _fix_quantities(model: Model, coordinates: Mapping[str, Expression]) -> dict[str, Expression]:
     """Return the coordinates and velocities of locked joints, by the names that forces have for them."""
-    known = {name: x for name, x in list_quantities(model).items() if x.reading is None and x.source in coordinates}
+    known = {name: x for name, x in list_quantities(model).items() if x.joint in coordinates}
     return {
         name: coordinates[x.source] if x.symbol == coordinate_symbol(x.source) else ZERO for name, x in known.items()
     }

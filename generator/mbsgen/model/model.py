@@ -316,6 +316,7 @@ class Model:
     wrenches: tuple[Wrench, ...] = ()
     forces: tuple[ForceElement, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    signals: tuple[str, ...] = ()  # numbers that forces read, and that a use gives: inputs of the code
     loops: tuple[Loop, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     driven: tuple[str, ...] = ()  # joints whose accelerations are given

@@ -8,12 +8,15 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Container, Iterator, Sequence
+from dataclasses import replace
 
 from mbsgen.documents import Place, abbreviate, lies_under
 from mbsgen.expressions import is_free_name
+from mbsgen.manifest import TIME
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.findings import Finding
-from mbsgen.model.model import BASE, COORDINATE, FREE, RATE, Model
+from mbsgen.model.model import BASE, COORDINATE, FREE, LENGTH, LENGTH_RATE, RATE, Model
+from mbsgen.model.quantities import find_read_signals, list_quantities
 
 MAX_LENGTH = 64
 
@@ -54,7 +57,9 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
             yield Finding(place, f"name {abbreviate(name)} is the name of the fixed base", "give the body another name")
     for names in (between + bodies, joints, frames, wrenches, forces, loops):
         yield from _check_alike(names, _normalise)
-    yield from _check_alike(parameters, str)  # m and M are different letters of a formula
+    signals = trusted([(("signals", i), name) for i, name in enumerate(model.signals)])
+    yield from _check_signals(signals, model)
+    yield from _check_alike(parameters + signals, str)  # m and M are different letters of a formula
 
 
 def _name_steps(model: Model) -> tuple[list[Named], list[Named]]:
@@ -90,6 +95,19 @@ def _check_parameter(place: Place, name: str) -> Iterator[Finding]:
         yield Finding(place, f"expressions cannot use the name {abbreviate(name)}", "use letters, digits and _")
     elif not is_free_name(name):
         yield Finding(place, f"expressions have their own meaning of {abbreviate(name)}", "give another name")
+
+
+def _check_signals(signals: Sequence[Named], model: Model) -> Iterator[Finding]:
+    meant = list_quantities(replace(model, signals=()))
+    read = find_read_signals(model)
+    for place, name in signals:
+        yield from _check_parameter(place, name)
+        if name in (COORDINATE, RATE, LENGTH, LENGTH_RATE, TIME):
+            yield Finding(place, f"forces have their own meaning of {name}", "give another name")
+        elif name in meant:
+            yield Finding(place, f"{name} is a number of the state too", "give another name")
+        elif name not in read:
+            yield Finding(place, f"no force reads {abbreviate(name)}", "take it away, or use it in a force")
 
 
 def _check_alike(names: Sequence[Named], normalise: Callable[[str], str]) -> Iterator[Finding]:

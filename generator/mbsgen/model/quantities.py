@@ -3,6 +3,9 @@
     q_NAME, qd_NAME                                       of a joint: coordinate and velocity
     x_NAME, y_NAME, z_NAME, vx_NAME, vy_NAME, vz_NAME     of a frame: position and velocity of its origin, in the base
 
+    t                                                     the time
+    NAME                                                  of a signal: a number that a use of the model gives
+
 Dots and blanks of a name are written _. A joint with a quaternion has velocities only.
 """
 
@@ -14,9 +17,10 @@ from dataclasses import dataclass
 from sympy import Symbol
 
 from mbsgen.expressions import Expression, names, spell
+from mbsgen.manifest import TIME
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import Model
-from mbsgen.model.tree import Reading, coordinate_symbol, rate_symbol
+from mbsgen.model.tree import Reading, coordinate_symbol, rate_symbol, signal_symbol
 
 _READINGS: Mapping[str, Reading] = {"": Reading.POSITION, "v": Reading.VELOCITY}
 
@@ -26,8 +30,14 @@ class Quantity:
     """One number of the state."""
 
     symbol: Symbol
-    source: str  # the joint or the frame
+    source: str  # the joint, the frame or the signal
     reading: Reading | None = None  # of a frame
+    is_given: bool = False  # of a signal, or the time
+
+    @property
+    def joint(self) -> str | None:
+        """The joint that it is a coordinate or velocity of."""
+        return self.source if self.reading is None and not self.is_given else None
 
 
 def list_quantities(model: Model) -> dict[str, Quantity]:
@@ -48,7 +58,12 @@ def list_quantities(model: Model) -> dict[str, Quantity]:
         for sign, reading in _READINGS.items() if name is not None else ():
             for axis, symbol in zip("xyz", probe_symbols(frame, reading), strict=True):
                 found[f"{sign}{axis}_{name}"] = Quantity(symbol, frame, reading)
-    return found
+    return found | {name: Quantity(signal_symbol(name), name, is_given=True) for name in _list_given(model)}
+
+
+def _list_given(model: Model) -> tuple[str, ...]:
+    """Name the signals, and the time unless a parameter has its name."""
+    return model.signals if any(p.name == TIME for p in model.parameters) else (*model.signals, TIME)
 
 
 def probe_symbols(name: str, reading: Reading) -> tuple[Symbol, Symbol, Symbol]:
@@ -71,6 +86,12 @@ def find_read_frames(model: Model) -> frozenset[str]:
     known = list_quantities(model)
     read = frozenset[str]().union(*map(names, list_laws(model)))
     return frozenset(known[name].source for name in read & known.keys() if known[name].reading is not None)
+
+
+def find_read_signals(model: Model) -> tuple[str, ...]:
+    """Name the signals that forces read, in the model's order, and then the time if they read it."""
+    read = frozenset[str]().union(*map(names, list_laws(model)))
+    return tuple(name for name in _list_given(model) if name in read)
 
 
 def find_ambiguous(expression: Expression, parameters: Iterable[str], others: Iterable[str]) -> list[str]:

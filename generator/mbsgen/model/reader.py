@@ -55,6 +55,7 @@ def _make_model(section: schema.ModelSection) -> Model:
         wrenches=tuple(map(_make_wrench, section.wrenches)),
         forces=tuple(element.make() for element in section.forces),
         contacts=tuple(contact.make() for contact in section.contacts),
+        signals=section.signals,
         loops=tuple(loop.make() for loop in section.loops),
         constraints=tuple(constraint.make() for constraint in section.constraints),
         driven=section.driven,

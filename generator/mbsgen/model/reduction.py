@@ -23,7 +23,7 @@ from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
-from mbsgen.model.quantities import find_read_frames, list_quantities, probe_symbols
+from mbsgen.model.quantities import find_read_frames, find_read_signals, list_quantities, probe_symbols
 from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
 from mbsgen.model.tree import (
@@ -81,6 +81,7 @@ def build_tree(description: Model) -> Tree:
         probes=(*_probe_frames(description, seats, reader), *loads.probes),
         definitions=tuple(loads.definitions),
         distances=tuple(loads.distances),
+        signals=find_read_signals(description),
         quaternions=tuple(_find_quaternions(description, moving)),
         couplings=couplings,
         loops=tuple(_make_loop(loop, seats, reader) for loop in description.loops),

@@ -134,6 +134,7 @@ class ModelSection(Section):
     wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
     forces: tuple[ForceSection, ...] = Field((), examples=[[]], description="springs and cables between two frames")
     contacts: tuple[ContactSection, ...] = Field((), examples=[[]], description="compliant contacts with planes")
+    signals: tuple[str, ...] = Field((), examples=[[]], description="numbers that forces read, as inputs of the code")
     loops: tuple[LoopSection, ...] = Field((), examples=[[]], description="joints that close loops of bodies")
     constraints: tuple[ConstraintSection, ...] = Field((), examples=[[]], description="equations of coordinates")
     driven: tuple[str, ...] = Field((), examples=[[]], description="joints whose motion is given; their force results")

@@ -171,6 +171,11 @@ def coordinate_symbol(joint: str) -> Symbol:
     return Symbol(f"q[{joint}]", real=True)
 
 
+def signal_symbol(name: str) -> Symbol:
+    """Return the symbol of a signal, or of the time, in forces; no parameter has it."""
+    return Symbol(f"signal[{name}]", real=True)
+
+
 class Reading(Enum):
     """A vector that forces read of the state: of a point of a body, in the base frame."""
 
@@ -269,6 +274,7 @@ class Tree:
     probes: tuple[Probe, ...] = ()  # what wrenches and force laws read of the state
     definitions: tuple[Definition, ...] = ()  # what they have in common
     distances: tuple[Distance, ...] = ()  # of contacts, by their definitions
+    signals: tuple[str, ...] = ()  # numbers that forces read, the last entries of the input w; TIME is the last one
     quaternions: tuple[Quaternion, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     loops: tuple[Loop, ...] = ()
@@ -293,6 +299,11 @@ class Tree:
         """The joints that are entries of qd: all except followers."""
         followers = self.followers
         return tuple(body.joint for i, body in enumerate(self.bodies, 1) if i not in followers)
+
+    @property
+    def open_entries(self) -> int:
+        """Count the entries of the input w: components of wrenches that the model leaves open, then signals."""
+        return 3 * sum(vector is None for x in self.wrenches for vector in (x.force, x.moment)) + len(self.signals)
 
     @property
     def uncoupled(self) -> Tree:
@@ -341,6 +352,7 @@ class Tree:
         """The symbols that stand for numbers of the state in constraints, force laws and wrenches."""
         joints = [body.joint.name for body in self.bodies]
         own = {symbol(name) for name in joints for symbol in (coordinate_symbol, rate_symbol)}
+        own |= set(map(signal_symbol, self.signals))
         return frozenset(own).union(*(x.symbols for x in self.probes), (x.symbol for x in self.definitions))
 
     @property

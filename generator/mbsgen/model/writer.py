@@ -68,9 +68,9 @@ def write_model(model: Model) -> str:
         content["loops"] = [_write_loop(loop) for loop in model.loops]
     if model.constraints:
         content["constraints"] = [_write_constraint(constraint) for constraint in model.constraints]
-    for key, joints in (("driven", model.driven), ("independent", model.independent)):
-        if joints:
-            content[key] = [_quote(joint) for joint in joints]
+    for key, listed in (("signals", model.signals), ("driven", model.driven), ("independent", model.independent)):
+        if listed:
+            content[key] = [_quote(name) for name in listed]
     if model.assembly:
         content["assembly"] = {_quote(joint): _write_number(value) for joint, value in model.assembly}
     if model.allow_unphysical:

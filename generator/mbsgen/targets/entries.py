@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mbsgen.formulations.closure import kept_equations
-from mbsgen.manifest import FIRST_LENGTH
+from mbsgen.manifest import FIRST_LENGTH, TIME
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.targets.names import escape, mangle
 
@@ -54,7 +54,7 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
             f"Force elements: a function that finds no direction of entry k returns {FIRST_LENGTH} + k",
             (x.length.name for x in tree.definitions if x.length is not None),
         ),
-        _group("w", "Entries of w: components of the wrenches that are inputs", _list_components(tree)),
+        _group("w", _describe_open(tree), _list_components(tree)),
         _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),
         _group("theta", "Entries of theta: differentiated parameters", _list_parameters(tree, Kind.DIFFERENTIATED)),
         _group("contact", "Entries of distance: points of contact", (x.name for x in tree.distances)),
@@ -107,11 +107,19 @@ def _list_independent(tree: Tree) -> Iterator[str]:
         yield from (tree.joints[i].name for i in tree.closure.independent)
 
 
+def _describe_open(tree: Tree) -> str:
+    wrenches = "Entries of w: components of the wrenches that are inputs"
+    if not tree.signals:
+        return wrenches
+    return f"{wrenches}, then signals{f'; {TIME} is the time' if tree.signals[-1] == TIME else ''}"
+
+
 def _list_components(tree: Tree) -> Iterator[str]:
     for wrench in tree.wrenches:
         for kind, vector in (("force", wrench.force), ("moment", wrench.moment)):
             if vector is None:
                 yield from (f"{wrench.name}.{kind}.{axis}" for axis in AXES)
+    yield from tree.signals
 
 
 def _list_parameters(tree: Tree, kind: Kind) -> list[str]:

@@ -17,7 +17,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
-from mbsgen.model.tree import Coupling, Kind, Probe, Reading, Tree, coordinate_symbol, rate_symbol
+from mbsgen.model.tree import Coupling, Kind, Probe, Reading, Tree, coordinate_symbol, rate_symbol, signal_symbol
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
@@ -94,6 +94,7 @@ class Truth:
         self.qd, self.qdd = state.take("qd", self.n), state.take("qdd", self.n)  # of joints that follow no other
         self.q = self.place(state.take("q", len(tree.coordinates)))  # of all joints
         self.all_qd = self.move(self.qd)
+        self.w = state.take("w", tree.open_entries)
 
     @cached_property
     def _leaders(self) -> dict[str, Coupling]:
@@ -277,6 +278,8 @@ class Truth:
         joints = [body.joint.name for body in self.tree.bodies]
         known = dict(zip(map(rate_symbol, joints), self.all_qd, strict=True))
         known |= zip(map(coordinate_symbol, self.tree.coordinates), self.q, strict=True)  # of quaternions: not read
+        first = len(self.w) - len(self.tree.signals)
+        known |= zip(map(signal_symbol, self.tree.signals), self.w[first:], strict=True)
         for k, probe in enumerate(self.tree.probes):
             known |= zip(probe.symbols, self._probe(probe, self.mechanism.vector(f"probe_{k}")), strict=True)
         for definition in self.tree.definitions:
@@ -508,8 +511,7 @@ def _power(truth: Truth, _: Computation, results: Results) -> Iterator[Compariso
 
 def _work(truth: Truth) -> Iterator[Decimal]:
     """Yield the power of each external force and moment."""
-    sizes = 3 * sum(v is None for x in truth.tree.wrenches for v in (x.force, x.moment))
-    open_ones = iter(truth.state.take("w", sizes))
+    open_ones = iter(truth.w)
     for k, wrench in enumerate(truth.tree.wrenches):
         force, moment = (
             truth.read(vector) if vector is not None else list(islice(open_ones, 3))

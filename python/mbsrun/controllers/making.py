@@ -83,6 +83,8 @@ def make(
         raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
     if problem.every_component or problem.forces:
         finding = "a controller chooses the inputs u, and the problem gives forces by expressions or contacts"
+        if plant.manifest.signals:
+            finding = f"a controller chooses the inputs u, and forces read {', '.join(plant.manifest.signals)} too"
         raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
     if problem.every_state or problem.controls:
         finding = "a controller measures coordinates and velocities, and the problem adds states or controls"

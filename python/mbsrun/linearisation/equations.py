@@ -234,6 +234,11 @@ def check_kernels(kernels: Kernels, needed: Collection[str] = ("impl", "jac_impl
     missing = [name for name in needed if name not in known]
     if missing:
         raise ArgumentError(f"{kernels.manifest.model} was generated without {', '.join(missing)}")
+    if kernels.manifest.reads_time:
+        raise ArgumentError(
+            f"forces of {kernels.manifest.model} depend on the time t, so no pose stays an equilibrium; replace t in "
+            "the model by a signal, which is 0 here"
+        )
 
 
 def _state(kernels: Kernels, at: Equilibrium) -> dict[str, Any]:

@@ -285,8 +285,7 @@ def _reduce(states: States, whole: Manifest, subject: Subject) -> dict[str, Arra
     driven = [whole.coordinates[i].name for i in whole.actuated]
     reduced = {name: states[name][:, kept] for name in ("q", "qd", "qdd")}
     reduced["u"] = states["u"][:, _find(driven, [manifest.coordinates[i].name for i in manifest.actuated])]
-    entries = [f"{x.name} {k}" for x in whole.wrenches for k in range(3 * x.force + 3 * x.moment)]
-    left = [f"{x.name} {k}" for x in manifest.wrenches for k in range(3 * x.force + 3 * x.moment)]
+    entries, left = (x.inputs[len(x.actuated) :] for x in (whole, manifest))
     reduced["w"] = states["w"][:, _find(entries, left)]
     for name, axis in (("lam", Axis.CONSTRAINTS), ("tau", Axis.DRIVEN), ("a", Axis.DRIVEN)):
         if name in states:

@@ -90,8 +90,7 @@ def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]
     refuse_unmeasured(manifest)
     rng = np.random.default_rng(seed)
     n = len(manifest.coordinates)
-    wrench = sum(3 * x.force + 3 * x.moment for x in manifest.wrenches)
-    sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": wrench}
+    sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": manifest.open_entries}
     sizes |= {"lam": len(manifest.owners)} if manifest.owners else {}
     sizes |= {"tau": len(manifest.driven), "a": len(manifest.driven)} if manifest.driven else {}
     q = _draw_coordinates(manifest, rng, count)

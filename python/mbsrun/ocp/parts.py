@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mbsgen.documents import Document, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, is_free_name, names, parse
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import TIME, Manifest
 from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
@@ -45,7 +45,7 @@ from mbsrun.ocp.sections import (
 )
 from mbsrun.ocp.touching import find_faults as find_touching_faults
 from mbsrun.ocp.touching import list_components, list_constraints
-from mbsrun.quantities import find_component
+from mbsrun.quantities import SIGNAL, find_component
 from mbsrun.reading import Reading
 
 FREE: Range = (-math.inf, math.inf)
@@ -177,6 +177,17 @@ class PartReading(Reading):
                     found += [self.component((*place, i), name, first + i, part) for i, part in enumerate(components)]
         return tuple(found)
 
+    def signals(self, given: Mapping[str, str | UnknownForceSection], named: Sequence[str]) -> list[WrenchComponent]:
+        """Read the signals of the model; a state or control of the same name gives one that is not listed."""
+        known = [name for name in self.manifest.signals if name != TIME]
+        found = [
+            self.component(("signals", name), name, SIGNAL, section)
+            for name, section in given.items()
+            if self.find(("signals", name), name, known, "signal of the model") is not None
+        ]
+        found += [WrenchComponent(name, SIGNAL, name) for name in known if name not in given and name in named]
+        return [*found, *([WrenchComponent(TIME, SIGNAL, TIME)] if self.manifest.reads_time else [])]
+
     def component(
         self, place: Place, wrench: str, component: int, section: str | UnknownForceSection
     ) -> WrenchComponent:
@@ -248,7 +259,8 @@ class PartReading(Reading):
         """Check that all components of open wrenches have a value, and that expressions can be put in an order."""
         if left := list_open_components(problem, self.manifest):
             finding = f"{', '.join(left)} have no value" if len(left) > 1 else f"{left[0]} has no value"
-            self.fault(("wrenches",), f"the model leaves wrenches open, and {finding}", "give an expression or a range")
+            key = "signals" if all(name.startswith("signal_") for name in left) else "wrenches"
+            self.fault((key,), f"the model leaves {key} open, and {finding}", "give an expression or a range")
         for place, finding, remedy in find_faults(problem, self.manifest):
             self.fault((place.partition("[")[0],), finding, remedy)
         for place, finding, remedy in find_contact_faults(problem, self.manifest):

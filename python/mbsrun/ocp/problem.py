@@ -186,8 +186,8 @@ class Force:
 class WrenchComponent:
     """A component of a wrench that the model leaves open: given by an expression, or an unknown at every point."""
 
-    wrench: str  # a name of the model's
-    component: int  # 0 to 2: force along x, y, z; 3 to 5: moment
+    wrench: str  # a name of the model's: of a wrench, or of a signal
+    component: int  # 0 to 2: force along x, y, z; 3 to 5: moment; SIGNAL: of a signal, or the time
     expression: str | None = None  # None: an unknown, which constraints determine
     bounds: Range = (-math.inf, math.inf)
     guess: float = 0.0

@@ -438,6 +438,7 @@ class ProblemSection(Section):
     relaxation: RelaxationSection | None = Field(default=None, examples=[{"first": 1.0, "last": 1e-6}])
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    signals: Annotated[dict[str, ComponentField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])

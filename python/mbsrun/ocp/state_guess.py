@@ -42,7 +42,7 @@ def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
         motion = replace(motion, controls=np.tile(values, (len(motion.u), 1)))
     if motion.states.shape[1] != len(states):
         motion = _add_states(motion, problem, plant)
-    motion = _add_given(motion, problem, plant) if problem.forces or plant.manifest.wrenches else motion
+    motion = _add_given(motion, problem, plant) if problem.forces or plant.manifest.open_entries else motion
     return guess_largest(motion, problem, plant) if is_new else motion
 
 

@@ -239,7 +239,7 @@ class _Reading(PartReading):
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
         self.closure = find_closure(self.plant)
-        chosen = section.controls or section.wrenches or section.contacts or section.unknowns
+        chosen = section.controls or section.wrenches or section.signals or section.contacts or section.unknowns
         if not (self.inputs.known or chosen or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
             finding = "the model has no actuated coordinate" if self.coordinates.known else "no model and no controls"
@@ -297,7 +297,7 @@ class _Reading(PartReading):
             states=self.states(section.states),
             controls=self.controls(section.controls),
             forces=self.given_forces(section.forces, self.inputs.known),
-            wrenches=(*wrenches, *forces),
+            wrenches=(*wrenches, *forces, *self.signals(section.signals, [*section.states, *section.controls])),
             contacts=self.contacts(section.contacts),
             touching=touching,
             relaxation=relaxation if touching else None,

@@ -715,7 +715,7 @@ def order_components(shape: Structure, manifest: Manifest) -> tuple[str | None, 
 
 def _read_wrenches(kernel: KernelResult, plant: Plant) -> KernelResult:
     """Return a kernel that reads the components of open wrenches, if there are any, in the order of its inputs."""
-    if not plant.manifest.wrenches:
+    if not plant.manifest.open_entries:
         return kernel
     order = [a.name for a in plant.describe(kernel.kernel).inputs]
     inputs = {*kernel.inputs, *({"w"} & set(order))}

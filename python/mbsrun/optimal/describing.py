@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Delay, Form, Problem, Range, Target, WrenchComponent
+from mbsrun.quantities import SIGNAL
 
 LONGEST = 12  # parts of one line; more are counted
 
@@ -83,7 +84,10 @@ def _describe_grid(problem: Problem) -> str:
 
 
 def _describe_component(component: WrenchComponent) -> str:
-    name = f"{'fm'[component.component // 3]}{'xyz'[component.component % 3]}_{component.wrench}"
+    if component.component == SIGNAL:
+        name = f"signal_{component.wrench}"
+    else:
+        name = f"{'fm'[component.component // 3]}{'xyz'[component.component % 3]}_{component.wrench}"
     return _write_range(name, component.bounds) if component.expression is None else f"{name} = {component.expression}"
 
 

@@ -17,6 +17,7 @@ def check_states(manifest: Manifest, peer: str) -> None:
         (manifest.loops, "closed loops"),
         (manifest.driven, "driven joints"),
         (manifest.wrenches, "open wrenches"),
+        (manifest.signals, f"forces that read {', '.join(manifest.signals)}"),
     ):
         if found:
             raise PeerError(f"{manifest.model} has {what}, and {peer} gives it q, qd and u alone; model it without")

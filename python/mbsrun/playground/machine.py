@@ -36,6 +36,10 @@ class PlaygroundError(MbsError):
 def describe_machine(kernels: Kernels) -> dict[str, Any]:
     """Return the mechanism for the script. Raises PlaygroundError for missing functions."""
     manifest = kernels.manifest
+    if manifest.signals:
+        raise PlaygroundError(
+            f"{manifest.model} has forces that read {', '.join(manifest.signals)}, which the page lacks"
+        )
     used = list(_select(manifest))
     sources = [source for kernel in used for source in kernel.sources]
     module = compile_module(kernels.folder, manifest.prefix, sources, [kernel.symbol for kernel in used])

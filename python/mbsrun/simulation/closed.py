@@ -27,7 +27,6 @@ from mbsrun.simulation.explicit import (
     RK4,
     Tableau,
     count_steps,
-    count_wrench_entries,
     describe_singularity,
     place_steps,
 )
@@ -220,7 +219,7 @@ class _Plant:
             "qd": np.zeros(n),
             "qdd": np.zeros(n),
             "lam": np.zeros(e + 1),
-            "v": np.zeros(dynamics.forces_count + count_wrench_entries(dynamics.kernels) + 1),
+            "v": np.zeros(dynamics.forces_count + dynamics.kernels.manifest.open_entries + 1),
             "course": np.zeros(3 * d + 1),
             "tau": np.zeros(d + 1),  # 0: residuals of driven joints are their forces, and are not read
         }

@@ -83,7 +83,18 @@ class Drive:
         )
 
     def play(self, kernels: Kernels, end: float, state: Callable[[], tuple[Array, Array]]) -> Iterator[Piece]:
-        """Yield the pieces until `end`; `state` returns q and qd at the time that was reached."""
+        """Yield the pieces until `end`; `state` returns q and qd at the time that was reached.
+
+        Where forces read the time, it is the last input of every piece.
+        """
+        pieces = self._play(kernels, end, state)
+        if kernels.manifest.reads_time:
+            count = len(kernels.manifest.inputs)
+            yield from (_add_time(piece, count) for piece in pieces)
+        else:
+            yield from pieces
+
+    def _play(self, kernels: Kernels, end: float, state: Callable[[], tuple[Array, Array]]) -> Iterator[Piece]:
         if self.control is None:
             yield from self.until(end)
         elif self.period is None:
@@ -94,6 +105,19 @@ class Drive:
                 q, qd = state()
                 held = self.control(kernels, np.array([start]), q[None], qd[None])[0]
                 yield Piece(start, min(start + self.period, end), hold(held).pieces[0].values, True)
+
+
+def _add_time(piece: Piece, count: int) -> Piece:
+    """Return a piece with the time as the last of `count` inputs; a recorded one in its place is left out."""
+
+    def join(times: Array, values: Array) -> Array:
+        return np.column_stack((values[:, : count - 1], times))
+
+    def follow(times: Array, q: Array, qd: Array) -> Array:
+        return join(times, piece.follow(times, q, qd))
+
+    law = None if piece.law is None else follow
+    return Piece(piece.start, piece.end, lambda times: join(times, piece.values(times)), False, law)
 
 
 def _follow_nothing(_: Array) -> Array:

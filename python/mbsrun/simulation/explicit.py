@@ -202,7 +202,7 @@ class _Plant:
             "q": np.zeros(dynamics.places),
             "qd": np.zeros(n),
             "qdd": np.zeros(n),  # the accelerations at which a residual is evaluated
-            "v": np.zeros(forces + count_wrench_entries(kernels) + 1),
+            "v": np.zeros(forces + kernels.manifest.open_entries + 1),
         }
         memory = self.memory = Memory(self.ffi, kernels, arrays)
         p: Any = self.ffi.new("mbs_plant *")
@@ -233,8 +233,3 @@ class _Plant:
         work = ffi.new("double[]", len(state) * len(tableau.b))
         done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
         return done, status[0], states
-
-
-def count_wrench_entries(kernels: Kernels) -> int:
-    """Count the entries of w."""
-    return sum(3 * wrench.force + 3 * wrench.moment for wrench in kernels.manifest.wrenches)

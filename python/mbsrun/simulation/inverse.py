@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from mbsgen.errors import MbsError
+from mbsgen.manifest import TIME
 from mbsrun.closure import RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quaternions import neutral
@@ -68,7 +69,11 @@ def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array
         states.append(_follow(kernels, joints, places, pose, *state))
         pose = states[-1][0]
     q, qd, qdd = (np.array(x) for x in zip(*states, strict=True))
-    w = np.zeros((len(times), len(manifest.inputs) - len(manifest.actuated)))
+    if unknown := [name for name in manifest.signals if name != TIME]:
+        raise ArgumentError(f"forces of {manifest.model} read {', '.join(unknown)}, which the motion does not give")
+    w = np.zeros((len(times), manifest.open_entries))
+    if manifest.reads_time:
+        w[:, -1] = times
     return balance(kernels, times, q, qd, qdd, w)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
-from mbsgen.manifest import Manifest, Wrench
+from mbsgen.manifest import TIME, Manifest, Wrench
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import find_velocities, normalise
 from mbsrun.recordings import AXES, Recording, Track, Treatment, find_column, fit, name_coordinate, read_column, stack
@@ -193,6 +193,14 @@ def _fit_loads(recording: Recording, manifest: Manifest, loads: Mapping[str, Loa
                     faults += error.faults
                     continue
                 found[name][f"{part}.{axis}"] = fit(recording.times, samples, LINEAR)
+    for name in manifest.signals:
+        if name == TIME:
+            continue
+        column = next((x for x in (f"input[{name}]", f"w[signal_{name}]") if x in recording.names), name)
+        if column not in recording.names:
+            faults += refuse_column(recording, column).faults
+            continue
+        found[f"signal[{name}]"] = {"signal": fit(recording.times, read_column(recording, column, ""), LINEAR)}
     if faults:
         raise InputError(faults)
     return found
@@ -229,6 +237,8 @@ def _resolve(
     w = np.zeros((len(times), len(labels)))
     frames = kernels("frames", q=q) if parts else {}
     sensors = {frame.name: i for i, frame in enumerate(manifest.frames) if frame.sensor}
+    for name in manifest.signals:
+        w[:, labels.index(name)] = times if name == TIME else parts[f"signal[{name}]"]["signal"].evaluate(times)
     for wrench in manifest.wrenches:
         own = parts.get(wrench.name)
         if own is None:

@@ -132,6 +132,7 @@ class SettingsSection(Section):
     inputs: dict[str, NumberField] = Field(default={}, examples=[{}])
     input_period: NumberField | None = Field(default=None, examples=[1e-3])
     wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
+    signals: dict[str, NumberField] = Field(default={}, examples=[{}])
 
 
 # --- meaning -------------------------------------------------------------------------------------------------------
@@ -274,8 +275,10 @@ class _Reading(Reading):
             for part, vector in self.wrench(wrench, section.wrenches.get(wrench.name, _WrenchSection())):
                 expressions += vector
                 labels += [f"{wrench.name}, {part} along {axis}" for axis in "xyz"]
+        expressions += self.signals(section.signals)
+        labels += [f"signal {name}" for name in self.manifest.signals if name != TIME]
         if self.recording is not None:
-            given = ("inputs", "wrenches", "input_period")
+            given = ("inputs", "wrenches", "signals", "input_period")
             if place := next(((key,) for key in given if getattr(section, key)), ()):
                 self.fault(place, "a solution gives the inputs", "give one or the other")
             return self.recording.drive
@@ -284,6 +287,14 @@ class _Reading(Reading):
         if section.input_period is not None:
             period = self.number(("input_period",), section.input_period, math.ulp(0))
         return express(expressions, labels, constants, self.quantities, period)
+
+    def signals(self, section: Mapping[str, Expression]) -> list[Expression]:
+        """Read the signals over time; a signal that is not named is 0."""
+        known = [name for name in self.manifest.signals if name != TIME]
+        for name, expression in section.items():
+            if self.find(("signals", name), name, known, "signal of the model") is not None:
+                self.formula(("signals", name), expression, self.known)
+        return [section.get(name, Number(0.0)) for name in known]
 
     def wrench(self, wrench: Wrench, section: _WrenchSection) -> Iterator[tuple[str, list[Expression]]]:
         """Read the inputs of a wrench: its force, its moment, or both."""

@@ -203,6 +203,9 @@ class _Reading(Reading):
         if self.problem.references:
             finding = f"the problem reads the recording {self.problem.references[0].name}, each plan from its start"
             self.fault((), finding, "follow an expression in t0 + t instead, with updates: {t0: t}")
+        if self.manifest.signals:
+            finding = f"its forces read {', '.join(self.manifest.signals)}, which nothing gives in a closed loop"
+            self.fault(("plant", "model"), finding, "give the plant forces of the state alone, or wrenches")
         positive = math.ulp(0)
         duration, rate = (self.number((key,), getattr(section, key), positive) for key in ("duration", "rate"))
         if duration * rate > MAX_SAMPLES:

@@ -192,6 +192,11 @@ class Layout:
 
 
 def _check(manifest: Manifest) -> None:
+    if manifest.reads_time:
+        raise FmuError(
+            f"forces of {manifest.model} depend on the time t, which an FMU does not pass on; replace t in the "
+            "model by a signal, and connect this input to the time"
+        )
     if not manifest.coordinates:
         raise FmuError(f"{manifest.model} has no joint, and nothing to simulate; give a body a joint")
 
