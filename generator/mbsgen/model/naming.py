@@ -99,14 +99,14 @@ def _check_parameter(place: Place, name: str) -> Iterator[Finding]:
 
 def _check_signals(signals: Sequence[Named], model: Model) -> Iterator[Finding]:
     meant = list_quantities(replace(model, signals=()))
-    read = find_read_signals(model)
+    read, taken = find_read_signals(model), {p.name for p in model.parameters}
     for place, name in signals:
         yield from _check_parameter(place, name)
         if name in (COORDINATE, RATE, LENGTH, LENGTH_RATE, TIME):
             yield Finding(place, f"forces have their own meaning of {name}", "give another name")
         elif name in meant:
             yield Finding(place, f"{name} is a number of the state too", "give another name")
-        elif name not in read:
+        elif name not in read and name not in taken:
             yield Finding(place, f"no force reads {abbreviate(name)}", "take it away, or use it in a force")
 
 

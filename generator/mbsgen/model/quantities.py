@@ -62,8 +62,9 @@ def list_quantities(model: Model) -> dict[str, Quantity]:
 
 
 def _list_given(model: Model) -> tuple[str, ...]:
-    """Name the signals, and the time unless a parameter has its name."""
-    return model.signals if any(p.name == TIME for p in model.parameters) else (*model.signals, TIME)
+    """Name the signals, and the time; a parameter of a name takes it."""
+    taken = {p.name for p in model.parameters}
+    return tuple(name for name in (*model.signals, TIME) if name not in taken)
 
 
 def probe_symbols(name: str, reading: Reading) -> tuple[Symbol, Symbol, Symbol]:

@@ -491,6 +491,22 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
     "two wrenches of a name": ("name: wind", "name: Ground", 36, "wrenches[1].name", 'hard to tell from "ground"'),
     "a wrench that is a path": ("name: wind", "name: ../wind", 36, "wrenches[1].name", "looks like a path"),
     "a key of a wrench": ("frame: body\n", "at: body\n", 38, "wrenches[1].at", "unknown key"),
+    # signals, written before the wrenches that may read them
+    **{
+        name: ("[push, 0, 0]", f"[push, {read}, 0]\nsignals: [{signals}]", line, path, finding)
+        for name, signals, read, line, path, finding in (
+            ("a signal that is not read", "gust", "0", 40, "signals[0]", 'no force reads "gust"'),
+            ("a signal of the time's name", "t", "t", 40, "signals[0]", "their own meaning of t"),
+            ("a signal of a joint's own name", "qd", "0", 40, "signals[0]", "their own meaning of qd"),
+            ("a signal of a parameter's name", "k", "0", 40, "signals[0]", 'name "k" is taken'),
+            ("a signal of a state's name", "q_trunk_z", "0", 40, "signals[0]", "a number of the state"),
+            ("a signal twice", "gust, gust", "gust", 40, "signals[1]", 'name "gust" is taken'),
+            ("a signal that is no word", "'a b'", "0", 40, "signals[0]", "cannot use the name"),
+            ("a signal that is a function", "sin", "0", 40, "signals[0]", "their own meaning"),
+            ("an unknown signal", "gust", "gust + gist", 39, "wrenches[1].force[1]", 'unknown name "gist"'),
+            ("a signal that is a number", "5", "0", 40, "signals[0]", "found 5"),
+        )
+    },
     "code in a wrench": ("[push, 0, 0]", "['open(\"x\")', 0, 0]", 39, "wrenches[1].force[0]", "no meaning"),
 }
 
