@@ -18,6 +18,8 @@ MAX_BYTES = 1 << 26
 MAX_COLUMNS = 2000
 MAX_ROWS = 1_000_000
 MAX_NAME = 200  # characters
+LARGEST = 1e30  # magnitude of a number, in the file's unit; squares of its derivatives do not overflow
+CLOSEST = 1e-9  # s, between two rows
 MAX_CELL_FAULTS = 20  # of one file: a column of words would be a fault in each row
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
 _UNIT = re.compile(r"(?P<name>.*\S)\s+\[(?P<unit>[^\[\]]*)\]")
@@ -107,8 +109,12 @@ def _read_cell(lines: Lines, line: int, name: str, cell: str) -> float:
     if not text or text.lower() == "nan":
         return math.nan
     value = float(text) if _NUMBER.fullmatch(text) else math.inf
-    if math.isfinite(value):
+    if abs(value) <= LARGEST:
         return value
+    if math.isfinite(value):
+        remedy = f"give a number of at most {LARGEST:g}; an empty cell, or nan, is a gap"
+        lines.fault(line, f"column {abbreviate(name)}", f"found {abbreviate(text)}", remedy)
+        return math.nan
     remedy = "give a number with a point, such as 1.5e-3; an empty cell, or nan, is a gap"
     lines.fault(line, f"column {abbreviate(name)}", f"found {abbreviate(text)}", remedy)
     return math.nan
@@ -121,9 +127,11 @@ def _check_times(lines: Lines, places: Sequence[int], name: str, times: Array) -
         return  # a row or cell with a fault has no time
     for k in np.flatnonzero(np.isnan(times)):
         lines.fault(places[int(k)], path, "this row has no time", "give one in each row")
-    for k in np.flatnonzero(np.diff(times) <= 0):
-        finding = f"the time {times[k + 1]:.9g} follows {times[k]:.9g}"
-        lines.fault(places[int(k) + 1], path, finding, "let times increase from row to row")
+    for k in np.flatnonzero(np.diff(times) < CLOSEST):
+        finding, remedy = f"the time {times[k + 1]:.9g} follows {times[k]:.9g}", "let times increase from row to row"
+        if times[k + 1] > times[k]:
+            remedy = f"let times be in s, and {CLOSEST:g} apart at least"
+        lines.fault(places[int(k) + 1], path, finding, remedy)
     if len(times) < 2:
         finding = f"found {len(times)} rows of numbers" if len(times) != 1 else "found one row of numbers"
         lines.fault(places[-1] if places else 0, "", finding, "give two at least")

@@ -89,6 +89,12 @@ BAD = {
     "short row": ("a.csv", "t,y,z\n0,1\n1,2,3\n", ["a.csv:2: found 2 cells, and there are 3 columns"]),
     "a word": ("a.csv", "t,y\n0,one\n1,2\n", ['a.csv:2: column "y": found "one"', "a number with a point"]),
     "a comma": ("a.csv", "t;y\n0;1,5\n1;2\n", ['a.csv:2: column "y": found "1,5"']),
+    "a number whose square overflows": (
+        "a.csv",
+        "t,y\n0,1e308\n1,2\n",
+        ['a.csv:2: column "y": found "1e308"', "1e+30"],
+    ),
+    "times without a distance": ("a.csv", "t,y\n0,1\n1e-300,2\n", ['a.csv:3: column "t": the time 1e-300 follows 0']),
     "not Python's numbers": (
         "a.csv",
         "t,y\n0,1_0\n1,inf\n2,٣\n3,1e999\n",
