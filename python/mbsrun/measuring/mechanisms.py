@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.errors import Fault, InputError, MbsError
+from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism
@@ -70,24 +70,15 @@ def write_chain(size: int, folder: Path) -> Path:
     return path
 
 
-def refuse_unmeasured(manifest: Manifest) -> None:
-    """Raise MbsError for a model with loops and quaternions: its random states are not closed."""
-    if manifest.configuration and has_loops(manifest):
-        finding = "joints with quaternions are not measured with loops"
-        raise MbsError(f"{manifest.model}: {finding}; take `spherical` joints")
-
-
 def draw_states(kernels: Kernels, count: int, seed: int = 1) -> dict[str, Array]:
     """Draw states: an array (count, size) for each input of a residual; u and w as well, parameters at their values.
 
     With closed loops, independent coordinates are drawn, or go as far to a drawn value as the loops can follow; all
     velocities and accelerations belong to the independent ones, which are `yd` and `ydd`. All numbers except the
     parameters and quaternions are exact in single precision, so that kernels of both precisions get the same; loops are
-    closed to that precision. Quaternions have length 1, which few numbers in single precision do. Raises MbsError for
-    models that are not measured.
+    closed to that precision. Quaternions have length 1, which few numbers in single precision do.
     """
     manifest = kernels.manifest
-    refuse_unmeasured(manifest)
     rng = np.random.default_rng(seed)
     n = len(manifest.coordinates)
     sizes = {"qd": n, "qdd": n, "u": len(manifest.actuated), "w": manifest.open_entries}
@@ -120,12 +111,13 @@ def _draw_coordinates(manifest: Manifest, rng: np.random.Generator, count: int) 
 
 def _close(closure: Closure, states: Mapping[str, Array]) -> dict[str, Array]:
     """Return closed states with the independent coordinates, velocities and accelerations of the given ones."""
-    y = closure.independent
-    q = closure.spread(np.array(closure.manifest.pose), y, states["q"][:, y])
+    y, places = closure.independent, closure.places_independent
+    q = closure.spread(np.array(closure.manifest.pose), places, states["q"][:, places])
+    q = normalise(q.astype(np.float32).astype(np.float64), closure.manifest)
     qd = closure.complete_velocities(q, y, states["qd"][:, y])
     qdd = closure.complete_accelerations(q, qd, y, states["qdd"][:, y])
-    closed = {"q": q, "qd": qd, "qdd": qdd, "yd": qd[:, y], "ydd": qdd[:, y]}
-    return {name: values.astype(np.float32).astype(np.float64) for name, values in closed.items()}
+    closed = {"qd": qd, "qdd": qdd, "yd": qd[:, y], "ydd": qdd[:, y]}
+    return {"q": q} | {name: values.astype(np.float32).astype(np.float64) for name, values in closed.items()}
 
 
 def _range(motion: str, lower: float | None, upper: float | None) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from mbsrun.closure import Closure, has_loops
 from mbsrun.external import Mechanism, load
 from mbsrun.forms import FUNCTIONS
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.mechanisms import CLOSING, draw_states, list_ranges, refuse_unmeasured
+from mbsrun.measuring.mechanisms import CLOSING, draw_states, list_ranges
 from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
@@ -118,8 +118,11 @@ def draw_course(mechanism: Mechanism, duration: float) -> Course:
     drawn = draw_states(mechanism, 1)
     q, qd = drawn["q"][0], drawn["qd"][0] if manifest.quaternions else np.zeros(len(manifest.coordinates))
     if has_loops(manifest):
-        pose, y = np.array(manifest.pose), list(manifest.independent)
-        q = Closure(mechanism).spread(pose, y, (pose + ANGLE * (q - pose))[None, y])[0]
+        closure, pose = Closure(mechanism), np.array(manifest.pose)
+        near = normalise(pose + ANGLE * (q - pose), manifest)
+        places, speeds = closure.places_independent, closure.independent
+        q = closure.spread(pose, places, near[None, places])[0]
+        qd = closure.complete_velocities(q, speeds, qd[speeds])
     else:
         q = _move_within(ANGLE * q + (1 - ANGLE) * neutral(manifest), manifest)
     inputs = hold(np.zeros(len(manifest.inputs)))
@@ -131,7 +134,6 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
     mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, EXTENT))
     if file is None:
         return draw_course(mechanism, duration or 2.0)
-    refuse_unmeasured(mechanism.manifest)
     statement = read_statement(file, {}, mechanism.manifest)
     mechanism = mechanism.with_parameters(**statement.parameters)
     facts = (file.read_text(encoding="utf-8"), tuple(statement.parameters.items()))

@@ -164,9 +164,10 @@ def _find_goals(mechanism: Mechanism, start: Array) -> dict[int, float]:
     if not has_loops(manifest):
         return goals
     closure = Closure(mechanism)
-    chosen = closure.choose(start, manifest.actuated)
-    reached = closure.spread(start, chosen, np.array([[goals[i] for i in chosen]]))[0]
-    return {i: float(reached[i]) for i in chosen}
+    moved = {_find_velocity(manifest, k): k for k in goals}
+    chosen = [moved[i] for i in closure.choose(start, [*moved])]
+    reached = closure.spread(start, chosen, np.array([[goals[k] for k in chosen]]))[0]
+    return {k: float(reached[k]) for k in chosen}
 
 
 def _find_goal(manifest: Manifest, i: int, start: float) -> float:

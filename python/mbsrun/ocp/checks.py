@@ -106,13 +106,16 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
     loops, form, representation = problem.loops, problem.form, problem.representation
     if manifest.driven:
         names = ", ".join(manifest.coordinates[i].name for i in manifest.driven)
-        yield Conflict("model", f"the motion of {names} is given (driven)", "give these joints actuators instead")
+        finding = f"the motion of {names} is given (driven), which no problem takes"
+        remedy = "give these joints actuators, and their motion as constraints along the path"
+        yield Conflict("model", finding, remedy)
     if not has_loops(manifest):
         if loops is not None:
             yield Conflict("loops", "the model has no closed loops", "leave this out")
         return
     if form is not Form.STANDARD:
-        yield Conflict("form", f"the {form.value} form takes no closed loops", "take standard")
+        finding = f"the {form.value} form has no coordinates at its points, where loops have to be closed"
+        yield Conflict("form", finding, "take standard")
     if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
         finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
         yield Conflict("loops", finding, "take scheme: radau, or loops: reduced")

@@ -343,8 +343,8 @@ def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
 
 CONFLICTS: dict[str, tuple[Callable[[], Problem], str]] = {
     "legendre": (lambda: replace(reach(Loops.MULTIPLIERS), family=Family.LEGENDRE), "no mesh points"),
-    "shooting": (lambda: replace(reach(), form=Form.SHOOTING), "takes no closed loops"),
-    "integral": (lambda: replace(reach(), form=Form.INTEGRAL), "takes no closed loops"),
+    "shooting": (lambda: replace(reach(), form=Form.SHOOTING), "has no coordinates at its points"),
+    "integral": (lambda: replace(reach(), form=Form.INTEGRAL), "has no coordinates at its points"),
     "second order": (
         lambda: replace(reach(Loops.MULTIPLIERS), integrator=SECOND_ORDER),
         "corrections of the rates of coordinates, which second-order collocation does not have",

@@ -13,8 +13,11 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun import Mechanism
 from mbsrun.closure import CLOSED, Closure
+from mbsrun.measuring.mechanisms import draw_states
+from mbsrun.measuring.reference import Reference
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.checks import find_loop_conflicts
+from mbsrun.ocp.guess import find_inputs
 from mbsrun.ocp.problem import Loops, Problem
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
@@ -148,3 +151,37 @@ def test_a_joint_that_is_independent_in_part_takes_multipliers() -> None:
     assert list_divided(manifest, (0, 2)) == [1, 2, 3, 4]
     findings = [x.finding for x in find_loop_conflicts(replace(problem, loops=Loops.REDUCED), manifest)]
     assert findings == ["of the velocities of rod some are independent and some are not"]
+
+
+def test_random_states_are_closed_at_unit_quaternions(tmp_path: Path) -> None:
+    """Charts and advice measure there: the residual is the textbook's in 50 digits."""
+    _, plant = make("ball")
+    states = draw_states(plant, 8)
+    q, qd = states["q"], states["qd"]
+    assert np.linalg.norm(q[:, 1:5], axis=1) == pytest.approx(1, abs=1e-15)
+    assert Closure(plant).measure(q) < 1e-7
+    assert Closure(plant).measure_rates(q, qd) < 1e-5
+    assert np.ptp(q[:, 0]) > 1
+    (tmp_path / "ball.yaml").write_text(MODELS["ball"], "utf-8")
+    moment = Reference(tmp_path / "ball.yaml").at({name: values[1] for name, values in states.items()})
+    given = {name: states[name][1] for name in ("q", "qd", "qdd", "u", "lam")}
+    expected = np.array(moment.residual(), dtype=float)
+    assert plant("impl", **given)["Phi"].ravel() == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_motion_along_the_path_gives_the_force_that_it_takes(tmp_path: Path) -> None:
+    """The crank turns at a constant speed; its torque is the inverse dynamics of the closed motion."""
+    lines = PROBLEM.partition("end:")[0].replace("intervals: 6", "intervals: 12\ninputs: polynomial")
+    text = lines.replace("crank: 0.2}}}}", "crank: 0.2}}, velocity: {{crank: 3}}}}")
+    problem, plant = write(
+        tmp_path, "ball", text + "constraints: [{{expression: q_crank - 0.2 - 3*t, range: [0, 0]}}]\n"
+    )
+    found = solve(problem, plant)
+    assert isinstance(found, Solution), found
+    t, closure = found.trajectory.point_t.ravel(), Closure(plant)
+    q = np.array(found.trajectory.point_q.reshape(t.size, -1))
+    q[:, 0] = 0.2 + 3 * t
+    q = closure.close(q, [0])
+    qd = closure.complete_velocities(q, [0], np.full((t.size, 1), 3.0))
+    qdd = closure.complete_accelerations(q, qd, [0], np.zeros((t.size, 1)))
+    assert found.trajectory.point_u.ravel() == pytest.approx(find_inputs(plant, q, qd, qdd).ravel(), abs=1e-4)

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsgen.errors import InputError, MbsError
-from mbsgen.manifest import Loop
+from mbsgen.errors import InputError
 from mbsgen.model.construction import body, floating, frame, free, make_model, revolute
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
-from mbsrun.measuring.mechanisms import draw_states, refuse_unmeasured
+from mbsrun.measuring.mechanisms import draw_states
 from mbsrun.measuring.reference import Reference
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import Formulation, Settings, simulate
@@ -148,10 +147,6 @@ def test_what_takes_no_quaternions_says_so(loose: Mechanism) -> None:
     _, qd = start(loose)
     with pytest.raises(ValueError, match="a quaternion of q is 0"):
         simulate(loose, hold(np.zeros(0)), [0.0] * 8, qd, Settings(0.1))
-    pin = Loop(name="pin", cut="ball", equations=("x",))
-    looped = loose.manifest.model_copy(update={"loops": (pin,), "dependent": (0,), "independent": (1, 2, 3, 4, 5, 6)})
-    with pytest.raises(MbsError, match="joints with quaternions are not measured with loops"):
-        refuse_unmeasured(looped)
 
 
 def test_random_states_are_the_reference_s(loose: Mechanism, tmp_path: Path) -> None:
