@@ -101,6 +101,7 @@ CASES: tuple[Case, ...] = (
         (
             *(Trial(x, partial(inertias.measure_strange, name=x)) for x in inertias.STRANGE if "1e" not in x),
             Trial("where the file allows it", inertias.measure_allowed),
+            Trial("definite matrices", inertias.measure_definite),
         ),
     ),
     Case(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbsrun.lab.case import Finding, Loss, Workspace, check, demand
+from mbsrun.lab.case import Finding, Loss, Workspace, check, demand, show_failure
 from mbsrun.lab.digits import (
     ABOVE,
     KERNELS,
@@ -27,6 +27,7 @@ RATIOS = (1e4, 1e8, 1e12)
 NO_ALARM = 1e-11
 SEEDS = range(6)  # of states in single precision
 LIGHT, HEAVY = 1e-12, 1e12
+LOST = 500  # links: elimination in M has lost digits there that articulated bodies keep
 ALL = (*KERNELS.values(), "condition")  # of each chain, so that it is generated once for all cases
 HARMLESS: Mapping[str, Sequence[float]] = {
     "a light tip": [1.0] * 9 + [LIGHT],
@@ -74,6 +75,9 @@ def measure_long(workspace: Workspace, kind: str, size: int) -> list[Finding]:
             findings.append(demand(way, "error", False, f"status at {chain.joint(failed)}; {remark}"))
         else:
             findings.append(check(way, "error", relate(qdd.ravel(), exact.rounded), allowed, remark))
+    if size >= LOST and looped.x is not None:
+        error = relate(looped.x, exact.rounded)
+        findings.append(show_failure("EXP1 by the bound of EXP2", "error", error, bound, remark))
     left = {"IMPL, interpreted": chain.evaluate("impl", {**states, "qdd": exact.rounded[None]})[1][0]["Phi"][:, 0]}
     left["SEMI, in loops"] = exact.M @ exact.rounded + bias
     scale = exact.scale(exact.qdd).max()
@@ -110,7 +114,17 @@ def measure_heavy_tip(workspace: Workspace, size: int, ratio: float) -> list[Fin
         findings.append(check(loss.way, "backward error", read(loss.backward), 1e-14))
         findings.append(check_estimate(loss))
     chosen = specimen(workspace, describe_spatial(size, [1.0] * (size - 1) + [ratio]), *ALL)
+    if ratio == RATIOS[-1]:
+        findings.append(_invert(chosen, draw(size, [size])))
     return findings + _check_residuals(chosen, draw(size, [size]))
+
+
+def _invert(chosen: Specimen, states: States) -> Finding:
+    """Multiply by an inverse of M: unlike elimination, this leaves a residual of condition times rounding."""
+    (exact,) = chosen.find_exact(states)
+    bias = chosen.evaluate("impl", {**states, "qdd": 0 * states["q"]})[1][0]["Phi"][:, 0]
+    left = exact.leave(np.linalg.inv(exact.M) @ -bias)
+    return show_failure("M inverted, and multiplied", "backward error", left, 1e-14)
 
 
 def _check_failure(loss: Loss) -> Finding:
@@ -140,6 +154,8 @@ def measure_harmless(workspace: Workspace, factors: Sequence[float]) -> list[Fin
     for x in losses:
         estimate = float("inf") if x.estimate is None else x.estimate
         findings.append(check(x.way, "false alarm", estimate, NO_ALARM, f"condition {x.condition:.0e}"))
+    alarm = ROUNDING * max(x.condition for x in losses)
+    findings.append(show_failure("condition of M as an estimate", "false alarm", alarm, NO_ALARM))
     return findings + _check_residuals(chosen, states, bound=NO_ALARM)
 
 
@@ -148,13 +164,17 @@ def measure_single(workspace: Workspace, kind: str, size: int) -> list[Finding]:
     text = describe_straight(size) if kind == "straight" else describe_spatial(size)
     chosen = specimen(workspace, text, *ALL)
     states = round_to_single(draw(size, SEEDS, q=0.0 if kind == "straight" else None))
-    findings = []
+    findings, lost = [], 0.0
     for loss in measure_losses(workspace, f"{kind} chain", size, chosen, states, "float32"):
         if loss.error is None:
+            lost = np.inf
             is_right = loss.way.startswith("EXP1") and loss.failed.startswith("q")
             findings.append(demand(loss.way, "status", is_right, f"status at {loss.failed}"))
         else:
             findings.append(check(loss.way, "error", loss.error, 1e-2 if loss.way.startswith("EXP1") else 1e-5))
+            lost = max(lost, loss.error if loss.way.startswith("EXP1") else 0.0)
+    if kind == "straight" and size > 6:
+        findings.append(show_failure("EXP1, float32, by the bound of EXP2", "error, or none", lost, 1e-5))
     return findings
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst
+from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst, show_failure
 from mbsrun.lab.digits import KERNELS, U
 from mbsrun.lab.mechanisms import describe_spatial, draw, write
 from mbsrun.models import Extent, find_folder
@@ -37,6 +37,8 @@ def measure_derivatives(workspace: Workspace, size: int) -> list[Finding]:
         findings.append(check(way, "slope of Taylor's remainder, off 2", abs(slope - 2), 0.05, f"slope {slope:.3f}"))
         findings.append(check(way, "asymmetry of the Hessian", _measure_asymmetry(plant, way, state), 1e-13))
         findings.append(_compare_pattern(plant, way))
+        off = _difference_forward(plant, way, state)
+        findings.append(show_failure(f"{way}, one-sided differences", "difference from the Jacobian", off, 1e-10))
     return findings
 
 
@@ -59,6 +61,19 @@ def _difference(plant: Mechanism, way: str, state: State) -> float:
             off.append(float(np.abs(np.array(columns).T - block).max() / np.abs(block).max()))
         lost.append(min(off))
     return find_worst(lost)
+
+
+def _difference_forward(plant: Mechanism, way: str, state: State) -> float:
+    """Compare one-sided differences with the Jacobian by q; of several steps, the best."""
+    kernel, result = KERNELS[way], _name_result(plant, way)
+    block, value = plant.jac(kernel, **state)[name_derivative(result, "q")], plant(kernel, **state)[result]
+    off = []
+    for step in (1e-6, 1e-7, 1e-8, 1e-9):
+        units = step * np.eye(len(state["q"]))
+        moved = [plant(kernel, **{**state, "q": state["q"] + unit})[result] for unit in units]
+        found = np.array([(x - value) / step for x in moved]).T
+        off.append(float(np.abs(found - block).max() / np.abs(block).max()))
+    return min(off)
 
 
 def _measure_slope(plant: Mechanism, way: str, state: State) -> float:

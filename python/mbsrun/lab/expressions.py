@@ -97,6 +97,11 @@ def measure_sums(workspace: Workspace, parallel: int) -> list[Finding]:
                 )
             lost = _measure_torques(chosen, _draw_angles(parallel, 2 * np.pi))
             findings.append(check(label, "error within a turn", lost.max(), (10 if parallel == 2 else 20) * ROUNDING))
+    huge = _measure_torques(
+        specimen(workspace, _describe_arm(parallel, "[1, 0, 0]"), "impl"), _draw_angles(parallel, 1e8)
+    )
+    remark = "angles of 1e8 rad"
+    findings.append(show_failure("one sine of huge sums", "error", huge.max(), 20 * ROUNDING, remark))
     return findings
 
 
@@ -123,7 +128,12 @@ def measure_sine(workspace: Workspace) -> list[Finding]:
     states = {name: np.zeros((1, 1)) for name in ("qd", "qdd", "u")} | {"q": np.array([[1e22]])}
     torque = chosen.evaluate("impl", states)[1][0]["Phi"][0, 0]
     error = abs(float(torque) - SINE) / abs(SINE)
-    return [check("IMPL", "error of sin(1e22)", error, 4 * ROUNDING)]
+    short = abs(float(np.sin(np.fmod(1e22, 2 * np.pi))) - SINE) / abs(SINE)
+    way = "the remainder by 2 pi in double precision"
+    return [
+        check("IMPL", "error of sin(1e22)", error, 4 * ROUNDING),
+        show_failure(way, "error of sin(1e22)", short, 4 * ROUNDING),
+    ]
 
 
 def _measure_torques(chosen: Specimen, angles: Array) -> Array:

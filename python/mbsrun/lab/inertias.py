@@ -78,6 +78,12 @@ def measure_strange(workspace: Workspace, name: str) -> list[Finding]:
     return [demand("check of models", "refusal", False, "the model is accepted")]
 
 
+def measure_definite(_: Workspace) -> list[Finding]:
+    """F07: a tensor against the triangle is positive definite, so Cholesky's decomposition takes it."""
+    taken = np.isfinite(np.linalg.cholesky(np.diag([1.0, 1.0, 3.0]))).all()
+    return [show_failure("Cholesky's decomposition as a test", "impossible bodies taken", float(taken), 0)]
+
+
 def measure_allowed(workspace: Workspace) -> list[Finding]:
     """F07: inertias of published robots that break a rule are accepted where the file says so."""
     text = _BODY.format(**STRANGE[ALLOWED]) + "allow_unphysical: true\n"
@@ -100,6 +106,10 @@ def measure_sizes(workspace: Workspace, name: str) -> list[Finding]:
     for way, kernel in RESIDUAL.items():
         results = chosen.evaluate(kernel, states)[1]
         findings += [demand(way, "finite residual", np.isfinite(x["Phi"]).all(), "finite") for x in results]
+    if name in ("tiny", "huge"):
+        with np.errstate(all="ignore"):
+            wrong = sum(not 0 < np.linalg.det(x.M) < np.inf for x in exact)
+        findings.append(show_failure("determinants of M", "states in which they are 0 or infinite", wrong, 0))
     return findings
 
 

@@ -120,7 +120,21 @@ def measure_weightless(workspace: Workspace, name: str) -> list[Finding]:
     for way, kernel in RESIDUAL.items():
         values = chosen.evaluate(kernel, states)[1][0]["Phi"]
         findings.append(demand(way, "finite residual", np.isfinite(values).all(), "finite"))
-    return findings
+    return [*findings, _eliminate_untested(chosen, states)]
+
+
+def _eliminate_untested(chosen: Specimen, states: States) -> Finding:
+    """Solve the equations of two joints by elimination without a test of pivots."""
+    many = {name: np.repeat(x, 3, axis=0) for name, x in states.items()}
+    many["qdd"] = np.vstack((np.zeros((1, 2)), np.eye(2)))
+    bias, first, second = (found["Phi"][:, 0] for found in chosen.evaluate("impl", many)[1])
+    M = np.column_stack((first - bias, second - bias))
+    with np.errstate(all="ignore"):
+        share = M[0, 1] / M[1, 1]
+        qdd = (-bias[0] + share * bias[1]) / (M[0, 0] - share * M[1, 0])
+        qdd = np.array([qdd, (-bias[1] - M[1, 0] * qdd) / M[1, 1]])
+    lost = int(np.count_nonzero(~np.isfinite(qdd)))
+    return show_failure("elimination without a test", "accelerations that are no number", lost, 0)
 
 
 def _check_refusal(model: Path) -> Finding:

@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.external import Mechanism
 from mbsrun.forms import DIFFERENTIATED
-from mbsrun.lab.case import Finding, Workspace, check, demand, tell
+from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
 from mbsrun.lab.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp import schemes
@@ -213,6 +214,9 @@ def measure_quadrature(_: Workspace) -> list[Finding]:
             powers = range(scheme.exactness + 1)
             off = max(abs(float(scheme.weights @ scheme.points**k) - 1 / (k + 1)) for k in powers)
             findings.append(check(way, "error of exact powers", off, 1e-12, f"degree {degree}"))
+    weights = np.array(ca.collocation_coeff([1.0])[2]).ravel()
+    way = "radau, weights of CasADi"
+    findings.append(show_failure(way, "sum of weights off 1", abs(weights.sum() - 1), 1e-12, "degree 1"))
     return findings
 
 
@@ -286,6 +290,10 @@ def measure_runaway(workspace: Workspace, rate: float) -> list[Finding]:
             continue
         findings.append(check(way, "iterations", outcome.run.iterations, 50, growth))
         findings.append(check(way, "error of the end [m]", abs(float(outcome.trajectory.q[-1, 0])), 1e-7, growth))
+    moved = 2.0**-53 * np.cosh(2 * rate)  # near 0, sin x is x
+    if moved > 1e-7:
+        remark = "one rounding of the start, at the end"
+        findings.append(show_failure("single shooting", "error of the end [m]", float(moved), 1e-7, remark))
     return findings
 
 
