@@ -15,6 +15,11 @@
 
   // --- rows of sliders ----------------------------------------------------------------------------------------------
 
+  function showShort(x) { // five digits, in at most eleven characters
+    const size = Math.abs(x);
+    return size !== 0 && (size < 1e-3 || size >= 1e7) ? x.toExponential(4) : String(Number(x.toPrecision(5)));
+  }
+
   function addRow(place, { name, unit, lower, upper, value, follows = false }, changed) { // a slider beside a number; returns its setter
     const row = document.createElement("div"), [label, suffix] = ["span", "span"].map((tag) => document.createElement(tag));
     const slider = document.createElement("input"), number = document.createElement("input");
@@ -31,9 +36,9 @@
       if (x < Number(slider.min)) slider.min = x;
       if (x > Number(slider.max)) slider.max = x;
       slider.value = x;
-      if (document.activeElement !== number) number.value = String(Number(x.toPrecision(5)));
+      if (document.activeElement !== number) number.value = showShort(x);
     };
-    slider.addEventListener("input", () => { number.value = slider.value; changed(Number(slider.value)); });
+    slider.addEventListener("input", () => { number.value = showShort(Number(slider.value)); changed(Number(slider.value)); });
     number.addEventListener("change", () => {
       const x = Number(number.value);
       if (number.value !== "" && Number.isFinite(x)) { number.blur(); put(x); changed(x); }

@@ -1,7 +1,7 @@
-"""The lines of a C function; long functions are divided into parts of bounded length.
+"""The lines of a function of C or Rust; long functions are divided into parts of bounded length.
 
-Compilers take more than linear time for one function. Values that one part computes and a later one reads are kept in a
-struct, by name.
+Compilers take more than linear time for one function. Values that one part computes and a later one reads are kept: in
+C in a struct, by name; in Rust in an array.
 """
 
 from __future__ import annotations
@@ -18,6 +18,17 @@ from mbsgen.targets.statements import Body, Check, Statement, Turn, Turns
 # Jacobian 470 instead of 880.
 LENGTH = 300
 _WORD = re.compile(r"\b[A-Za-z]\w*")
+
+
+@dataclass(frozen=True)
+class Words:
+    """How a language declares a value, and refers to one that is kept; {name} is the value's, {place} its number."""
+
+    declared: str
+    kept: str
+
+
+C_WORDS = Words("const mbs_real {name}", "mbs_kept->{name}")
 
 
 @dataclass(frozen=True)
@@ -51,14 +62,17 @@ class Division:
     kept: tuple[str, ...]  # values that outlive their part
 
 
-def divide(body: Body, inputs: Sequence[str], name: str = "mbs_part", length: int = LENGTH) -> Division:
+def divide(
+    body: Body, inputs: Sequence[str], name: str = "mbs_part", length: int = LENGTH, words: Words = C_WORDS
+) -> Division:
     """Divide the body of a function with the given inputs, once it has the length of two parts, named with numbers."""
     lines = order_lines(body)
     count = max(1, len(lines) // length)
     size = max(1, -(-len(lines) // count))
     slices = [lines[k : k + size] for k in range(0, len(lines), size)] or [()]
     kept = _find_kept(slices)
-    parts = (_write_part(f"{name}{k}", part, kept, inputs) for k, part in enumerate(slices, 1))
+    texts = {value: words.kept.format(name=value, place=k) for k, value in enumerate(kept)}
+    parts = (_write_part(f"{name}{k}", part, texts, words, inputs) for k, part in enumerate(slices, 1))
     return Division(tuple(parts), tuple(kept))
 
 
@@ -89,7 +103,7 @@ def _find_kept(slices: Sequence[Sequence[Line]]) -> dict[str, None]:
     return {name: None for own in defined for name in own if name in outside}
 
 
-def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, None], inputs: Sequence[str]) -> Part:
+def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, str], words: Words, inputs: Sequence[str]) -> Part:
     read = _read(text for line in lines for text in _texts(line))
     results = dict.fromkeys(line.result for line in lines if isinstance(line, Store))
     return Part(
@@ -97,18 +111,18 @@ def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, None], inpu
         inputs=tuple(x for x in inputs if x in read),
         results=tuple(results),
         keeps=not kept.keys().isdisjoint(read.union(*map(_names, lines))),
-        lines=tuple(_write_line(line, kept) for line in lines),
+        lines=tuple(_write_line(line, kept, words) for line in lines),
     )
 
 
-def _write_line(line: Line, kept: Mapping[str, None]) -> Line:
+def _write_line(line: Line, kept: Mapping[str, str], words: Words) -> Line:
     """Declare the values that a line computes, or store them where they are kept; read kept values from there."""
 
     def declare(name: str) -> str:
-        return name and (f"mbs_kept->{name}" if name in kept else f"const mbs_real {name}")
+        return name and (kept.get(name) or words.declared.format(name=name))
 
     def take(text: str) -> str:
-        return _WORD.sub(lambda found: f"mbs_kept->{found[0]}" if found[0] in kept else found[0], text)
+        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text)
 
     match line:
         case Statement():

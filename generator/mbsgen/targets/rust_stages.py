@@ -1,5 +1,8 @@
 """The functions of a kernel in Rust: one for a tape; of stages, one for each tape, and one that calls them.
 
+A long tape has parts, which are functions too: each `let` opens a scope inside the one before, and the compiler
+overflows its stack in thousands of them.
+
 Each returns a tuple of arrays, or the status. For each kind of stage one rule writes the lines; `templates/rust/stages`
 holds the functions that they call.
 """
@@ -21,8 +24,8 @@ from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
 from mbsgen.procedure.wires import Wire
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
-from mbsgen.targets.parts import Line, Store, order_lines
-from mbsgen.targets.statements import Check, Statement, Syntax, Turns, wrap, write_body
+from mbsgen.targets.parts import Line, Part, Store, Words, divide, order_lines
+from mbsgen.targets.statements import Body, Check, Statement, Syntax, Turns, wrap, write_body
 
 KEYWORDS = re.compile(
     "abstract|as|async|await|become|box|break|const|continue|crate|do|dyn|else|enum|extern|false|final|fn|for|gen|if|"
@@ -33,11 +36,13 @@ KEYWORDS = re.compile(
 RUST = Syntax(
     "{}",
     {op: f"math::{op.value[0]}" for op in FUNCTIONS} | {Op.ABS: "math::abs"},
-    re.compile(f"{KEYWORDS.pattern}|None|Some|Ok|Err|math|stages|compute"),
+    re.compile(f"{KEYWORDS.pattern}|None|Some|Ok|Err|math|stages|compute|kept"),
     turns=True,
 )
 _KINDS: Mapping[type[Pattern], str] = {Tree: "tree", Symmetric: "symmetric", General: "general"}
 _WIDTH = 112
+_LET = "let "
+_WORDS = Words(f"{_LET}{{name}}", "kept[{place}]")
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ class Function:
     arguments: tuple[tuple[str, str], ...]  # name, type
     returned: str
     lines: tuple[str, ...]
+    is_part: bool = False
 
 
 def name_type(size: int) -> str:
@@ -58,12 +64,12 @@ def name_type(size: int) -> str:
 def write_functions(function: Computation) -> tuple[Function, ...]:
     """Write the functions of a kernel; the last one, `compute`, is the kernel."""
     if isinstance(function, Tape):
-        return (_write_tape(function, "compute"),)
+        return _write_tape(function, "compute")
     parts: list[Function] = []
     lines: list[str] = []
     given = frozenset(wire.name for wire in function.inputs)
     for stage in function.stages:
-        parts += [_write_tape(tape, f"_{stage.name}") for tape in stage.tapes]
+        parts += [written for tape in stage.tapes for written in _write_tape(tape, f"_{stage.name}")]
         assert type(stage) in RULES, f"no rule writes {type(stage).__name__} in Rust"
         lines += RULES[type(stage)](stage, given)
     outputs = [wire for wire in function.outputs if wire.sparsity.nnz]
@@ -102,15 +108,31 @@ def _break(lines: Iterable[str]) -> tuple[str, ...]:
 # -- tapes ----------------------------------------------------------------------------------------------------------
 
 
-def _write_tape(tape: Tape, name: str) -> Function:
+def _write_tape(tape: Tape, name: str) -> tuple[Function, ...]:
+    """Write the function of a tape, after its parts if it is long."""
     body = write_body(tape, RUST)
+    inputs = dict(_list_arguments(tape))
+    divided = divide(body, tuple(inputs), f"{name.removeprefix('_')}_part", words=_WORDS)
+    if len(divided.parts) > 1:
+        kept = name_type(len(divided.kept))
+        sizes = {o.name: name_type(o.sparsity.nnz) for o in tape.outputs}
+        parts = tuple(_write_part(part, inputs, sizes, kept) for part in divided.parts)
+        lines = [f"let mut kept = [0.0; {len(divided.kept)}];"] * bool(divided.kept)
+        lines += [f"let mut {result.name} = [0.0; {len(result.statements)}];" for result in body.results]
+        lines += [_call_part(part) for part in divided.parts]
+        lines.append(f"Ok({_tuple(result.name for result in body.results)})")
+    else:
+        parts, lines = (), _write_whole(body)
+    return (*parts, Function(name, tuple(inputs.items()), _name_results(tape), _break(lines)))
+
+
+def _write_whole(body: Body) -> list[str]:
     lines = [text for line in order_lines(body) for text in _write_line(line)]
     lines.append("Ok((")
     for result in body.results:  # nonzeros in their order, not in the order in which they are known
         expressions = wrap(statement.expression for statement in result.statements)
         lines += ["    [", *(f"        {line}" for line in expressions), "    ],"]
-    lines.append("))")
-    return Function(name, _list_arguments(tape), _name_results(tape), _break(lines))
+    return [*lines, "))"]
 
 
 def _write_line(line: Line) -> list[str]:
@@ -129,6 +151,42 @@ def _write_line(line: Line) -> list[str]:
             ]
         case Store():  # the last expression of the function
             return []
+
+
+def _write_part(part: Part, inputs: Mapping[str, str], sizes: Mapping[str, str], kept: str) -> Function:
+    """Write a part, which stores results and kept values in arrays of its caller."""
+    arguments = [(name, inputs[name]) for name in part.inputs]
+    arguments += [("kept", f"&mut {kept}")] * part.keeps
+    arguments += [(name, f"&mut {sizes[name]}") for name in part.results]
+    lines = [text for line in part.lines for text in _write_line_of_part(line)]
+    return Function(part.name, tuple(arguments), "Result<(), u32>", _break([*lines, "Ok(())"]), is_part=True)
+
+
+def _write_line_of_part(line: Line) -> list[str]:
+    """Write a line whose targets are declared or kept."""
+    match line:
+        case Statement() | Store():
+            return [f"{line.target} = {line.expression};"]
+        case Turns():
+            return [
+                text for turn in line.turns for text in _write_turn(turn.sine or "_", turn.cosine or "_", turn.angle)
+            ]
+        case Check():
+            return _write_line(line)
+
+
+def _write_turn(sine: str, cosine: str, angle: str) -> list[str]:
+    """Write a sine and a cosine; one is declared by a statement of its own where the other is kept."""
+    lets = [name for name in (sine, cosine) if name.startswith(_LET)]
+    if len(lets) + [sine, cosine].count("_") == 2:
+        return [f"let ({sine.removeprefix(_LET)}, {cosine.removeprefix(_LET)}) = math::sincos({angle});"]
+    pair = f"({sine.removeprefix(_LET)}, {cosine.removeprefix(_LET)}) = math::sincos({angle});"
+    return [*(f"{name};" for name in lets), pair]
+
+
+def _call_part(part: Part) -> str:
+    arguments = [*part.inputs, *(["&mut kept"] * part.keeps), *(f"&mut {name}" for name in part.results)]
+    return f"{part.name}({', '.join(arguments)})?;"
 
 
 # -- stages ---------------------------------------------------------------------------------------------------------

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mbsgen.pipeline import Options, generate
+from mbsgen.targets import rust_stages
+from mbsgen.targets.parts import divide
 from mbsgen.targets.rust import name_item, write_string
 from mbsrun import load
 from tests.mbsgen.targets.compilation import Requires, run
@@ -112,8 +115,9 @@ def test_a_crate_without_the_standard_library_has_the_bits_of_the_c(tmp_path: Pa
     assert lines[-1] == "exp1 failed with status 1"
 
 
-def test_stages_compute_as_in_c(tmp_path: Path, requires: Requires) -> None:
-    """Iterations and linear systems of a closed loop."""
+def test_stages_compute_as_in_c(tmp_path: Path, requires: Requires, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Iterations and linear systems of a closed loop, with tapes in parts of a few lines as long tapes have them."""
+    monkeypatch.setattr(rust_stages, "divide", partial(divide, length=12))
     out = tmp_path / "four_bar"
     functions = ("close", "project_plain", "exp1")
     generate(MODELS / "four_bar.yaml", out, Options(targets=("rust",), functions=functions, derivatives=1))
