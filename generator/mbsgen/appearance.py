@@ -13,8 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Drawing, Element, Mass, Point, Seat, Touch
-from mbsgen.model.model import BASE, HERE, Body, Contact, ForceElement, Frame, LoopEnd, Model, Placement, Triple, Visual
+from mbsgen.manifest import Appearance, Axle, Drawing, Element, Grip, Mass, Point, Seat, Tension, Touch
+from mbsgen.model.model import (
+    BASE,
+    HERE,
+    WIDTH,
+    ZERO,
+    Body,
+    Contact,
+    ForceElement,
+    Frame,
+    LoopEnd,
+    Model,
+    Placement,
+    Triple,
+    Visual,
+)
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Matrix, Sensor, Tree, Vector
@@ -32,7 +46,7 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
         masses=tuple(x for body in model.bodies if (x := _weigh(body, seats.find(body.name), values)) is not None),
         axles=tuple(_describe_axle(tree, i) for i in range(1, len(tree.bodies) + 1)),
         bodies=tuple(_describe_body(body.name, seats.find(body.name)) for body in model.bodies),
-        elements=tuple(_describe_element(x, seats) for x in model.forces),
+        elements=tuple(_describe_element(x, seats, values) for x in model.forces),
         contacts=tuple(_describe_contact(x, seats, values) for x in model.contacts),
         wrenches=tuple(
             _point(seats.find(x.body).place(_floats(x.position, values)))
@@ -147,10 +161,19 @@ def _describe_axle(tree: Tree, i: int) -> Axle:
     return Axle(name=name, coordinate=entry, axis=(x, y, z))
 
 
-def _describe_element(element: ForceElement, seats: _Seats) -> Element:
+def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str, float]) -> Element:
     ends = (seats.find(end.body, end.placement) for end in (element.first, element.second))
     first, second = (_point((seat.frame, seat.position)) for seat in ends)
-    return Element(name=element.name, cable=element.cable is not None, first=first, second=second)
+    cable = element.cable
+    tension = Tension(
+        stiffness=_float(element.stiffness, values),
+        rest=_float(element.rest, values),
+        damping=_float(element.damping, values),
+        dissipation=0.0 if cable is None else _float(cable.dissipation, values),
+        width=_float(WIDTH if cable is None else cable.width, values),
+    )
+    law = tension if element.force == ZERO else None
+    return Element(name=element.name, cable=element.cable is not None, first=first, second=second, law=law)
 
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
@@ -165,6 +188,14 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=_point(carrier.place(_floats(plane.position, values))),
         normal=_triple(normal / np.linalg.norm(normal)),
+        law=Grip(
+            stiffness=_float(contact.stiffness, values),
+            exponent=_float(contact.exponent, values),
+            dissipation=_float(contact.dissipation, values),
+            width=_float(contact.width, values),
+            coefficient=0.0 if contact.friction is None else _float(contact.friction.coefficient, values),
+            speed=1.0 if contact.friction is None else _float(contact.friction.speed, values),
+        ),
     )
 
 

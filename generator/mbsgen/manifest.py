@@ -167,6 +167,27 @@ class Axle(_Entry):
     axis: tuple[float, float, float]  # in the frame, a unit vector
 
 
+class Tension(_Entry):
+    """The law of a spring or a cable."""
+
+    stiffness: float  # [N/m]
+    rest: float  # [m]
+    damping: float  # of a spring [N s/m]
+    dissipation: float  # of a cable [s/m]
+    width: float  # of a cable [m]
+
+
+class Grip(_Entry):
+    """The law of a contact."""
+
+    stiffness: float  # [N/m^exponent]
+    exponent: float
+    dissipation: float  # [s/m]
+    width: float  # [m]
+    coefficient: float  # of friction; 0: none
+    speed: float  # [m/s]
+
+
 class Element(_Entry):
     """A spring or a cable between two points."""
 
@@ -174,6 +195,7 @@ class Element(_Entry):
     cable: bool
     first: Point
     second: Point
+    law: Tension | None = None  # None: it has a further tension, as an expression
 
 
 class Touch(_Entry):
@@ -186,6 +208,7 @@ class Touch(_Entry):
     size: tuple[float, float, float] | None  # of the box [m]
     plane: Point
     normal: tuple[float, float, float]  # in the frame of that point, a unit vector
+    law: Grip | None = None
 
 
 Shape = Literal["box", "ellipsoid", "sphere", "cylinder", "capsule", "mesh"]

@@ -13,6 +13,7 @@ from mbsgen.manifest import Manifest, Point
 from mbsgen.style import PALETTE
 from mbsrun.animation.actors import BY_BODY, list_meshes, look_alike, make_actor
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Track, Triple, View
+from mbsrun.animation.forces import Load, find_loads
 from mbsrun.animation.visuals import Visual, show_drawings
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
@@ -24,6 +25,8 @@ MAX_PICTURES = 1500
 FAR = 1e12  # m; points farther away are shown there
 FLAT = 0.06  # a mechanism whose depth is a smaller part of its size is seen from the front
 ARROW = 0.3  # of the longest arrow, relative to the size of the mechanism
+USUAL = 0.8  # quantile of a force of a contact, a spring or a cable that is as long; impacts are above it
+CUT = 1.5  # lengths of arrows are cut there, relative to ARROW
 UP = (0.0, 0.0, 1.0)
 _STEPS = (-2, -1, 0, 1, 2)
 _CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -105,7 +108,13 @@ def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
         for motion, skeleton, look, visuals in zip(motions, skeletons, looks, drawings, strict=True)
     )
     arrows = [_list_arrows(motion, times) for motion in motions]
-    scales = _choose_scales([x for every in arrows for x in every], max(actor.size for actor in actors))
+    loads = [_list_loads(motion, times) for motion in motions]
+    lengths = [np.linalg.norm(x.values, axis=1) for every in loads for x in every]
+    usual = max((float(np.quantile(x[x > 0], USUAL)) for x in lengths if (x > 0).any()), default=0.0)
+    scales = _choose_scales([x for every in arrows for x in every], max(actor.size for actor in actors), usual)
+    cut = CUT * ARROW * max(actor.size for actor in actors) / scales[Force.FORCE]
+    for every, own in zip(arrows, loads, strict=True):
+        every += [Arrow(Force.FORCE, x.foot, True, _shorten(x.values, cut)) for x in own if x.values.any()]
     tracks = tuple(
         _track(skeleton, tuple(_rescale(x, scales[x.kind]) for x in own), shown)
         for skeleton, own, shown in zip(skeletons, arrows, _list_shown(motions, wanted), strict=True)
@@ -183,6 +192,15 @@ def _interpolate(part: Part, times: Array) -> Array:
     return np.asarray(CubicHermiteSpline(part.t, part.q, part.rates)(times))
 
 
+def _differentiate(part: Part, times: Array) -> Array:
+    """Return the time derivatives of the coordinates."""
+    if len(part.t) == 1:
+        return np.zeros((len(times), part.q.shape[1])) if part.rates is None else part.rates[[0] * len(times)]
+    if part.rates is None:
+        return np.asarray(make_interp_spline(part.t, part.q, k=1).derivative()(times))
+    return np.asarray(CubicHermiteSpline(part.t, part.q, part.rates).derivative()(times))
+
+
 def _track(skeleton: Skeleton, arrows: tuple[Arrow, ...], shown: tuple[float, float] | None) -> Track:
     K = len(skeleton.p)
     R = skeleton.R.reshape(K, 3, -1, 3).transpose(0, 2, 1, 3)
@@ -217,6 +235,21 @@ def _list_arrows(motion: Motion, times: Array) -> list[Arrow]:
     return found
 
 
+def _list_loads(motion: Motion, times: Array) -> list[Load]:
+    """List the forces of springs, cables and contacts over time; 0 before the motion and after it."""
+    which, within = _find_parts(motion, times), (times >= motion.start) & (times <= motion.end)
+    found: list[Load] = []
+    for i, part in enumerate(motion.parts):
+        rows = within & (which == i)
+        if rows.any():
+            q, dq = _interpolate(part, times[rows]), _differentiate(part, times[rows])
+            loads = find_loads(part.kernels, q, dq)
+            found = found or [Load(x.foot, np.zeros((len(times), 3))) for x in loads]
+            for load, own in zip(found, loads, strict=False):
+                load.values[rows] = np.where(np.isfinite(own.values), own.values, 0.0)
+    return found
+
+
 def _sample(motion: Motion, times: Array, name: str) -> Array | None:
     """Return inputs or wrenches at the pictures; 0 where a part has none, and after the motion's end."""
     known = [values for part in motion.parts if (values := getattr(part, name)) is not None and values.shape[1]]
@@ -233,13 +266,23 @@ def _sample(motion: Motion, times: Array, name: str) -> Array | None:
     return found
 
 
-def _choose_scales(arrows: Sequence[Arrow], size: float) -> dict[Force, float]:
-    """Choose a scale for forces and one for moments, so that the longest arrows have a length that is seen."""
+def _choose_scales(arrows: Sequence[Arrow], size: float, usual: float) -> dict[Force, float]:
+    """Choose a scale for forces and one for moments, so that the longest arrows have a length that is seen.
+
+    `usual` is a force of contacts, springs and cables that has this length too, if it is larger [N].
+    """
     scales = {}
     for kind in Force:
         largest = max((float(np.abs(x.values).max()) for x in arrows if x.kind is kind), default=0.0)
+        largest = max(largest, usual) if kind is Force.FORCE else largest
         scales[kind] = ARROW * size / largest if largest > 0 else 1.0
     return scales
+
+
+def _shorten(values: Array, most: float) -> Array:
+    """Shorten vectors that are longer than a limit, such as forces of impacts."""
+    lengths = np.linalg.norm(values, axis=1, keepdims=True)
+    return np.asarray(values * np.minimum(1.0, most / np.maximum(lengths, 1e-300)))
 
 
 def _rescale(arrow: Arrow, scale: float) -> Arrow:
@@ -250,13 +293,16 @@ def _rescale(arrow: Arrow, scale: float) -> Arrow:
 
 
 def _list_points(actors: Sequence[Actor], tracks: Sequence[Track], markers: Sequence[Marker]) -> Array:
-    """List the places of all frames, the corners of all solids, and markers, at all times: (points, 3)."""
+    """List the places of frames, ends of lines, corners of solids, and markers, at all times: (points, 3)."""
     points = [np.array([m.position for m in markers]).reshape(-1, 3)]
     for actor, track in zip(actors, tracks, strict=True):
         shown = [i for i in range(len(actor.frames)) if i not in actor.floating]
         points.append(track.p[:, shown].reshape(-1, 3))
         if not actor.floating:
             points.append(np.zeros((1, 3)))
+        for end in (end for line in actor.lines for end in line.ends):
+            at = np.array([end.at])
+            points.append(at if end.frame < 0 else track.p[:, end.frame] + track.R[:, end.frame] @ at[0])
         for solid in actor.solids:
             axes = np.array(solid.axes).reshape(3, 3)  # one a row
             corners = np.array(solid.at) + _CORNERS * np.array(solid.size) @ axes

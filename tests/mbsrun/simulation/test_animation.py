@@ -16,7 +16,21 @@ import pytest
 
 from mbsgen.manifest import Manifest
 from mbsrun import Mechanism
-from mbsrun.animation import MAX_PICTURES, RATE, Marker, choose_times, render_animation, write_animation
+from mbsrun.animation import (
+    MAX_PICTURES,
+    RATE,
+    Marker,
+    Motion,
+    Part,
+    choose_times,
+    make_film,
+    render_animation,
+    write_animation,
+)
+from mbsrun.animation.forces import find_loads
+from mbsrun.external import load
+from mbsrun.models import Extent
+from mbsrun.skeleton import place
 
 HOSTILE = "</script><script>alert(1)</script><!-- \u2028 & @SCRIPT@ é"
 
@@ -146,3 +160,78 @@ def test_arrays_that_do_not_fit_are_refused(pendulum: Mechanism, t: Any, q: Any)
         render_animation(pendulum, t, q)
     with pytest.raises(ValueError, match="qd has shape"):
         render_animation(pendulum, [0, 1], [[0], [1]], qd=[[0]])
+
+
+TOUCHING = """name: touching
+gravity: [0, 0, -9.81]
+bodies:
+  - name: crate
+    joint: {type: floating}
+    mass: 2
+    inertia: [0.02, 0.02, 0.02]
+  - name: bob
+    parent: crate
+    joint: {type: spherical, position: [0.1, 0, 0.2]}
+    mass: 1
+    com: [0, 0, 0.1]
+    inertia: [0.01, 0.01, 0.01]
+  - name: slope
+    joint: {type: prismatic, axis: x, orientation: [{axis: y, angle: 0.2}]}
+    mass: 3
+contacts:
+  - {name: box, body: crate, size: [0.3, 0.2, 0.1], orientation: [{axis: z, angle: 0.3}], stiffness: 400, width: 0.05,
+     exponent: 2.5, dissipation: 0.3, friction: {coefficient: 0.5, speed: 0.1}}
+  - {name: ball, body: bob, position: [0, 0, 0.1], radius: 0.1, plane: {body: slope, normal: [0, 0.6, 0.8]},
+     stiffness: 90, exponent: 1, width: 0.1, friction: {coefficient: 0.3, speed: 0.2}}
+forces:
+  - {name: strut, from: {body: base, position: [1, 0, 1]}, to: {body: crate}, stiffness: 50, rest: 0.2, damping: 3}
+  - {name: rope, type: cable, from: {body: bob}, to: {body: crate, position: [0, 0.3, 0]}, stiffness: 70, rest: 0.1,
+     width: 0.05, dissipation: 0.4}
+"""
+MERE = TOUCHING[: TOUCHING.index("contacts:")]
+
+
+def test_arrows_are_the_forces_that_the_kernels_compute(tmp_path: Path) -> None:
+    """Power of all arrows = power of the model's forces: qd.(Phi without forces - Phi with them), at random states.
+
+    The slope's part is its reaction; the crate and the bob bear all others. Differences along the rates err by 1e-8.
+    """
+    plants = []
+    for name, text in (("touching", TOUCHING), ("mere", MERE)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+        plants.append(load(tmp_path / f"{name}.yaml", extent=Extent(("impl", "frames"), derivatives=0)))
+    touching = plants[0]
+    rng = np.random.default_rng(3)
+    q, qd = 0.1 * rng.normal(size=(2, 20, len(touching.manifest.coordinates)))
+    q[:, -1], qd[:, -1] = 0.0, 0.0  # the slope stands, so its reactions have no power
+    zero = np.zeros_like(q)
+    u = np.zeros((len(q), len(touching.manifest.actuated)))
+    with_forces, without = (x("impl", q=q, qd=qd, qdd=zero, u=u)["Phi"] for x in plants)
+    power = np.einsum("ki,ki->k", qd, without - with_forces)
+    now, after, before = (place(touching, q + step * qd) for step in (0.0, 1e-6, -1e-6))
+    found = np.zeros(len(q))
+    for found_load in find_loads(touching, q, qd):
+        i, at = found_load.foot.frame, np.array(found_load.foot.at)
+        p = [x.p[:, :, i] + x.R[:, :, 3 * i : 3 * i + 3] @ at for x in (now, after, before)]
+        found += np.einsum("ki,ki->k", found_load.values, (p[1] - p[2]) / 2e-6)
+        if np.linalg.norm(at - [0, 0, 0.1]) < 1e-12:  # of the ball: its force acts at its surface
+            n = np.array([[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]]) @ [0, 0.6, 0.8]
+            spin = (after.R - before.R)[:, :, 3 * i : 3 * i + 3] / 2e-6 @ now.R[:, :, 3 * i : 3 * i + 3].swapaxes(1, 2)
+            found += np.einsum("ki,ki->k", found_load.values, spin @ (-0.1 * n))
+    assert np.abs(power).max() > 1
+    assert found == pytest.approx(power, abs=1e-6)
+
+
+def test_forces_of_impacts_do_not_shorten_all_others(tmp_path: Path) -> None:
+    """Arrows of a box at rest on four corners are seen: each a fair part of the mechanism's size."""
+    (tmp_path / "touching.yaml").write_text(MERE + "contacts: [{name: foot, body: crate, stiffness: 1e4, exponent: 1}]")
+    plant = load(tmp_path / "touching.yaml", extent=Extent(("frames",), derivatives=0))
+    t = np.linspace(0, 2, 101)
+    q = np.zeros((101, len(plant.manifest.coordinates)))
+    q[:, 2] = -1e-3
+    q[0, 2] = -0.5  # an impact
+    (arrow,) = make_film([Motion((Part(plant, t, q),))]).tracks[0].arrows
+    lengths = arrow.scale * np.linalg.norm(arrow.values, axis=1)
+    size = make_film([Motion((Part(plant, t, q),))]).actors[0].size
+    assert lengths[-1] == pytest.approx(0.3 * size, rel=1e-6)
+    assert lengths[0] == pytest.approx(0.45 * size, rel=1e-6)
