@@ -7,9 +7,12 @@ from pathlib import Path
 
 import click
 
+from mbsgen.documents import Document, read_document
+from mbsgen.errors import InputError
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.multistart import Wish
 from mbsrun.ocp.phases.files import SOLUTION, write_files
 from mbsrun.ocp.phases.multistart import solve_phases_from_many
@@ -50,7 +53,10 @@ def solve_file(
     manifests = tuple(plant.manifest for plant in plants.phases)
     guess = None if other is None else read_phased_guess(other, names, manifests)
     out = out or Path(f"{problem.name}.solution")
-    outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
+    try:
+        outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
+    except ProblemError as error:
+        raise _locate(error, read_document(file)) from None
     if outcome is None:
         say("the time was over before the first start ended")
         return NOT_SOLVED
@@ -72,6 +78,11 @@ def solve_file(
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     return NOT_SOLVED if shortcomings else 0
+
+
+def _locate(error: ProblemError, document: Document) -> InputError:
+    """Name the lines of a file that a method refuses; a fault of one key is at its line."""
+    return InputError([document.fault((key,), finding, remedy) for key, finding, remedy in error.findings])
 
 
 def _ask(problem: PhasedProblem, accuracy: float) -> PhasedProblem:

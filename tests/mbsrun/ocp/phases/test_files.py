@@ -118,6 +118,13 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     assert "second: refinement" in refined.output
     assert "warning" not in refined.output
     assert CliRunner().invoke(cli, [*command, "--refine", "0"]).exit_code == 2
+    text = TEXT.replace(
+        "to: second}", "to: second, conditions: [{expression: start_u_cart - end_u_cart, range: [0, 0]}]}"
+    )
+    (tmp_path / "split.ocp.yaml").write_text(text)
+    unstaged = CliRunner().invoke(cli, [*command, "--solver", "mbs"])
+    assert f"{tmp_path / 'split.ocp.yaml'}:10: links: mbs cannot read inputs at a start" in str(unstaged.exception)
+    (tmp_path / "split.ocp.yaml").write_text(TEXT)
     refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--form", "integral"])
     assert refused.exit_code == 2
     assert "--hops, --form: for problems of one phase" in refused.output
