@@ -197,7 +197,7 @@ and second derivatives. Simulation, optimal control and controllers are built on
 |---|---|
 | learn it by doing | [Tutorials](tutorials/README.md): nine short pages, each with something to see |
 | see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
-| describe my mechanism | [The model file](model.md), or [import a URDF or MJCF](importing.md) |
+| describe my mechanism | [The model file](model.md), or [import URDF, MJCF or SDF](importing.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
 | play with it | [A playground](playground.md): one page that computes by its C, as in the [gallery](gallery/index.md) |
 | call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |

@@ -79,7 +79,7 @@ MODEL = click.argument("model", type=click.Path(path_type=Path))
 _IMPORTING = (
     click.option("--name", help="The model's name; by default, the name in the file."),
     *ROBOT,
-    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, MJCF's own, or 0,0,-9.81."),
+    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, the file's own, or 0,0,-9.81."),
     click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
     click.option(
         "--friction-speed",

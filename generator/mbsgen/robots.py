@@ -1,4 +1,4 @@
-"""Options for robots' files (URDF, MJCF) that the command lines of mbsgen and mbsrun share."""
+"""Options for robots' files (URDF, MJCF, SDF) that the command lines of mbsgen and mbsrun share."""
 
 from __future__ import annotations
 

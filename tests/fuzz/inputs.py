@@ -583,6 +583,24 @@ MJCF_LOOP = """<mujoco model="bars"><default><geom type="sphere" size="0.1"/><jo
 <joint joint1="d" joint2="a" polycoef="0 1 0.3"/><weld active="false" body1="top" body2="cam" relpose="0 0 1 1 0 0 0"/>
 </equality></mujoco>
 """
+_SDF_LINK = """<link name="{}"><pose>{} 0 0.5 0 0.3 0</pose><inertial><pose>0 0 0.2 0 0 0.1</pose><mass>1.5</mass>
+<inertia><ixx>0.03</ixx><iyy>0.03</iyy><izz>0.01</izz><ixy>0.001</ixy></inertia></inertial></link>
+"""
+_SDF_JOINT = """<joint name="{}" type="{}"><pose{}</pose><parent>{}</parent><child>{}</child><axis><xyz
+expressed_in="__model__">0 1 0</xyz><limit><lower>-2</lower><upper>inf</upper></limit><dynamics><damping>0.3</damping>
+</dynamics>{}</axis></joint>
+"""
+_SDF_MIMIC = '<mimic joint="a"><multiplier>2</multiplier></mimic>'
+SDF = f"""<sdf version="1.11"><world name="lab"><gravity>0 0 -9.81</gravity><model name="wall"><static>1</static>
+<link name="stone"/></model><model name="bars"><pose degrees="true">0.1 0.2 0.3 0 0 30</pose>
+{"".join(_SDF_LINK.format(name, x) for name, x in (("crank", 0), ("top", 0.2), ("rocker", 0.9), ("gear", -0.5)))}
+<link name="loose"/><frame name="tip" attached_to="crank"><pose>0 0 0.6 0 0 0</pose></frame>
+{_SDF_JOINT.format("a", "revolute", ">", "world", "crank", "")}
+{_SDF_JOINT.format("b", "revolute", ' relative_to="tip">', "tip", "top", "")}
+{_SDF_JOINT.format("c", "continuous", ">", "world", "rocker", "")}
+{_SDF_JOINT.format("e", "prismatic", ">0.1 0 0 0 0 0", "world", "gear", _SDF_MIMIC)}
+{_SDF_JOINT.format("d", "revolute", ">0 0 0.6 0 0 0", "top", "rocker", "")}</model></world></sdf>
+"""
 
 
 def _use_model(file: Path) -> None:
@@ -766,4 +784,5 @@ KINDS: Mapping[str, Kind] = {
     "manifests": Kind(_list_manifests, _use_manifest),
     "urdf": Kind(lambda: (("robot.urdf", URDF.encode()), ("bars.urdf", URDF_LOOP.encode())), _use_foreign),
     "mjcf": Kind(lambda: (("robot.xml", MJCF.encode()), ("bars.xml", MJCF_LOOP.encode())), _use_foreign),
+    "sdf": Kind(lambda: (("bars.sdf", SDF.encode()),), _use_foreign),
 }

@@ -34,6 +34,8 @@ class Closure:
     second: Spot
     source: Element
     axis: Array | None = None  # in both frames; None: z
+    axis2: Array | None = None  # of a universal joint, in the second frame; None: x
+    pitch: float = 0.0  # of a helical joint [m/rad]
 
 
 @dataclass(frozen=True)

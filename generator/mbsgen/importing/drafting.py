@@ -323,7 +323,9 @@ class Draft:
     def _write_loop(self, closure: Closure) -> Loop:
         one, other = (LoopEnd(spot.body, self.writer.placement(spot.pose)) for spot in (closure.first, closure.second))
         axis = UNITS["z"] if closure.axis is None else _write_axis(closure.axis)
-        return Loop(self._choose_name("loop", closure.name, closure.source), closure.cut, one, other, axis)
+        axis2 = UNITS["x"] if closure.axis2 is None else _write_axis(closure.axis2)
+        name = self._choose_name("loop", closure.name, closure.source)
+        return Loop(name, closure.cut, one, other, axis, axis2, pitch=Number(closure.pitch))
 
     def _hold_equations(self) -> Iterator[Equation]:
         """Yield the equations that are left where some joints are held; a fault where held joints contradict one."""

@@ -13,6 +13,7 @@ from mbsgen.importing.drafting import Choices, Imported, MasslessError
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element, read_markup
 from mbsgen.importing.mjcf import read_mjcf
+from mbsgen.importing.sdf import read_sdf
 from mbsgen.importing.urdf import read_urdf
 
 DEFAULT = Choices()
@@ -43,7 +44,6 @@ class Format:
 
 _MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")  # the root element shows the format, whatever the file's name
 _ADVICE = {
-    "sdf": "SDF is not read; convert it to URDF, and close its loops by <loop>",
     "mujocoinclude": "import the file that includes this one",
 }
 
@@ -62,6 +62,7 @@ def make_markup_format(name: str, tag: str, read: Callable[[Element, Choices, Fi
 FORMATS: tuple[Format, ...] = (
     make_markup_format("URDF", "robot", read_urdf),
     make_markup_format("MJCF", "mujoco", read_mjcf),
+    make_markup_format("SDF", "sdf", read_sdf),
 )
 
 

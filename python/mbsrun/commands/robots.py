@@ -1,4 +1,4 @@
-"""Options of commands that take a robot's file (URDF, MJCF) for a model."""
+"""Options of commands that take a robot's file (URDF, MJCF, SDF) for a model."""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ from mbsrun.models import Extent, find_folder
 
 
 def test_a_file_of_no_format_is_refused_with_what_there_is(tmp_path: Path) -> None:
-    advice = {"page": "give a file of URDF (<robot>) or MJCF (<mujoco>)", "sdf": "convert it to URDF"}
+    advice = {
+        "page": "give a file of URDF (<robot>), MJCF (<mujoco>) or SDF (<sdf>)",
+        "mujocoinclude": "import the file that",
+    }
     for tag, remedy in advice.items():
         file = tmp_path / "robot.xml"
         file.write_text(f"<{tag}/>", encoding="utf-8")
@@ -60,7 +63,7 @@ def test_a_new_format_is_a_reader_and_an_entry(tmp_path: Path, monkeypatch: pyte
     wrong.write_text("rods\n0.5\n", encoding="utf-8")
     other.write_text("balls\n", encoding="utf-8")
     monkeypatch.setattr(formats, "FORMATS", (*FORMATS, CHAIN))
-    assert list_formats() == "URDF, MJCF or rods"
+    assert list_formats() == "URDF, MJCF, SDF or rods"
     assert [x.name for x in read_tree(file).bodies] == ["rod1", "rod2"]
 
     run = CliRunner().invoke(cli, ["import", str(file), "--name", "pair", "-o", str(tmp_path / "pair.yaml")])

@@ -46,8 +46,8 @@ def refuse(folder: Path, text: str | bytes) -> str:
         ("<robot " + " ".join(f"a{i}='1'" for i in range(99)) + "/>", ":1: an element of 99 attributes"),
         (b" " * (MAX_BYTES + 1), f": larger than {MAX_BYTES} bytes"),
         (b'<?xml version="1.0" encoding="none"?><robot/>', ":1: "),
-        ("<sdf/>", ":1: sdf: the file is <sdf>; SDF is not read"),
-        ("<html/>", ":1: html: the file is <html>; give a file of URDF (<robot>) or MJCF (<mujoco>)"),
+        ("<sdf/>", ":1: sdf: an <sdf> without a version; give the version"),
+        ("<html/>", ":1: html: the file is <html>; give a file of URDF (<robot>), MJCF (<mujoco>) or SDF (<sdf>)"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, text: str | bytes, finding: str) -> None:
