@@ -32,24 +32,13 @@ CRANK = (
     "  - {name: crank, joint: {name: crank, type: revolute, axis: x}, mass: 1, com: [0, 0, 0.05], "
     "inertia: [0.02, 0.03, 0.04]}\n"
 )
-ROD = "mass: 0.6, com: [0.3, 0, 0], inertia: [0.001, 0.02, 0.0205]}\n"
 SLIDER = (
     "  - {name: slider, joint: {name: slider, type: prismatic, axis: x, position: [0, 0.1, 0], actuated: false}, "
     "mass: 0.8}\n"
 )
 MODELS = {
     # the rod hangs on the crank by a ball, and a universal joint ties it to the slider
-    "ball": f"""\
-name: ball
-gravity: [0, 0, -9.81]
-bodies:
-{CRANK}  - {{name: rod, parent: crank, joint: {{type: ball, actuated: false, position: [0, 0, 0.1]}}, {ROD}{SLIDER}
-loops:
-  - {{name: wrist, type: universal, axis: y, axis2: z, from: {{body: slider}},
-      to: {{body: rod, position: [0.6, 0, 0]}}}}
-independent: [crank]
-assembly: {{slider: 0.57}}
-""",
+    "ball": (Path(__file__).parents[3] / "models" / "spatial" / "ball_crank.yaml").read_text("utf-8"),
     # the rod hangs on the slider by the universal joint, and the ball is cut
     "hinges": f"""\
 name: hinges
