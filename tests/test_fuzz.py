@@ -15,6 +15,7 @@ from tests.fuzz.kinematics import fifty_digits
 COUNT = 12
 SOUND = 1  # the seed of a mechanism that is accepted
 DRIVEN = 2  # the seed of a mechanism with a loop and a driven joint
+CONTACT = 8  # the seed of a mechanism with a loop and a contact
 LINKAGE = 0  # the seed of a planar linkage
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
 
@@ -95,6 +96,16 @@ def test_an_approximation_that_errs_by_more_than_the_tolerance_is_found() -> Non
 def test_closed_mechanisms_agree_with_free_bodies(seed: int) -> None:
     """Loops of several kinds, a constraint and a driven joint: a program where all bodies are free finds the same."""
     assert loops.examine(loops.draw(seed), seed) == ""
+
+
+def test_contacts_on_closed_mechanisms_agree_with_free_bodies() -> None:
+    """A rod and a contact whose force acts: without it, the independent program finds other multipliers."""
+    mechanism = loops.draw(CONTACT)
+    tree, tapes = loops.write_tapes(mechanism)
+    bare = replace(mechanism, model={**mechanism.model, "contacts": []})
+    with fifty_digits():
+        assert loops.Comparison(mechanism, tree, tapes, CONTACT).run() == ""
+        assert "exp1: lam" in loops.Comparison(bare, tree, tapes, CONTACT).run()
 
 
 def test_a_linkage_moves_alike_wherever_it_is_cut() -> None:
