@@ -14,7 +14,7 @@ from statistics import median
 
 from mbsrun import bare
 from mbsrun.controllers import folder as folders
-from mbsrun.controllers.loading import STATUSES
+from mbsrun.controllers.loading import read_statuses
 
 PERIODS = 10
 SECONDS = 120.0  # of the host, for all of it
@@ -71,21 +71,23 @@ def emulate(place: Path, manifest: folders.Manifest, workspace: int) -> Emulatio
         outcome = bare.run(image.path, SECONDS)
     if outcome.status:
         raise bare.BareError(f"{manifest.prefix} ended with status {outcome.status} on {bare.EMULATOR}")
-    return _read(manifest, image, outcome, needs)
+    return _read(manifest, image, outcome, needs, read_statuses(place))
 
 
-def _read(manifest: folders.Manifest, image: bare.Image, outcome: bare.Outcome, needs: frozenset[str]) -> Emulation:
+def _read(
+    manifest: folders.Manifest, image: bare.Image, outcome: bare.Outcome, needs: frozenset[str], words: Sequence[str]
+) -> Emulation:
     def one(name: str) -> float:
         (number,) = outcome.numbers(name)
         return number
 
     inputs, size = outcome.numbers("input"), len(manifest.inputs)
     return Emulation(
-        status=STATUSES[int(one("status"))],
+        status=words[int(one("status"))],
         iterations=int(one("iterations")),
         cost=one("cost"),
         inputs=tuple(tuple(inputs[k * size : (k + 1) * size]) for k in range(PERIODS)),
-        steps=tuple(STATUSES[int(x)] for x in outcome.numbers("step")),
+        steps=tuple(words[int(x)] for x in outcome.numbers("step")),
         solve=int(one("solve")),
         prepare=_count(outcome.numbers("prepare")),
         feedback=_count(outcome.numbers("feedback")),

@@ -28,20 +28,6 @@ from mbsrun.library import compile_library, find_compiler
 
 Array = NDArray[np.float64]
 
-STATUSES = (
-    "solved",
-    "acceptable",
-    "infeasible",
-    "iteration limit",
-    "time limit",
-    "out of digits",
-    "unbounded",
-    "callback failed",
-    "bad problem",
-    "prepared",
-    "stepped",
-    "not prepared",
-)
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _NUMBER = re.compile(r"#define \w+ \d+")
 _ALIGNMENT = 16
@@ -59,7 +45,7 @@ class ControllerError(MbsError):
 class Result:
     """The outcome of a solve; numbers are unscaled."""
 
-    status: str  # one of STATUSES
+    status: str  # a word of `read_statuses`
     message: str
     stage: int | None  # where a function failed
     iterations: int
@@ -117,6 +103,7 @@ class Controller:
         for header in ("mbs_stages.h", f"{self._name}.h"):
             self._ffi.cdef(_declare(self._folder / header))
         self._ffi.cdef(_INSIDE.format(self._name))
+        self._statuses = _name_statuses(self._ffi)
         compiler = find_compiler(os.environ)
         self.library = compile_library(self._folder, self._name, self.manifest.sources, compiler)
         self._library: Any = self._ffi.dlopen(str(self.library))
@@ -259,7 +246,7 @@ class Controller:
     def _name_status(self, found: Any) -> dict[str, Any]:
         message = self._ffi.string(self._call("explain", found.status)).decode()
         return {
-            "status": STATUSES[found.status],
+            "status": self._statuses[found.status],
             "message": message,
             "stage": None if found.stage < 0 else found.stage,
         }
@@ -278,6 +265,19 @@ class Controller:
 def controller(folder: str | Path) -> Controller:
     """Load a controller from a folder that `mbsrun controller PROBLEM -o DIR` wrote."""
     return Controller(folder)
+
+
+def read_statuses(folder: Path) -> tuple[str, ...]:
+    """Return the words of the solver's statuses, by their numbers in C, from the header in a controller's folder."""
+    ffi = cffi.FFI()
+    ffi.cdef(_declare(folder / "mbs_stages.h"))
+    return _name_statuses(ffi)
+
+
+def _name_statuses(ffi: Any) -> tuple[str, ...]:
+    """Return the words of an enumeration, such as `time limit` for MBS_STAGES_TIME_LIMIT."""
+    elements = ffi.typeof("mbs_stages_status").elements
+    return tuple(elements[i].removeprefix("MBS_STAGES_").replace("_", " ").lower() for i in range(len(elements)))
 
 
 def _declare(header: Path) -> str:
