@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 ROUNDED = 1e-6  # of a number of periods in an interval
 STEPPED = "stepped"
+BARRIER = 1e-6  # of steps in real time, beside the cost of the controller's own optimum
 
 
 class MisfitError(MbsError):
@@ -49,6 +50,8 @@ class CompiledController:
                 f"give a rate of {1 / self._interval:g} Hz, or a multiple"
             )
         self._controller, self._period, self._steps = controller, period, steps
+        if steps is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
+            controller.options.least_barrier = BARRIER * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
