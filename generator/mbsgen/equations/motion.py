@@ -6,7 +6,7 @@ is taken apart: what multiplies accelerations is M, what has a velocity in it be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,6 +36,7 @@ class Naming:
     qdd: tuple[sp.Symbol, ...]
     u: tuple[sp.Symbol, ...]  # of the actuated joints
     parameters: tuple[sp.Symbol, ...]
+    signals: tuple[sp.Symbol, ...] = ()  # the last entries of w; the time among them
 
     def name(self, port: Port, size: int) -> tuple[sp.Symbol, ...]:
         """Return the symbols of the entries of an input."""
@@ -47,7 +48,10 @@ class Naming:
             Role.PARAMETER: self.parameters,
         }
         given = known.get(port.role, ())
-        return given if len(given) == size else tuple(_symbol(f"{port.name}{k + 1}") for k in range(size))
+        if len(given) == size:
+            return given
+        last = self.signals if port.role is Role.WRENCH else ()
+        return (*(_symbol(f"{port.name}{k + 1}") for k in range(size - len(last))), *last)
 
 
 @dataclass(frozen=True)
@@ -73,14 +77,29 @@ class Motion:
 
 
 def name_symbols(tree: Tree) -> Naming:
-    """Name the coordinates, velocities, accelerations and forces by their joints, and the parameters."""
-    joints = [joint.name for joint in tree.joints]
+    """Name the coordinates, velocities, accelerations and forces by their joints, and the parameters and signals.
+
+    Symbols of one name would be one symbol, so a name that is taken gets a prefix, or underscores.
+    """
+    joints, taken = [joint.name for joint in tree.joints], {f"w{k + 1}" for k in range(tree.open_entries)}
+
+    def choose(names: Iterable[str], prefix: str = "") -> tuple[sp.Symbol, ...]:
+        found = []
+        for name in names:
+            free = prefix + name if name in taken else name
+            while free in taken:
+                free += "_"
+            taken.add(free)
+            found.append(_symbol(free))
+        return tuple(found)
+
     return Naming(
-        tuple(map(_symbol, tree.coordinates)),
-        tuple(_symbol(f"{x}_d") for x in joints),
-        tuple(_symbol(f"{x}_dd") for x in joints),
-        tuple(_symbol(f"u_{joint.name}") for joint in tree.joints if joint.actuated),
-        tuple(_symbol(p.name) for p in tree.parameters if p.kind is Kind.RUNTIME),
+        choose(tree.coordinates),
+        choose(f"{x}_d" for x in joints),
+        choose(f"{x}_dd" for x in joints),
+        choose(f"u_{joint.name}" for joint in tree.joints if joint.actuated),
+        choose((p.name for p in tree.parameters if p.kind is Kind.RUNTIME), "p_"),
+        choose(tree.signals, "signal_"),
     )
 
 

@@ -231,3 +231,27 @@ def test_the_command_writes_what_the_suffix_says(tmp_path: Path) -> None:
     assert run.exit_code != 0
     assert "give --format" in run.output
     assert not (tmp_path / "page.doc").exists()
+
+
+COLLISION = """
+name: collision
+gravity: [0, 0, -9.81]
+parameters: {arm: 0.3}
+bodies:
+  - {name: arm, joint: {type: revolute, axis: y, force: act - arm*q + sin(t)}, mass: 1, com: [arm, 0, 0]}
+signals: [act]
+"""
+
+
+def test_a_parameter_is_no_coordinate_of_the_same_name(tmp_path: Path) -> None:
+    """l^2 q'' + l q - 9.81 l cos q = u + act + sin t, where the parameter l and the joint have one name."""
+    file = tmp_path / "collision.yaml"
+    file.write_text(COLLISION)
+    motion = derive(build_symbolic(read(file)))
+    q, l, u, act, t = sp.symbols("arm p_arm u_arm act t", real=True)
+    expected = l**2 * motion.naming.qdd[0] + l * q - sp.Rational(981, 100) * l * sp.cos(q) - u - act - sp.sin(t)
+    difference = motion.residual[0] - expected
+    for start in (0.2, 0.7):
+        values = {x: start + 0.1 * k for k, x in enumerate(sorted(expected.free_symbols, key=str))}
+        assert difference.free_symbols <= values.keys()
+        assert abs(difference.evalf(subs=values, chop=True)) < 1e-12
