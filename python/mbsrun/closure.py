@@ -110,8 +110,10 @@ class Closure:
         J = self.jacobian(q)
         if not self.manifest.configuration:
             return J
-        rates = self.plant("jac_rates", q=q, qd=np.zeros((len(q), self.size)))["jac_rate_qd"]
-        return np.asarray(J @ np.linalg.pinv(rates))
+        units = np.tile(np.eye(self.size), (len(q), 1))  # E is linear in velocities: its columns are rates of unit ones
+        columns = self.plant("rates", q=np.repeat(q, self.size, axis=0), qd=units)["rate"]
+        E = columns.reshape(len(q), self.size, -1).swapaxes(1, 2)
+        return np.asarray(J @ np.linalg.pinv(E))
 
     # --- how far loops are open ---
 

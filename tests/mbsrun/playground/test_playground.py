@@ -255,6 +255,48 @@ def test_the_page_keeps_loops_closed_and_moves_driven_joints(
         assert np.abs(each["gap"]).max() <= 1e-12
 
 
+SWING = """\
+name: swing
+gravity: [0, 0, -9.81]
+bodies:
+  - name: arm
+    joint: {type: ball, actuated: false}
+    mass: 2
+    com: [0.3, 0, 0]
+    inertia: [0.02, 0.03, 0.04]
+  - name: rod
+    parent: arm
+    joint: {type: revolute, axis: z, position: [0.6, 0, 0], actuated: false}
+    mass: 1
+    com: [0.25, 0, 0]
+    inertia: [0.01, 0.02, 0.02]
+loops:
+  - {name: anchor, type: ball, from: {body: rod, position: [0.5, 0, 0]}, to: {body: base, position: [0.7, 0.3, 0]}}
+assembly: {rod: 60 deg}
+"""
+
+
+def test_the_page_keeps_loops_with_quaternions_closed(
+    requires: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An arm on a ball joint, held by a rod: the page steps as the simulation does, and the rod stays anchored."""
+    monkeypatch.setenv("CFLAGS", "-ffp-contract=off -O0")
+    (tmp_path / "swing.yaml").write_text(SWING, encoding="utf-8")
+    kernels, page = load(tmp_path / "swing.yaml", extent=EXTENT), tmp_path / "page.html"
+    assert kernels.manifest.quaternions
+    page.write_text(render_playground(kernels), encoding="utf-8")
+    start = {"coordinate": list(kernels.manifest.pose), "velocity": [0.0] * 4}
+    motion = ask(requires, page, tmp_path, {"states": [], "start": start, "steps": 40, "h": 0.005, "parameters": []})
+    run("simulate", tmp_path / "swing.yaml", "--duration", 0.2, "--method", "rk4", "--step", 0.005, "-o", tmp_path)
+    rows = (tmp_path / "trajectory.csv").read_text(encoding="utf-8").splitlines()
+    found = np.array(motion["motion"][-1])
+    expected = np.array([float(x) for x in rows[-1].split(",")][1 : 1 + len(found)])
+    for state in (found, expected):
+        state[:4] /= np.linalg.norm(state[:4])  # the length of a quaternion is free
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+    assert np.abs(kernels("loops", q=found[:5])["gap"]).max() <= 1e-14
+
+
 def test_a_controller_finds_the_plan_and_the_inputs_of_the_native_one(
     case: Case, requires: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
