@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from mbsgen.style import PALETTE, save_plot, styled
 from mbsrun.linearisation.equations import Array, Linearisation
 
 COLORS = PALETTE
+DASHES = ("-", "--", "-.", ":")
 DECADES = 1.5  # shown below the lowest and above the highest frequency
 POINTS = 800
 MOST = 6  # lines in one picture
@@ -30,6 +32,8 @@ def plot_poles(found: Linearisation, path: Path) -> None:
     axes.set_ylabel("imaginary part [rad/s]")
     axes.set_title("Poles", loc="left")
     axes.margins(0.15)
+    half = max(1.15 * float(np.abs(poles.imag).max()), 0.5 * float(np.abs(poles).max()), 0.1)
+    axes.set_ylim(-half, half)
     axes.grid(alpha=0.3)
     save_plot(figure, path)
 
@@ -48,12 +52,15 @@ def plot_responses(found: Linearisation, path: Path) -> None:
             values = responses[:, i, k]
             if not np.abs(values).any():
                 continue
-            color = COLORS[i % len(COLORS)]
-            magnitude.loglog(frequencies, np.abs(values), color=color, label=output)
-            phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))), color=color)
+            color, dashes = COLORS[i % len(COLORS)], DASHES[i % len(DASHES)]  # equal phases are both seen
+            magnitude.loglog(frequencies, np.abs(values), color=color, linestyle=dashes, label=output)
+            phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))), color=color, linestyle=dashes)
         magnitude.set_title(f"input {name}", loc="left", fontsize="medium")
         magnitude.legend(frameon=False, fontsize="small")
         phase.set_xlabel("frequency [Hz]")
+        low, high = phase.get_ylim()
+        phase.set_ylim(min(low, (low + high) / 2 - 100), max(high, (low + high) / 2 + 100))
+        phase.yaxis.set_major_locator(MultipleLocator(45 if high - low < 400 else 90))
     plots[0, 0].set_ylabel("magnitude [rad or m, for N m or N]")
     plots[1, 0].set_ylabel("phase [degrees]")
     for axes in plots.flat:
