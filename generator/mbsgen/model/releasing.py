@@ -11,7 +11,7 @@ parameters stays that expression. Exponents and normals of contacts stay.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
@@ -26,7 +26,6 @@ from mbsgen.model.model import (
     Constraint,
     Contact,
     Fixed,
-    Follow,
     ForceElement,
     Frame,
     Grip,
@@ -54,20 +53,21 @@ def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
 
     A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they make equations short. With
     `zeros` they become parameters too, also zeros that the file does not mention. Axes of joints stay, with the
-    constants that they depend on; so do limits, which are not in the equations, and the ratios and offsets of joints
-    that follow others. Constraints that become followers do so before, since their numbers must be constant.
+    constants that they depend on. So do constraints that make a joint follow another, and the rules of followers with
+    limits: the limits bind the leader by these rules. Of other rules the numbers stay, and constants become parameters.
+    Limits keep their values, since they are not in the equations.
     """
-    return _Release(eliminate(model), zeros).apply()
+    eliminated = eliminate(model)
+    return _Release(eliminated, zeros, _find_fixed(model, eliminated)).apply()
 
 
 class _Release:
     """Replaces numbers by names, and collects the parameters."""
 
-    def __init__(self, model: Model, zeros: bool) -> None:
+    def __init__(self, model: Model, zeros: bool, fixed: set[str]) -> None:
         self._model = model
         self._zeros = zeros
         self._valuation = Valuation(model.parameters, ())
-        fixed = _find_fixed(model)
         self._coordinates = {step.name for step in list_joints(model)} if model.constraints else set()
         self._state = list_quantities(model).keys()
         self._parameters = {
@@ -140,9 +140,8 @@ class _Release:
 
     def _part(self, step: Step, first: str) -> Joint:
         """Release a part of a joint with a name for all of it; the slide of a screw has no settings in the file."""
-        follows = step.joint.follows
-        if follows is not None and follows.joint == first:
-            return replace(step.joint, follows=self._follow(follows))
+        if step.joint.follows is not None and step.joint.follows.joint == first:
+            return step.joint
         return self._joint(step, step.joint.placement)
 
     def _joint(self, step: Step, placement: Placement) -> Joint:
@@ -157,17 +156,10 @@ class _Release:
             max_force=self._keep(step.joint.max_force),
             law=self._law(step.joint.law, step.name),
             armature=self._number(f"{step.name}.armature", step.joint.armature),
-            follows=self._follow(step.joint.follows),
         )
 
-    def _follow(self, follow: Follow | None) -> Follow | None:
-        if follow is None:
-            return None
-        ratio, offset = (
-            x if self._valuation.changes(x) else Number(self._valuation.number((), x))
-            for x in (follow.ratio, follow.offset)
-        )
-        return Follow(follow.joint, ratio, offset)
+    def _keep(self, limit: Expression | None) -> Expression | None:
+        return None if limit is None else Number(self._valuation.number((), limit))
 
     def _law(self, law: Law, joint: str) -> Law:
         released = replace_numbers(law, joint, self._number)
@@ -179,9 +171,6 @@ class _Release:
             rest=self._number(f"{joint}.rest", released.rest),
             damping=self._number(f"{joint}.damping", released.damping),
         )
-
-    def _keep(self, limit: Expression | None) -> Expression | None:
-        return None if limit is None else Number(self._valuation.number((), limit))
 
     def _frame(self, frame: Frame) -> Frame:
         return replace(frame, placement=self._placement(f"frames.{frame.name}", frame.placement))
@@ -259,14 +248,36 @@ class _Release:
         return replace(constraint, equation=replace_counted(constraint.equation, path, self._number))
 
 
-def _find_fixed(model: Model) -> set[str]:
-    """Find the parameters that axes depend on, by themselves or by the values of others."""
-    found = {name for axis in _list_axes(model) for component in axis for name in names(component)}
-    found |= {name for contact in model.contacts for name in names(contact.exponent)}
+def _find_fixed(model: Model, eliminated: Model) -> set[str]:
+    """Find the parameters that must be constant, by themselves or by the values of others."""
+    found = {name for expression in _list_constants(model, eliminated) for name in names(expression)}
     for parameter in reversed(model.parameters):  # a value depends on parameters that stand before it
         if parameter.name in found:
             found |= names(parameter.value)
     return found
+
+
+def _list_constants(model: Model, eliminated: Model) -> Iterator[Expression]:
+    """List the expressions that a model needs constants in."""
+    yield from (component for axis in _list_axes(model) for component in axis)
+    yield from (contact.exponent for contact in model.contacts)
+    joints = {step.name: step.joint for step in list_joints(model)}
+    for name, joint in joints.items():
+        if any(bound is not None for bound in (joint.lower, joint.upper, joint.max_speed)):
+            yield from _list_rules(joints, name)
+    remaining = {constraint.name for constraint in eliminated.constraints}
+    for constraint in model.constraints:
+        if constraint.name not in remaining:
+            yield constraint.equation
+            yield from (x for name in names(constraint.equation) & joints.keys() for x in _list_rules(joints, name))
+
+
+def _list_rules(joints: Mapping[str, Joint], name: str) -> Iterator[Expression]:
+    """List the ratios and offsets between a joint and the leader at the end of its chain."""
+    follow = joints[name].follows
+    while follow is not None:
+        yield from (follow.ratio, follow.offset)
+        follow = joints[follow.joint].follows
 
 
 def _list_axes(model: Model) -> Iterator[Triple]:

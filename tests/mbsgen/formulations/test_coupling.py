@@ -31,7 +31,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.symbols import exact
-from mbsgen.model.tree import Coupling, Tree
+from mbsgen.model.tree import Coupling, Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make, write_families
 from mbsgen.request import Request, merge
@@ -371,17 +371,44 @@ def test_bounds_that_would_change_at_run_time_are_refused() -> None:
         )
 
 
-def test_run_time_parameters_are_taken_as_ever() -> None:
-    """With every number a parameter, at the values of the file: the same accelerations. Couplings stay constant."""
-    model = finger(("a", "-k/2", 0.1), parameters={"k": 1.5})
-    tree, loose = build_tree(model), build_tree(with_runtime_numbers(model))
-    assert loose.couplings == tree.couplings == (Coupling(8, 7, exact(-0.75), exact(0.1)),)
-    rng = np.random.default_rng(5)
-    state = {"q": rng.uniform(-1, 1, 8), "qd": rng.uniform(-1, 1, 7), "u": rng.uniform(-1, 1, 1)}
-    state["p"] = np.array(values_of(loose))
-    for name in ("exp1", "exp2"):
-        expected, found = (compute(FUNCTIONS[name].build(t, Options().reductions), state)["qdd"] for t in (tree, loose))
-        assert_close("qdd", found, expected)
+_SOLID = "mass: 1, com: [0.1, 0, 0.2], inertia: [0.1, 0.1, 0.1]"
+_LINKED = {
+    "a follower": "{name: b, type: revolute, axis: x, follows: {joint: a, ratio: -k/2, offset: k/5}}",
+    "a screw": "{name: b, type: helical, axis: x, pitch: k/5}",
+    "a follower with limits": "{name: b, type: revolute, axis: x, follows: {joint: a, ratio: -k/2}, limits: [-k, k]}",
+    "a constraint": "{name: b, type: revolute, axis: x, actuated: false}",
+    "limits alone": "{name: b, type: revolute, axis: x, limits: [-0.1, k]}",
+}
+
+
+@pytest.mark.parametrize("linked", _LINKED)
+def test_constants_of_rules_and_limits_change_everywhere_or_stay(linked: str, tmp_path: Path) -> None:
+    """With all numbers at run time, `k` is a parameter that the rule reads, or a constant that it needs."""
+    path = tmp_path / "hand.yaml"
+
+    def read(k: float) -> Model:
+        lines = [
+            f"name: hand\ngravity: [0, 0, -9.81]\nparameters: {{k: {k}}}\nbodies:",
+            f"  - {{name: one, joint: {{name: a, type: revolute, axis: y}}, {_SOLID}}}",
+            f"  - {{name: two, parent: one, joint: {_LINKED[linked]}, {_SOLID}}}",
+            "  - {name: end, parent: two, joint: {name: c, type: revolute, axis: z}, mass: k, com: [0, 0.1, 0]}",
+            *(["constraints:", "  - {name: rule, equation: 2*b + k*a}"] if linked == "a constraint" else []),
+        ]
+        path.write_text("\n".join(lines), "utf-8")
+        return read_model(path)
+
+    loose, other = build_tree(with_runtime_numbers(read(1.5))), build_tree(read(1.2))
+    parameters = {p.name: p.value for p in loose.parameters if p.kind is Kind.RUNTIME}
+    assert ("k" in parameters) is (linked in ("a follower", "a screw", "limits alone"))
+    if "k" in parameters:
+        n = len(other.coordinates)
+        state = {"q": np.linspace(0.2, 0.9, n), "qd": np.linspace(1, -1, n), "u": np.linspace(0.1, 0.5, n)}
+        values = state | {"p": np.array([*(parameters | {"k": 1.2}).values()])}
+        for name in ("semi", "exp1", "exp2"):
+            expected = compute(FUNCTIONS[name].build(other, Options().reductions), state)
+            found = compute(FUNCTIONS[name].build(loose, Options().reductions), values)
+            for result, value in expected.items():
+                assert_close(result, found[result], value)
 
 
 def test_a_whole_folder_is_written_and_agrees_with_itself(tmp_path: Path, requires: Requires) -> None:
