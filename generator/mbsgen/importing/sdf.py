@@ -20,7 +20,7 @@ from mbsgen.importing.closing import Closure, Equation, Spot, Term
 from mbsgen.importing.drafting import Choices, Draft, Imported, Move, list_moves, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import Array, Pose
+from mbsgen.importing.poses import Pose
 from mbsgen.importing.sdf_frames import WORLD, Entry, Frames, count_tags, read_flag, read_text, relate
 from mbsgen.importing.solids import Solid
 from mbsgen.model.model import BASE
@@ -316,15 +316,13 @@ class _File:
             return
         here = self._frames.locate(joint.key)
         first, second = (Spot(self._own[key], relate(self._homes[key], here)) for key in (parent, child))
-        axes: list[Array | None] = [
-            self._frames.read_axis(joint, joint.element.first(tag))
-            if (tag == "axis" and cut not in _WITHOUT_AXIS) or cut in _TWO_AXES
-            else None
-            for tag in ("axis", "axis2")
-        ]
+        axis, axis2 = (
+            self._frames.read_axis(joint, joint.element.first(tag)) if is_read else None
+            for tag, is_read in (("axis", cut not in _WITHOUT_AXIS), ("axis2", cut in _TWO_AXES))
+        )
         pitch = self._read_pitch(joint.element) if cut is Cut.HELICAL else 0.0
         self._draft.closing.closures.append(
-            Closure(self._show(joint), cut, first, second, joint.element, *axes, pitch=pitch)
+            Closure(self._show(joint), cut, first, second, joint.element, axis, axis2, pitch)
         )
         self._findings.tell(joint.element, f"{abbreviate(self._show(joint))} closes a loop: it has no coordinate")
         for tag in ("axis", "axis2"):

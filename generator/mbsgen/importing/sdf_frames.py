@@ -210,7 +210,8 @@ class Frames:
             key = joint.scope
         else:
             return direction
-        return relate(self.locate(joint.key), self.locate(key or joint.key)).rotation @ direction
+        turned: Array = relate(self.locate(joint.key), self.locate(key or joint.key)).rotation @ direction
+        return turned
 
 
 def join(scope: str, name: str) -> str:
