@@ -176,7 +176,7 @@ def _write_line_of_part(line: Line) -> list[str]:
 
 
 def _write_turn(sine: str, cosine: str, angle: str) -> list[str]:
-    """Write a sine and a cosine; one is declared by a statement of its own where the other is kept."""
+    """Write a sine and a cosine; one is declared by a statement apart where the other is kept."""
     lets = [name for name in (sine, cosine) if name.startswith(_LET)]
     if len(lets) + [sine, cosine].count("_") == 2:
         return [f"let ({sine.removeprefix(_LET)}, {cosine.removeprefix(_LET)}) = math::sincos({angle});"]
