@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from functools import cache
 from pathlib import Path
 
@@ -18,10 +19,12 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.request import Options, Request
 from mbsgen.roles import Role
-from mbsgen.tape.interpreter import evaluate
+from mbsgen.tape.interpreter import evaluate, fifty_digits
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Op, Output, Sparsity, Tape
 from mbsgen.targets.contract import Family
+from mbsgen.verification.functions import Comparison, Truth, write_equations
+from mbsgen.verification.states import draw_states
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
 from tests.mbsgen.formulations.closed_mechanisms import make
 
@@ -120,6 +123,17 @@ def test_a_single_wrong_number_of_a_closed_mechanism_is_refused(kernel: str) -> 
     assert set(verify(make("spatial"), own, still=False).deviations) == {kernel}
     with pytest.raises(VerificationError, match=f"spatial: {kernel}: "):
         verify(make("spatial"), with_fault(own, kernel), still=False)
+
+
+def test_second_differences_are_as_precise_for_large_velocities() -> None:
+    """Accelerations of gaps grow by the square of velocities, which are large where a loop is almost singular."""
+    tree, speed = make("four_bar"), Decimal("1e5")
+    with fifty_digits():
+        truth = Truth(tree, write_equations(tree), next(draw_states(tree, still=False)))
+        still = [Decimal(0)] * len(truth.all_qd)
+        slow = truth.closures.accelerate(truth.all_qd, still)
+        fast = truth.closures.accelerate([speed * x for x in truth.all_qd], still)
+        assert Comparison("gamma", [x / speed**2 for x in fast], slow).deviation < Decimal("1e-28")
 
 
 def test_nothing_is_written_where_a_function_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

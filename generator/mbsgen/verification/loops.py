@@ -17,7 +17,7 @@ from mbsgen.tape.types import Op
 from mbsgen.verification.geometry import STEP, ZERO, Mechanism, Pose, add, dot, slope, times, transpose
 from mbsgen.verification.states import Numbers
 
-SECOND_STEP = Decimal("1e-9")  # of second differences of fourth order: their error and the rounding are some 1e-32
+SECOND_STEP = Decimal("1e-9")  # of coordinates, in second differences of fourth order: rounding and error below 1e-31
 Value = Callable[[Sequence[Decimal]], Numbers]  # of constraints, at the coordinates of all joints
 
 
@@ -45,7 +45,8 @@ class Closures:
                 a, b, c, d, e, f = (qd[i - 1] for i in x.bodies)
                 for i, more in zip(x.bodies, (e * c - f * b, f * a - d * c, d * b - e * a), strict=False):
                     bend[i - 1] += more
-        coarse, fine = (self._bend(step, qd, bend) for step in (2 * SECOND_STEP, SECOND_STEP))
+        time = SECOND_STEP / _bound_speed(qd, bend)
+        coarse, fine = (self._bend(step, qd, bend) for step in (2 * time, time))
         return [(4 * y - x) / 3 for x, y in zip(coarse, fine, strict=True)]
 
     def _bend(self, step: Decimal, qd: Numbers, qdd: Numbers) -> Numbers:
@@ -109,3 +110,12 @@ class Closures:
 
         above = set(climb(other))
         return next(body for body in climb(one) if body in above)
+
+
+def _bound_speed(qd: Numbers, qdd: Numbers) -> Decimal:
+    """Bound velocities, and the square roots of accelerations; at least 1.
+
+    The error of a second difference, relative to the square of this bound, grows by the fourth power of the way per
+    step. Velocities are large where loops are almost singular: there, a step of fixed time is too long.
+    """
+    return max(Decimal(1), *map(abs, qd), *(abs(a).sqrt() for a in qdd))
