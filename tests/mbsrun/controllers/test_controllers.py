@@ -9,7 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +34,7 @@ from mbsrun.models import Extent
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Bounds, Problem
+from mbsrun.ocp.problem import Bounds, Control, Delay, Force, Problem, Symbolic
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
@@ -351,11 +351,54 @@ def test_a_folder_without_a_controller_is_told(tmp_path: Path, case: Case) -> No
         mbsrun.controller(tmp_path)
 
 
-def test_intervals_of_unequal_length_give_no_controller(case: Case) -> None:
-    """Its plan would not move ahead by whole intervals."""
-    problem = replace(case.problem, intervals=2, mesh=(0.25, 0.75))
-    with pytest.raises(ProblemError, match="intervals: a controller moves its plan ahead by equal intervals"):
-        make(problem, case.plant, case.model)
+REFUSED: Mapping[str, tuple[Callable[[Problem], Problem], str]] = {
+    "mesh": (
+        lambda problem: replace(problem, intervals=2, mesh=(0.25, 0.75)),
+        "intervals: a controller moves its plan ahead by equal intervals",
+    ),
+    "inputs": (lambda problem: replace(problem, inputs="polynomial"), "inputs: a controller holds its inputs"),
+    "forces": (
+        lambda problem: replace(problem, forces=(Force(0, "1"),)),
+        "forces: a controller chooses the inputs u",
+    ),
+    "states": (
+        lambda problem: replace(problem, controls=(Control("brake"),)),
+        "states: a controller measures coordinates and velocities",
+    ),
+    "delays": (
+        lambda problem: replace(problem, delays=(Delay("input", 0, 0.1),)),
+        "bounds: a controller begins anew at every sample",
+    ),
+    "rates": (
+        lambda problem: replace(problem, bounds=replace(problem.bounds, rates=((-1.0, 1.0),))),
+        "bounds: a controller begins anew at every sample",
+    ),
+    "functions": (
+        lambda problem: replace(problem, functions=(Symbolic("drag", (), "drag"),)),
+        "functions: a controller is C, and drag is an expression of CasADi",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_problem_that_a_controller_cannot_solve_is_refused(case: Case, name: str) -> None:
+    change, message = REFUSED[name]
+    with pytest.raises(ProblemError, match=message):
+        make(change(case.problem), case.plant, case.model)
+
+
+@pytest.mark.parametrize(("section", "key"), [("phases: [{name: a}]", "phases"), ("links: [{from: a}]", "links")])
+def test_a_problem_of_phases_is_refused_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], section: str, key: str
+) -> None:
+    (tmp_path / "parts.ocp.yaml").write_text(f"model: cart.yaml\n{section}\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["mbsrun", "controller", "parts.ocp.yaml", "-o", "none"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert f"parts.ocp.yaml:2: {key}: a problem with {key}; only `mbsrun solve`" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_problem_that_is_not_solved_gives_no_controller(case: Case) -> None:
