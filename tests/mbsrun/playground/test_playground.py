@@ -23,8 +23,9 @@ from mbsgen.roles import Role
 from mbsrun.cli import cli, main
 from mbsrun.external import Mechanism, load
 from mbsrun.library import CompileError
+from mbsrun.linearisation import balance, linearise
 from mbsrun.models import INTEGRATED, Extent
-from mbsrun.playground import PlaygroundError, render_playground
+from mbsrun.playground import PlaygroundError, machine, render_playground
 from mbsrun.playground.machine import (
     FUNCTIONS,
     LOOPED,
@@ -380,3 +381,25 @@ def test_mechanisms_and_controllers_that_do_not_fit_are_refused(
     with pytest.raises(SystemExit):
         main()
     assert "ziglang is not installed" in capsys.readouterr().err
+
+
+def test_places_of_nonzeros_are_in_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nonzeros at their places in column-major order are the dense result: of matrices that are not symmetric, too."""
+    monkeypatch.setattr(machine, "compile_module", lambda *_: b"")
+    monkeypatch.setattr(machine, "LOOPED", ("loop_jacobian",))
+    kernels = load(ROOT / "models" / "slider_crank.yaml", extent=EXTENT)
+    described = machine.describe_machine(kernels)["functions"]["loop_jacobian"]["results"]
+    state = {"q": kernels.manifest.pose, "qd": np.ones(3)}
+    for each in (found for found in described if "places" in found):
+        dense = kernels("loop_jacobian", **state)[each["name"]]
+        found = np.zeros(dense.size)
+        found[each["places"]] = kernels("loop_jacobian", sparse=True, **state)[each["name"]]
+        np.testing.assert_array_equal(found.reshape(dense.shape, order="F"), dense)
+    assert any(each["rows"] != each["cols"] for each in described if "places" in each)
+
+
+def test_a_regulator_holds_the_pose_it_was_found_for(case: Case) -> None:
+    """Of a pole that stands, on a cart beside the origin."""
+    kernels = load(case.place / "cart.yaml", extent=Extent(FUNCTIONS, 1, optional=(*OPTIONAL, *LOOPED, "sensors")))
+    found = linearise(kernels, balance(kernels, np.array([0.4, np.pi]), {}))
+    assert machine.describe_regulator(kernels.manifest, found, 0.5)["pose"] == pytest.approx([0.4, np.pi])
