@@ -57,7 +57,9 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
     findings += check_followers(model, valuation)
     findings += check_loops(model, valuation, doubtful)
     findings += valuation.findings
-    return findings or [
+    if findings or not valuation.is_complete:  # a doubtful number is a fault of the file already
+        return findings
+    return [
         *check_undetermined_joints(model),
         *_check_fixed(model),
         *check_bodies(model),

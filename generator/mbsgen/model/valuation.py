@@ -35,6 +35,7 @@ class Valuation:
 
     def __init__(self, parameters: Sequence[Parameter], doubtful: Container[Place], *, generic: bool = False) -> None:
         self.findings: list[Finding] = []
+        self.is_complete = True  # every expression so far has a value
         self._doubtful = doubtful
         self._algebra = symbolic({})
         self._values: dict[str, Expr] = {}
@@ -124,6 +125,11 @@ class Valuation:
             self._values[parameter.name] = round_number(value)
 
     def _evaluate(self, place: Place, expression: Expression) -> Expr | None:
+        value = self._find_value(place, expression)
+        self.is_complete &= value is not None
+        return value
+
+    def _find_value(self, place: Place, expression: Expression) -> Expr | None:
         needed = names(expression)
         if not self._is_known(place, needed):
             return None

@@ -263,6 +263,14 @@ def test_all_faults_of_a_file_come_at_once(tmp_path: Path) -> None:
     ]
 
 
+def test_a_key_that_stands_twice_does_not_hide_that_its_value_is_missing(tmp_path: Path) -> None:
+    """Joints of a number without a value are not judged."""
+    text = GOOD.replace("    mass: 10", "    mass: boom\n    mass: 10")
+    assert [(fault.path, "repeated" in fault.finding) for fault in find_faults(text, tmp_path)] == [
+        ("bodies[0].mass", True)
+    ]
+
+
 def test_undetermined_joints_are_looked_for_once_all_else_is_right(tmp_path: Path) -> None:
     """Every joint of a limb without mass is named."""
     limb = "".join(
