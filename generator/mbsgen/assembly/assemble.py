@@ -26,7 +26,8 @@ from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Closure, Cut, Kind, Tree
 
 PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
-CHANGE = 0.01  # by which part run-time parameters are changed; by how much, where they are 0 now
+CHANGES = (1e-2, 1e-3, 1e-4)  # parts of run-time parameters, or sizes where they are 0; the first that lets loops close
+BROKEN = 10 * OPEN  # residual of a redundant equation at other numbers; where it still holds, it is at most some OPEN
 
 
 class AssemblyError(MbsError):
@@ -45,13 +46,14 @@ def assemble(tree: Tree) -> Tree:
     attempt = find_pose(mechanism, _start(tree))
     if not attempt.is_closed:
         raise AssemblyError(tree.name, _name_gaps(mechanism, attempt))
-    poses = [mechanism.J(q) for q in walk(mechanism, attempt.q)]
+    places = [*walk(mechanism, attempt.q)]
+    poses = [mechanism.J(q) for q in places]
     ranks = [rank(J) for J in poses]
     if ranks[0] < max(ranks):
         raise AssemblyError(tree.name, [_name_singularity(ranks[0], max(ranks))])
     kept = choose_rows([J for J, r in zip(poses, ranks, strict=True) if r == max(ranks)], max(ranks))
     if len(kept) < len(mechanism.equations):
-        _check_redundancy(tree, mechanism, attempt.q, kept)
+        _check_redundancy(tree, mechanism, places, kept)
     dependent = _choose_dependent(tree, poses[0][list(kept)])
     independent = tuple(i for i in range(mechanism.n) if i not in dependent)
     pose = tuple(float(x) for x in attempt.q)
@@ -120,23 +122,40 @@ def _name_singularity(found: int, expected: int) -> Finding:
     return Finding(("loops",), finding, "give a rough pose of another assembly under `assembly:`")
 
 
-def _check_redundancy(tree: Tree, mechanism: Mechanism, pose: Array, kept: Sequence[int]) -> None:
-    """Refuse equations that are redundant for the present numbers of run-time parameters alone."""
+def _check_redundancy(tree: Tree, mechanism: Mechanism, places: Sequence[Array], kept: Sequence[int]) -> None:
+    """Refuse equations that are redundant for the present numbers of run-time parameters alone.
+
+    The kept equations are solved at other numbers, from several poses: at one pose, a number may have no effect. Near
+    the ends of a mechanism's range only small changes leave its loops closed. Where none does, nothing shows whether
+    the redundant equations hold, and they are refused too.
+    """
     own = [p for p in tree.parameters if p.kind is not Kind.CONSTANT]
     if not own:
         return
-    draw = np.random.default_rng(2)
-    parts = CHANGE * draw.uniform(-1, 1, len(own))
-    changed = [p.value * (1 + part) if p.value else part for p, part in zip(own, parts, strict=True)]
-    other = Mechanism(tree, changed)
-    found = close(other, pose, kept)
-    left = np.abs(found.h)
-    if left[list(kept)].max(initial=0.0) <= OPEN and left.max(initial=0.0) > np.sqrt(OPEN):
-        number, name = mechanism.equations[int(left.argmax())]
-        place, owner = _place(tree, number)
-        finding = f"{owner}: its equation {name} follows from the others for the present lengths alone"
-        remedy = "make the lengths constants, zeros too, or take a kind of loop with fewer equations"
-        raise AssemblyError(tree.name, [Finding(place, finding, remedy)])
+    parts = np.random.default_rng(2).uniform(-1, 1, len(own))
+    for change in CHANGES:
+        other = Mechanism(
+            tree, [p.value * (1 + change * x) if p.value else change * x for p, x in zip(own, parts, strict=True)]
+        )
+        found = [np.abs(close(other, q, kept).h) for q in places]
+        closed = [left for left in found if left[list(kept)].max(initial=0.0) <= OPEN]
+        if closed:
+            left = np.max(closed, axis=0)
+            if left.max(initial=0.0) > BROKEN:
+                raise AssemblyError(tree.name, [_name_redundancy(mechanism, int(left.argmax()), "")])
+            return
+    first = next(k for k in range(len(mechanism.equations)) if k not in kept)
+    extent = f", as far as is known: no loops close at numbers changed by {CHANGES[-1]:.2%}"
+    raise AssemblyError(tree.name, [_name_redundancy(mechanism, first, extent)])
+
+
+def _name_redundancy(mechanism: Mechanism, row: int, extent: str) -> Finding:
+    tree, (number, name) = mechanism.tree, mechanism.equations[row]
+    place, owner = _place(tree, number)
+    equation = f"its equation {name}" if number < len(tree.loops) else "its equation"
+    finding = f"{owner}: {equation} follows from the others for the present lengths alone{extent}"
+    remedy = "make the lengths constants, zeros too, or take a kind of loop with fewer equations"
+    return Finding(place, finding, remedy)
 
 
 def _choose_dependent(tree: Tree, J: Array) -> tuple[int, ...]:

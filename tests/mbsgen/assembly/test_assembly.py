@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import acos, cos, pi, sin
 from pathlib import Path
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 
 from mbsgen.assembly import assemble, describe
+from mbsgen.assembly.assemble import AssemblyError
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod, runtime
-from mbsgen.model.model import Follow, Model, Parameter
+from mbsgen.model.model import Body, Follow, Loop, Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import Options, make, read_tree
@@ -112,6 +114,54 @@ def test_a_mechanism_that_moves_by_its_geometry_has_its_redundant_equation_named
 def test_equations_that_are_redundant_for_one_geometry_are_no_run_time_matter() -> None:
     with pytest.raises(InputError, match="for the present lengths alone"):
         make(bricard(), replace(ONE_PLAN, runtime=True, functions=("impl",)))
+
+
+def three_cranks(scale: float, height: float | str, bodies: Sequence[Body] = (), rods: Sequence[Loop] = ()) -> Model:
+    """A bar on three cranks of equal length: the third one's equation follows from the others."""
+    joints = (revolute("y", name="q1"), revolute("y", name="q2", position=(0, 0, scale / 2), actuated=False))
+    crank = body("crank", joints[0], mass=1.0, inertia=UNIFORM)
+    bar = body("bar", joints[1], parent="crank", mass=1.0, inertia=UNIFORM)
+    own = [
+        rod(name, end("base", position=(x, 0, 0)), end("bar", position=(x, 0, 0)), length)
+        for name, x, length in (("second", scale, scale / 2), ("third", scale / 2, height))
+    ]
+    return make_model(
+        "cranks",
+        [crank, bar, *bodies],
+        gravity=(0, 0, -9.81),
+        parameters={"height": runtime(scale / 2), "reach": runtime(1.0005)},
+        loops=[*own, *rods],
+        assembly={"q1": 0.4, "q2": -0.4} | ({"p1": 0.1, "p2": 3.0} if bodies else {}),
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-2, 1e-4])
+def test_equations_are_redundant_for_one_geometry_at_any_size(scale: float) -> None:
+    """A rod of 0.05 mm that grows by a part of 1 % leaves its equation open by less than a micrometre."""
+    close(three_cranks(scale, scale / 2))
+    with pytest.raises(AssemblyError, match='loop "third": its equation distance follows from the others for the pres'):
+        close(three_cranks(scale, "height"))
+
+
+def test_redundancy_is_examined_at_numbers_for_which_the_loops_close() -> None:
+    """A crank of 1 m reaches points at 2 m by rods from 1 m to 3 m: `reach` may be 1 to 1.001."""
+    cranks = [
+        body(f"arm{k}", revolute("y", name=f"p{k}", position=(5 * k, 0, 0)), mass=1.0, inertia=UNIFORM) for k in (1, 2)
+    ]
+    rods = [
+        rod(f"rod{k}", end("base", position=(5 * k + 2, 0, 0)), end(f"arm{k}", position=(1, 0, 0)), length)
+        for k, length in ((1, "reach"), (2, "reach + 1.999"))
+    ]
+    with pytest.raises(AssemblyError, match='loop "third": its equation distance follows from the others for the pres'):
+        close(three_cranks(1.0, "height", cranks, rods))
+
+
+def test_redundancy_is_examined_at_several_poses() -> None:
+    """At q1 = q2 = 0 both equations hold for any number, and only where it is 1 do they follow from each other."""
+    bodies = [body(f"arm{k}", revolute("y", name=f"q{k}"), mass=1.0, inertia=UNIFORM) for k in (1, 2, 3)]
+    equations = [constraint("sines", "sin(q1) - sin(q2)"), constraint("tangents", "tan(q1) - w*tan(q2)")]
+    with pytest.raises(AssemblyError, match='constraint "tangents": its equation follows from the others for the pres'):
+        close(make_model("arms", bodies, gravity=(0, 0, 0), parameters={"w": runtime(1)}, constraints=equations))
 
 
 def test_a_loop_in_a_plane_has_no_lengths_across_it_at_run_time() -> None:
