@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from mbsgen.documents import take
+from mbsgen.expressions import write
 from mbsgen.model.expansion import label_joints
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.joints.compound import CompoundSection
 from mbsgen.model.model import Joint
-from mbsgen.model.sections import SettingSection, read_direction
+from mbsgen.model.sections import SettingSection, read_direction, read_matrix, read_quaternion
 from mbsgen.model.tree import Motion
 
 Data = dict[str, Any]
@@ -50,7 +51,9 @@ def _list_keys(owner: Data) -> tuple[str, ...]:
     if "type" not in owner:
         return law
     place = ("position", "orientation")
-    return (*place, *law) if issubclass(find_joint_type(owner["type"]), SettingSection) else place
+    if not issubclass(find_joint_type(owner["type"]), SettingSection):
+        return place
+    return (*place, *law, "a", "alpha", "d", "theta") if owner["type"] == "dh" else (*place, *law)
 
 
 def _list_owners(data: Data) -> list[tuple[str, Data]]:
@@ -72,11 +75,28 @@ def _list_owners(data: Data) -> list[tuple[str, Data]]:
     return found
 
 
+def _list_turns(orientation: Any) -> Any:
+    """Write a quaternion or a matrix as the turns about z, y and x that its parameters are of."""
+    match orientation:
+        case {"quaternion": parts}:
+            turns = read_quaternion(parts)
+        case {"matrix": rows}:
+            turns = read_matrix(rows)
+        case _:
+            return orientation
+    return [{"axis": "xyz"[turn.axis], "angle": write(turn.angle)} for turn in turns]
+
+
 def _write(owner: Data, place: list[str], value: float) -> None:
     key, *rest = place
     match key, rest:
+        case "orientation", ["roll" | "pitch" | "yaw" as angle]:
+            owner["orientation"]["rpy"][("roll", "pitch", "yaw").index(angle)] = value
         case "orientation", [k]:
+            owner["orientation"] = _list_turns(owner["orientation"])
             owner["orientation"][int(k) - 1]["angle"] = value
+        case "inertia", ["about", axis]:
+            owner["inertia"]["about"]["xyz".index(axis)] = value
         case "inertia", [entry]:
             tensor = owner.get("inertia", [0, 0, 0])
             if isinstance(tensor, list):

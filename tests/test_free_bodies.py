@@ -263,6 +263,6 @@ def test_energies_change_by_the_power_of_forces_alone() -> None:
         for body, length, mass in zip(program.model["bodies"], (CRANK, COUPLER, ROCKER), MASSES, strict=True):
             centre = motion.bodies[body["name"]].carry(DECIMALS.array([length / 2, 0, 0]))
             gain += Decimal(mass) * (centre.a - program.gravity) @ centre.v
-            gain += program.inertia(body["inertia"])[2, 2] * centre.alpha[2] * centre.om[2]
+            gain += program.inertia(body)[2, 2] * centre.alpha[2] * centre.om[2]
         power = sum(Decimal(u[name]) * qd[name] for name in qd)
         assert abs(gain - power) < EXACT * 10

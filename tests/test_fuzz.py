@@ -15,7 +15,7 @@ from tests.fuzz.kinematics import fifty_digits
 COUNT = 12
 SOUND = 1  # the seed of a mechanism that is accepted
 DRIVEN = 2  # the seed of a mechanism with a loop and a driven joint
-CONTACT = 8  # the seed of a mechanism with a loop and a contact
+CONTACT = 13  # the seed of a mechanism with a loop and a contact
 LINKAGE = 0  # the seed of a planar linkage
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
 

@@ -29,6 +29,7 @@ from mbsgen.model.model import (
     Triple,
     Visual,
 )
+from mbsgen.model.placements import centre_inertia
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Matrix, Sensor, Tree, Vector
@@ -126,7 +127,7 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
     mass = _float(body.mass, values)
     if not mass > 0:
         return None
-    tensor = seat.axes @ np.array([_floats(row, values) for row in body.inertia.rows]) @ seat.axes.T
+    tensor = seat.axes @ np.array([_floats(row, values) for row in centre_inertia(body).rows]) @ seat.axes.T
     frame, centre = seat.place(_floats(body.com, values))
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
     inertia = (xx, yy, zz, xy, xz, yz)

@@ -56,7 +56,7 @@ class Absolute(Kinematics):
         for body in self.model["bodies"]:
             mass = self.number(body.get("mass", 0.0))
             motion = bodies[body["name"]].carry(self.vector(body.get("com", [0, 0, 0])))
-            inertia = motion.R @ self.inertia(body.get("inertia", [0, 0, 0])) @ motion.R.T
+            inertia = motion.R @ self.inertia(body) @ motion.R.T
             hook(
                 motion,
                 mass * (motion.a - self.gravity),
@@ -64,7 +64,7 @@ class Absolute(Kinematics):
             )
             kinetic += (mass * motion.v @ motion.v + motion.om @ inertia @ motion.om) / 2
             potential -= mass * self.gravity @ motion.p
-        forces = Forces(self, bodies, q, qd)
+        forces = Forces(self, bodies, q, qd, w)
         for x in forces.list_applied(w):
             hook(x.motion, -x.force, -x.moment)
             power += x.force @ x.motion.v + x.moment @ x.motion.om

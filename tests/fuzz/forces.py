@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mbsgen.model.tree import Tree
 from tests.fuzz.kinematics import Array, Data, Kinematics, Motion, Values, value_of
 
 
@@ -29,10 +30,12 @@ class Applied:
 class Forces:
     """The forces of a model whose bodies move."""
 
-    def __init__(self, kinematics: Kinematics, bodies: Mapping[str, Motion], q: Values, qd: Values) -> None:
+    def __init__(
+        self, kinematics: Kinematics, bodies: Mapping[str, Motion], q: Values, qd: Values, given: Values
+    ) -> None:
         self.own, self.bodies, self.model = kinematics, bodies, kinematics.model
         self.functions = kinematics.numbers.functions
-        self.names = dict(kinematics.names)
+        self.names = {**kinematics.names, **given}
         for kind, column in (("q", q), ("qd", qd)):
             self.names |= {f"{kind}_{spell(name)}": x for name, x in column.items()}
         for frame in self.model.get("frames", ()):
@@ -41,7 +44,7 @@ class Forces:
                 self.names |= {f"{axis}_{spell(frame['name'])}": p, f"v{axis}_{spell(frame['name'])}": v}
 
     def list_applied(self, w: Values) -> Iterator[Applied]:
-        """List all forces; `w` holds `NAME.force` and `NAME.moment` of wrenches that are inputs."""
+        """List all forces; `w` holds `NAME.force` and `NAME.moment` of wrenches that are inputs, signals, and `t`."""
         for wrench in self.model.get("wrenches", ()):
             yield self._wrench(wrench, w)
         for element in self.model.get("forces", ()):
@@ -126,6 +129,26 @@ class Forces:
     def _limit(self, x: Any) -> Any:
         one, part = self.own.numbers.make(1.0), self.own.numbers.make(1.0) / 10
         return self._soften(1 + x, part) / self._soften(one, part)
+
+
+def draw_inputs(model: Data, source: np.random.Generator) -> dict[str, Any]:
+    """Draw the parts of `w`: of wrenches that are inputs, in a fixed order; then signals, and the time."""
+    found: dict[str, Any] = {
+        f"{x['name']}.{key}": source.uniform(-3, 3, 3)
+        for x in model["wrenches"] for key in ("force", "moment") if x[key] == "input"
+    }  # fmt: skip
+    return found | {name: float(source.uniform(-2, 2)) for name in (*model.get("signals", ()), "t")}
+
+
+def order_inputs(tree: Tree, w: Values) -> list[float]:
+    """List the entries of `w` as the functions of a tree take them."""
+    parts = [
+        w[f"{wrench.name}.{key}"]
+        for wrench in tree.wrenches
+        for key, given in (("force", wrench.force), ("moment", wrench.moment))
+        if given is None
+    ]
+    return [*(float(x) for part in parts for x in part), *(w[name] for name in tree.signals)]
 
 
 def spell(name: str) -> str:

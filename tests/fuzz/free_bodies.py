@@ -255,7 +255,7 @@ class FreeBodies(Kinematics):
         zero = self.numbers.make(0.0)
         moved = self.move(at, rates, dict.fromkeys(rates, zero))
         own = {name: jet for link in moved.links for name, jet in self._own(moved, link).items()}
-        forces = Forces(self, moved.bodies, at, rates)
+        forces = Forces(self, moved.bodies, at, rates, w)
         A, F = self._newton(moved, forces.list_applied(w))
         laws = dict(self.elementary())
         for name, jet in own.items():
@@ -297,7 +297,7 @@ class FreeBodies(Kinematics):
                 continue
             motion, mass = moved.bodies[body["name"]], self.number(body.get("mass", 0.0))
             d, velocity, turn = self._point(moved, node, motion.R @ self.vector(body.get("com", [0, 0, 0])) + motion.p)
-            inertia = motion.R @ self.inertia(body.get("inertia", [0, 0, 0])) @ motion.R.T
+            inertia = motion.R @ self.inertia(body) @ motion.R.T
             om = motion.om
             A += mass * velocity.T @ velocity + turn.T @ inertia @ turn
             F += mass * (self.gravity - np.cross(om, np.cross(om, d))) @ velocity

@@ -204,6 +204,10 @@ class Kinematics:
     def __init__(self, model: Data, names: Values, numbers: Numbers = FLOATS) -> None:
         self.model, self.numbers = model, numbers
         self.names = {name: numbers.make(value) for name, value in names.items()}
+        for name, given in model.get("parameters", {}).items():
+            value = given["value"] if isinstance(given, dict) else given
+            if isinstance(value, str):  # over parameters that stand before it
+                self.names[name] = self.number(value)
 
     def velocities(self) -> list[str]:
         """Name all velocities, also of joints that follow others."""
@@ -223,10 +227,14 @@ class Kinematics:
                 parent = body.get("parent", "base")
                 motion, node = moved.bodies[parent], moved.nodes[parent]
                 for joint in body["joint"] if isinstance(body["joint"], list) else [body["joint"]]:
-                    motion = self.place(motion, joint)
+                    before, after = _list_places(joint)
+                    for place in before:
+                        motion = self.place(motion, place)
                     for link in self._join(motion, node, len(moved.links), body, joint, q, qd, qdd):
                         moved.links.append(link)
                         motion, node = link.moved, link.node
+                    for place in after:
+                        motion = self.place(motion, place)
                 moved.bodies[body["name"]], moved.nodes[body["name"]] = motion, node
                 waiting.remove(body)
         return moved
@@ -264,6 +272,8 @@ class Kinematics:
         match kind:
             case "revolute" | "prismatic" | "helical":
                 return [(joint.get("name", own), kind, self.direction(joint["axis"]))]
+            case "dh":
+                return [(joint.get("name", own), joint.get("motion", "revolute"), self.direction("z"))]
             case "universal" if "axis" in joint:
                 return _label(own, [("revolute", self.direction(joint[key])) for key in ("axis", "axis2")])
             case "cylindrical":
@@ -291,7 +301,7 @@ class Kinematics:
         for body in self.model["bodies"]:
             for joint in body["joint"] if isinstance(body["joint"], list) else [body["joint"]]:
                 for name, _, _ in self._steps(body, joint):
-                    alone = joint["type"] in ("revolute", "prismatic", "helical")
+                    alone = joint["type"] in ("revolute", "prismatic", "helical", "dh")
                     yield name, joint if alone else joint.get("axes", {}).get(name.split(".")[-1], {})
 
     def law(self, joint: Data, q: Any, qd: Any, state: Values = MappingProxyType({})) -> Any:
@@ -319,14 +329,19 @@ class Kinematics:
         """Evaluate an axis, as a unit vector."""
         return self._unit(self.vector(UNITS[axis] if isinstance(axis, str) else axis))
 
-    def inertia(self, given: Any) -> Array:
-        """Evaluate an inertia tensor."""
+    def inertia(self, body: Data) -> Array:
+        """Evaluate the inertia tensor of a body about its centre of mass."""
+        given = body.get("inertia", [0, 0, 0])
         if not isinstance(given, dict):
             return np.array(np.diag(self.vector(given)) + self.numbers.array(np.zeros((3, 3))))
-        entry = {key: self.number(x) for key, x in given.items()}
+        entry = {key: self.number(x) for key, x in given.items() if key != "about"}
         zero = self.numbers.make(0.0)
         rows = [[entry.get("".join(sorted(r + c)), zero) for c in "xyz"] for r in "xyz"]
-        return np.array(rows, dtype=self.numbers.kind)
+        tensor = np.array(rows, dtype=self.numbers.kind)
+        if "about" not in given:
+            return tensor
+        cross = skew(self.vector(body.get("com", [0, 0, 0])) - self.vector(given["about"]))
+        return np.asarray(tensor + self.number(body.get("mass", 0.0)) * cross @ cross)
 
     def place(self, motion: Motion, placement: Data) -> Motion:
         """Move on to a frame that is placed in another."""
@@ -338,9 +353,28 @@ class Kinematics:
 
     def _turns(self, turns: Any) -> Array:
         R = self.numbers.array(np.eye(3))
+        match turns:
+            case {"rpy": [*angles]}:
+                for axis, angle in zip("xyz", angles, strict=True):
+                    R = _rotation(self.numbers, self.direction(axis), self.number(angle)) @ R
+                return R
+            case {"quaternion": [*parts]}:
+                return turn_by(self.numbers, *map(self.number, parts))
+            case {"matrix": [*rows]}:
+                return np.array([self.vector(row) for row in rows])
         for turn in turns:
             R = R @ _rotation(self.numbers, self.direction(turn["axis"]), self.number(turn["angle"]))
         return R
+
+
+def _list_places(joint: Data) -> tuple[list[Data], list[Data]]:
+    """List the placements before a joint and beyond it, in turn: two frames a row of a table, one of other joints."""
+    if joint["type"] != "dh":
+        return [joint], []
+    axis = {"position": [0, 0, joint.get("d", 0)], "orientation": [{"axis": "z", "angle": joint.get("theta", 0)}]}
+    link = {"position": [joint.get("a", 0), 0, 0], "orientation": [{"axis": "x", "angle": joint.get("alpha", 0)}]}
+    base = {key: joint[key] for key in ("position", "orientation") if key in joint}
+    return ([base, axis], [link]) if joint["convention"] == "standard" else ([base, link, axis], [])
 
 
 def _label_velocities(own: str, *, is_free: bool) -> list[str]:

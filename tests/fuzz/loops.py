@@ -76,7 +76,7 @@ class _Loops:
                 body["inertia"] = [0.05, 0.08, 0.06]
         self.source = random.Random(seed)
         names = {name: x["value"] if isinstance(x, dict) else x for name, x in model["parameters"].items()}
-        self.parameters = names
+        self.parameters = {name: x for name, x in names.items() if not isinstance(x, str)}
         program = self._program(self.model)
         self.joints = [x for x in program.names_of_velocities if x in dict(program.elementary())]
         self.q = {name: round(self.source.uniform(-1, 1), 3) for name in program.names_of_coordinates}

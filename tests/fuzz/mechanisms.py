@@ -39,6 +39,7 @@ from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
 from tests.fuzz.absolute import Absolute, Array, Found
 from tests.fuzz.forces import spell
+from tests.fuzz.forms import vary
 from tests.fuzz.kinematics import value_of
 from tests.number_paths import set_number
 
@@ -128,6 +129,7 @@ class _Draw:
             }
         reductions, numbers = pick.choice(list(CHOICES)), pick.choices([*NUMBERS], [*NUMBERS.values()])[0]
         tolerance = pick.choice([1e-3, 1e-2, 0.1]) if numbers == "approximate" else 0.0
+        vary(model, random.Random(f"{self.seed} forms"))
         return Mechanism(model, scene, parameters, reductions, numbers, tolerance)
 
     def add_forces(self, model: dict[str, Any]) -> None:
@@ -135,7 +137,9 @@ class _Draw:
         source, self.source = self.source, self.more
         pick = self.more
         model["frames"].append({**self.attachment("probe"), "sensor": pick.random() < 0.5})
-        state = ["x_probe", "z_probe", "vy_probe", *(f"{kind}_{spell(x)}" for x in self.joints for kind in ("q", "qd"))]
+        given = ["t", "sig", "act"] if pick.random() < 0.3 else []
+        state = [*given, "x_probe", "z_probe", "vy_probe"]
+        state += [f"{kind}_{spell(x)}" for x in self.joints for kind in ("q", "qd")]
 
         def law() -> str:
             a, b, c = (pick.choice(state) for _ in range(3))
@@ -158,6 +162,7 @@ class _Draw:
                 joint["force"] = f"{law()} - 0.1*q*qd"
         model["forces"] = [self.element(f"s{k}", law) for k in range(pick.choice([0, 1, 1, 2]))]
         model["contacts"] = [self.contact(f"c{k}") for k in range(pick.choice([0, 1, 1]))]
+        model["signals"] = [name for name in ("sig", "act") if re.search(rf"\b{name}\b", repr(model))]
         self.source = source
 
     def element(self, name: str, law: Callable[[], str]) -> dict[str, Any]:
@@ -446,6 +451,7 @@ class _Comparison:
             f"{x['name']}.{key}": source.uniform(-3, 3, 3)
             for x in mechanism.model["wrenches"] for key in ("force", "moment") if x[key] == "input"
         }  # fmt: skip
+        self.w |= {name: source.uniform(-2, 2) for name in (*mechanism.model.get("signals", ()), "t")}
         self.couplings = {
             joint["name"]: joint["follows"]
             for body in mechanism.model["bodies"]
@@ -563,13 +569,14 @@ class _Comparison:
                 return list(self.u.values())
             case "theta" | "p":
                 return self._parameters(Kind.DIFFERENTIATED if name == "theta" else Kind.RUNTIME)
-        return [
+        components = [
             float(x)
             for wrench in self.tree.wrenches
             for key, given in (("force", wrench.force), ("moment", wrench.moment))
             if given is None
             for x in self.w[f"{wrench.name}.{key}"]
         ]
+        return [*components, *(self.w[name] for name in self.tree.signals)]
 
     def _parameters(self, kind: Kind) -> list[float]:
         return [self.mechanism.parameters.get(x.name, x.value) for x in self.tree.parameters if x.kind is kind]

@@ -24,6 +24,7 @@ from mbsgen.model.joints.quaternions import is_pure
 from mbsgen.model.loop_checks import check_loops
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model
 from mbsgen.model.naming import check_names
+from mbsgen.model.placements import centre_inertia
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
 from mbsgen.model.undetermined import check_undetermined_joints
@@ -136,13 +137,16 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
     if 0 < mass < LIGHTEST:
         yield Finding((*place, "mass"), f"a mass of {mass:g}", f"give 0, or {LIGHTEST:g} to {LARGEST:g}")
     place = (*place, "inertia")
-    inertia = np.array([[valuation.number(place, entry) for entry in row] for row in body.inertia.rows])
+    given, inertia = (
+        np.array([[valuation.number(place, entry) for entry in row] for row in tensor.rows])
+        for tensor in (body.inertia, centre_inertia(body))
+    )
     if allow_unphysical or not np.isfinite(inertia).all():
         return
     if mass == 0 and inertia.any() and not valuation.changes(body.mass):
         yield Finding(place, "an inertia without a mass", "give the body a mass too, or set allow_unphysical: true")
     excess = _measure_excess(body.inertia, inertia)
-    if excess.amount > max(INERTIA_TOLERANCE * np.abs(inertia).max(), excess.rounding):
+    if excess.amount > max(INERTIA_TOLERANCE * np.abs(given).max(), excess.rounding):
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
         yield Finding(place, f"no body has {excess.describe()}", remedy)
 
@@ -205,9 +209,12 @@ def find_doubts(model: Model) -> list[Finding]:
     """Find what a checked model may err in: tensors that are physical only if their last digits are rounded."""
     valuation, findings = Valuation(model.parameters, ()), []
     for i, body in enumerate(() if model.allow_unphysical else model.bodies):
-        inertia = np.array([valuation.triple((), row) for row in body.inertia.rows])
+        given, inertia = (
+            np.array([valuation.triple((), row) for row in tensor.rows])
+            for tensor in (body.inertia, centre_inertia(body))
+        )
         excess = _measure_excess(body.inertia, inertia)
-        if excess.amount > INERTIA_TOLERANCE * np.abs(inertia).max():
+        if excess.amount > INERTIA_TOLERANCE * np.abs(given).max():
             finding = f"rounding to the digits given has made a possible inertia {excess.describe()}"
             findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
     return findings

@@ -8,7 +8,7 @@ file (`writer`). `reduction.build_tree` makes of it the Tree that the recursions
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
@@ -47,6 +47,7 @@ class Rotation:
 
     axis: int
     angle: Expression
+    name: str = field(default="", compare=False)  # of its angle, where the author does not list turns
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,18 @@ class Placement:
 
 
 HERE = Placement()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a Denavit-Hartenberg table at q = 0, and the place of the whole on the body that carries it."""
+
+    is_standard: bool  # else modified
+    base: Placement
+    a: Expression  # [m]
+    alpha: Expression  # [rad]
+    d: Expression  # [m]
+    theta: Expression  # [rad]
 
 
 @dataclass(frozen=True)
@@ -129,6 +142,7 @@ class Joint:
     follows: Follow | None = None  # another joint; it has neither a coordinate nor an input then
     floats: bool = False  # one of the joints of a quaternion, see `joints`: at 0, in a moving frame
     part_of: str = ""  # the joint type that the author named, where its elementary joints alone do not show it
+    row: Row | None = field(default=None, compare=False)  # of a table, which `placement` is of
 
 
 @dataclass(frozen=True)
@@ -136,6 +150,7 @@ class Fixed:
     """A fixed connection of a body to its parent."""
 
     placement: Placement = HERE  # of the body's frame, in the parent's
+    row: Row | None = field(default=None, compare=False)  # of a standard table: the body is beyond its joint
 
 
 Carrier = Joint | Fixed | tuple[Joint, ...]  # a joint, nothing that moves, or joints in a row from the parent on
@@ -143,7 +158,7 @@ Carrier = Joint | Fixed | tuple[Joint, ...]  # a joint, nothing that moves, or j
 
 @dataclass(frozen=True)
 class Inertia:
-    """The inertia tensor about the centre of mass, in the body's axes."""
+    """The inertia tensor in the body's axes, about the centre of mass or another point."""
 
     xx: Expression = ZERO
     yy: Expression = ZERO
@@ -151,6 +166,7 @@ class Inertia:
     xy: Expression = ZERO
     xz: Expression = ZERO
     yz: Expression = ZERO
+    about: Triple | None = field(default=None, kw_only=True)  # in the body's frame [m]; None: the centre of mass
 
     @property
     def rows(self) -> tuple[Triple, Triple, Triple]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from mbsgen.expressions import Call, Expression, Negation, Number, Operation
-from mbsgen.model.model import ORIGIN, ZERO, Inertia, Placement, Rotation, Triple
+from mbsgen.expressions import FLOATS, Call, Expression, Negation, Number, Operation, evaluate, names
+from mbsgen.model.model import ORIGIN, ZERO, Body, Inertia, Placement, Rotation, Triple
+
+CANCELLED = 1e-15  # part of a number: the rounding of it, of four products and of a sum
 
 
 def compose(first: Placement, second: Placement) -> Placement:
@@ -15,23 +17,34 @@ def compose(first: Placement, second: Placement) -> Placement:
     return Placement((x, y, z), first.orientation + second.orientation)
 
 
-def move_inertia(inertia: Inertia, point: Triple, com: Triple, mass: Expression) -> Inertia:
-    """Take a tensor about a point to the centre of mass: I - m (d.d 1 - d dT), d = com - point (Steiner)."""
-    x, y, z = (subtract(a, b) for a, b in zip(com, point, strict=True))
+def centre_inertia(body: Body) -> Inertia:
+    """Take the tensor of a body to its centre of mass: I - m (d.d 1 - d dT), d = com - about (Steiner)."""
+    inertia, mass = body.inertia, body.mass
+    if inertia.about is None:
+        return inertia
+    x, y, z = (subtract(a, b) for a, b in zip(body.com, inertia.about, strict=True))
     xx, yy, zz = (multiply(a, a) for a in (x, y, z))
 
     def less(entry: Expression, square: Expression) -> Expression:
-        return subtract(entry, multiply(mass, square))
+        return _settle(subtract(entry, multiply(mass, square)), entry)
 
     return Inertia(
         less(inertia.xx, add(yy, zz)),
         less(inertia.yy, add(xx, zz)),
         less(inertia.zz, add(xx, yy)),
         *(
-            add(entry, multiply(mass, multiply(a, b)))
+            _settle(add(entry, multiply(mass, multiply(a, b))), entry)
             for entry, a, b in ((inertia.xy, x, y), (inertia.xz, x, z), (inertia.yz, y, z))
         ),
     )
+
+
+def _settle(difference: Expression, entry: Expression) -> Expression:
+    """Make the rest of an entry 0 where it is rounding alone: of a point mass, or a thin rod."""
+    if names(difference):
+        return difference
+    left, whole = (float(evaluate(x, {}, FLOATS)) for x in (difference, entry))
+    return ZERO if abs(left) <= CANCELLED * abs(whole) else difference
 
 
 def _rotate(rotation: Rotation, v: Triple) -> Triple:

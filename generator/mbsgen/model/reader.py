@@ -12,11 +12,10 @@ from mbsgen.expressions import Expression
 from mbsgen.model import schema
 from mbsgen.model.checks import find_doubts, find_faults
 from mbsgen.model.findings import Finding
-from mbsgen.model.joints.dh import DhSection
+from mbsgen.model.joints.dh import DhSection, place_tail
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
-from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Placement, Triple, Wrench
-from mbsgen.model.placements import move_inertia
+from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Row, Triple, Wrench
 from mbsgen.model.tree import Kind
 from mbsgen.model.visual_sections import make_visuals
 
@@ -72,11 +71,11 @@ def _make_parameter(name: str, value: Expression | schema.ParameterSection) -> P
 
 
 def _make_body(section: schema.BodySection) -> Body:
-    tail = _find_tail(section)
+    row = _find_standard(section)
     return Body(
         name=section.name,
-        joint=_make_joint(section.name, section.joint) if tail is None else Fixed(tail),
-        parent=section.parent if tail is None else _name_carrier(section),
+        joint=_make_joint(section.name, section.joint) if row is None else Fixed(place_tail(row), row),
+        parent=section.parent if row is None else _name_carrier(section),
         mass=section.mass,
         com=section.com,
         inertia=_make_inertia(section),
@@ -84,15 +83,15 @@ def _make_body(section: schema.BodySection) -> Body:
     )
 
 
-def _find_tail(section: schema.BodySection) -> Placement | None:
-    """Return the place of a body's frame beyond its joint, in a standard Denavit-Hartenberg table."""
-    joint = section.joint
-    return joint.tail if isinstance(joint, DhSection) and joint.convention == "standard" else None
+def _find_standard(section: schema.BodySection) -> Row | None:
+    """Return the row of a standard Denavit-Hartenberg table, where the body's frame is beyond its joint."""
+    row = section.joint.row if isinstance(section.joint, DhSection) else None
+    return row if row is not None and row.is_standard else None
 
 
 def _list_standard(section: schema.ModelSection) -> list[int]:
     """Number the bodies whose frames stand beyond their joints; their carriers follow the bodies of the file."""
-    return [i for i, body in enumerate(section.bodies) if _find_tail(body) is not None]
+    return [i for i, body in enumerate(section.bodies) if _find_standard(body) is not None]
 
 
 def _name_carrier(section: schema.BodySection) -> str:
@@ -114,8 +113,7 @@ def _make_inertia(section: schema.BodySection) -> Inertia:
     value = section.inertia
     if not isinstance(value, schema.TensorSection):
         return Inertia(*value)
-    tensor = Inertia(value.xx, value.yy, value.zz, value.xy, value.xz, value.yz)
-    return tensor if value.about is None else move_inertia(tensor, value.about, section.com, section.mass)
+    return Inertia(value.xx, value.yy, value.zz, value.xy, value.xz, value.yz, about=value.about)
 
 
 def _make_wrench(section: schema.WrenchSection) -> Wrench:

@@ -23,6 +23,7 @@ from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
+from mbsgen.model.placements import centre_inertia
 from mbsgen.model.quantities import find_read_frames, find_read_signals, list_quantities, probe_symbols
 from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
@@ -274,7 +275,7 @@ def _is_null(part: RigidPart) -> bool:
 
 
 def _read_part(body: model.Body, seat: _Seat, reader: _Reader) -> RigidPart:
-    tensor = _express_tensor(reader.matrix(body.inertia.rows), _transpose(seat.axes))
+    tensor = _express_tensor(reader.matrix(centre_inertia(body).rows), _transpose(seat.axes))
     return RigidPart(body.name, reader.number(body.mass), seat.point(reader.vector(body.com)), tensor)
 
 

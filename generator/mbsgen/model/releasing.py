@@ -5,8 +5,9 @@ Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.
 `forces.strut.stiffness`, `forces.strut.from.position.x` and `contacts.heel.friction.speed` of forces,
 `loops.knee.from.position.x`, `loops.strut.length` and `loops.nut.pitch` of loops. Positions are in the frames, and
 centres of mass and tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the
-numbers of a force law and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. An expression over
-parameters stays that expression. Exponents and normals of contacts stay.
+numbers of a force law and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. Other forms keep their
+words: `elbow.orientation.roll`, `forearm.inertia.about.x`, and `elbow.alpha` of a row in a Denavit-Hartenberg table. An
+expression over parameters stays that expression. Exponents and normals of contacts stay.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.following import list_joints
 from mbsgen.model.joints import describe_joint
+from mbsgen.model.joints.dh import place_joint, place_tail
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
     Body,
@@ -36,6 +38,7 @@ from mbsgen.model.model import (
     Model,
     Parameter,
     Placement,
+    Row,
     Triple,
     Wrench,
 )
@@ -68,7 +71,10 @@ class _Release:
         self._model = model
         self._zeros = zeros
         self._valuation = Valuation(model.parameters, ())
-        self._coordinates = {step.name for step in list_joints(model)} if model.constraints else set()
+        steps = [*list_joints(model)]
+        self._coordinates = {step.name for step in steps} if model.constraints else set()
+        self._movers = {step.mover: step.name for step in steps}
+        self._rows: dict[str, Row] = {}  # of tables, by the joints
         self._state = list_quantities(model).keys()
         self._parameters = {
             p.name: replace(p, kind=Kind.RUNTIME)
@@ -110,33 +116,51 @@ class _Release:
 
     def _placement(self, path: str, placement: Placement) -> Placement:
         turns = tuple(
-            replace(turn, angle=self._number(f"{path}.orientation.{k}", turn.angle, of_turn=True))
+            replace(turn, angle=self._number(f"{path}.orientation.{turn.name or k}", turn.angle, of_turn=True))
             for k, turn in enumerate(placement.orientation, 1)
         )
         return Placement(self._triple(f"{path}.position", placement.position), turns)
 
     def _body(self, i: int, body: Body) -> Body:
-        entries = (self._number(f"{body.name}.inertia.{key}", getattr(body.inertia, key)) for key in _TENSOR)
+        if any(joint.row is not None and joint.row.is_standard for joint in body.joints):
+            return replace(body, joint=self._carrier(i, body))  # it is not in the file, and has no mass
+        path, about = f"{body.name}.inertia", body.inertia.about
+        entries = (self._number(f"{path}.{key}", getattr(body.inertia, key)) for key in _TENSOR)
         return replace(
             body,
             joint=self._carrier(i, body),
             mass=self._number(f"{body.name}.mass", body.mass),
             com=self._triple(f"{body.name}.com", body.com),
-            inertia=Inertia(*entries),
+            inertia=Inertia(*entries, about=about and self._triple(f"{path}.about", about)),
         )
 
     def _carrier(self, i: int, body: Body) -> Joint | Fixed | tuple[Joint, ...]:
         if isinstance(body.joint, Fixed):
-            return Fixed(self._placement(body.name, body.joint.placement))
+            if body.joint.row is None:
+                return Fixed(self._placement(body.name, body.joint.placement))
+            row = self._row(self._movers[body.parent], body.joint.row)
+            return Fixed(place_tail(row), row)
         if not isinstance(body.joint, tuple):
             (step,) = list_steps(i, body)
-            return self._joint(step, self._placement(step.name, step.joint.placement))
+            if step.joint.row is None:
+                return self._joint(step, self._placement(step.name, step.joint.placement))
+            row = self._row(step.name, step.joint.row)
+            return replace(self._joint(step, place_joint(row)), row=row)
         steps = [*list_steps(i, body)]
         if describe_joint(body) is None:
             return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
         first, *rest = steps  # a joint with one name has one place, the first joint's
         placement = self._placement(body.name, first.joint.placement)
         return self._joint(first, placement), *(self._part(step, first.name) for step in rest)
+
+    def _row(self, path: str, row: Row) -> Row:
+        """Release the row of a table once, for the joint and for the body beyond it."""
+        if path not in self._rows:
+            angles = (self._number(f"{path}.{key}", getattr(row, key), of_turn=True) for key in ("alpha", "theta"))
+            lengths = (self._number(f"{path}.{key}", getattr(row, key)) for key in ("a", "d"))
+            base, (a, d), (alpha, theta) = self._placement(path, row.base), lengths, angles
+            self._rows[path] = Row(row.is_standard, base, a, alpha, d, theta)
+        return self._rows[path]
 
     def _part(self, step: Step, first: str) -> Joint:
         """Release a part of a joint with a name for all of it; the slide of a screw has no settings in the file."""

@@ -67,6 +67,9 @@ class RotationSection(Section):
     angle: NumberField = Field(examples=[0.5])
 
 
+_RPY = ("roll", "pitch", "yaw")
+
+
 class RpySection(Section):
     """Roll, pitch and yaw: rotations about x, then y, then z of the frame that is turned from."""
 
@@ -75,7 +78,7 @@ class RpySection(Section):
     @property
     def turns(self) -> tuple[Rotation, ...]:
         """The same as rotations in turn."""
-        return tuple(Rotation(k, self.rpy[k]) for k in (2, 1, 0) if self.rpy[k] != ZERO)
+        return tuple(Rotation(k, self.rpy[k], _RPY[k]) for k in (2, 1, 0) if self.rpy[k] != ZERO)
 
 
 def read_quaternion(value: Any) -> tuple[Rotation, ...]:

@@ -24,6 +24,7 @@ from mbsgen.expressions import Expression
 from mbsgen.model.expansion import Expansion, expand
 from mbsgen.model.findings import Finding
 from mbsgen.model.model import Fixed, Joint, Model, Placement, Triple
+from mbsgen.model.placements import centre_inertia
 from mbsgen.model.symbols import DIGITS
 from mbsgen.model.topology import index_parents, walk_bodies
 from mbsgen.model.tree import Motion
@@ -271,7 +272,7 @@ def _place(model: Model, numbers: _Doubles) -> _Mechanism:
             axis=rotation @ axis,
             mass=numbers.number(place, body.mass),
             com=slid + turned @ numbers.triple(place, body.com),
-            inertia=np.array([numbers.triple(place, row) for row in body.inertia.rows]),
+            inertia=np.array([numbers.triple(place, row) for row in centre_inertia(body).rows]),
             armature=0.0 if isinstance(joint, Fixed) else numbers.number(place, joint.armature),
         )
     return _Mechanism(model, parents, order, solids)

@@ -199,10 +199,12 @@ def _write_placement(placement: Placement) -> Mapped:
 
 
 def _write_inertia(inertia: Inertia) -> Value:
-    entries: Mapped = {name: _write_number(entry) for name, entry in vars(inertia).items() if entry != ZERO}
-    if entries.keys().isdisjoint(("xy", "xz", "yz")):
+    entries = {"xx": inertia.xx, "yy": inertia.yy, "zz": inertia.zz}
+    mixed = {key: x for key in ("xy", "xz", "yz") if (x := getattr(inertia, key)) != ZERO}
+    if not mixed and inertia.about is None:
         return _write_triple((inertia.xx, inertia.yy, inertia.zz))
-    return {"xx": _write_number(inertia.xx), "yy": _write_number(inertia.yy), "zz": _write_number(inertia.zz)} | entries
+    content: Mapped = {key: _write_number(entry) for key, entry in (entries | mixed).items()}
+    return content if inertia.about is None else {**content, "about": _write_triple(inertia.about)}
 
 
 def _write_frame(frame: Frame) -> Mapped:

@@ -82,7 +82,9 @@ class _Verifier:
                     found = True
             if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in value.outputs} and not self.still:
                 self._judge(name, self._grow_energy(value, truth), truth.state)
-            if found and truth.state.number == 0 and not _closes(value):  # the check program starts at drawn numbers
+            if (
+                found and truth.state.number == 0 and not (_closes(value) or _has_remainders(value))
+            ):  # the check program starts at drawn numbers
                 self._refer(value, results)
 
     def _refer(self, function: Computation, results: Results) -> None:
@@ -113,7 +115,11 @@ class _Verifier:
         if _closes(tape):
             state = replace(state, coordinates=draw_start(self.tree))
         return {
-            i.name: self._setup(state) if i.port.role is Role.SETUP else state.take(i.name, i.sparsity.nnz)
+            i.name: [Decimal(0)] * i.sparsity.nnz
+            if i.port.role is Role.REMAINDER
+            else self._setup(state)
+            if i.port.role is Role.SETUP
+            else state.take(i.name, i.sparsity.nnz)
             for i in tape.inputs
         }
 
@@ -132,6 +138,11 @@ class _Verifier:
                 "report it with the model"
             )
         self.deviations[kernel] = max(self.deviations.get(kernel, 0.0), float(deviation))
+
+
+def _has_remainders(function: Computation) -> bool:
+    """Return whether numbers have a second part, which the check program would draw as large as the first."""
+    return any(i.port.role is Role.REMAINDER for i in function.inputs)
 
 
 def _closes(function: Computation) -> bool:

@@ -115,6 +115,18 @@ def test_an_inertia_may_be_about_any_point(tmp_path: Path) -> None:
         np.testing.assert_allclose(found, own, atol=1e-15)
 
 
+def test_a_point_mass_may_be_given_about_another_point(tmp_path: Path) -> None:
+    """Its tensor about its centre of mass is 0, and no rounding."""
+    about = {"xx": 0.637, "yy": 0.65, "zz": 0.013, "xz": 0.091, "about": [0, 0, 0]}
+    joint = {"type": "revolute", "axis": "y"}
+    bob = {"name": "bob", "joint": joint, "mass": 1.3, "com": [0.1, 0, -0.7], "inertia": about}
+    tensor = build_tree(read({"bodies": [bob]}, tmp_path)).bodies[-1].inertia
+    assert all(entry == 0 for row in tensor for entry in row)
+    bob["inertia"] = about | {"zz": 0.02}
+    with pytest.raises(InputError, match="no body has the principal moments of inertia"):
+        read({"bodies": [bob]}, tmp_path)
+
+
 # --- Denavit-Hartenberg tables ----------------------------------------------------------------------------------------
 
 PUMA = (  # standard; Corke, "Robotics, vision and control", 2011, section 7.2: theta, d, a, alpha

@@ -118,6 +118,54 @@ frames:
 """
 
 
+FORMS = """\
+name: forms
+gravity: [0, 0, -9.81]
+parameters: {m: {value: 2, kind: runtime}}
+bodies:
+  - name: base plate
+    joint: {type: revolute, axis: y, orientation: {rpy: [0.2, 0, -0.3]}}
+    mass: m
+    com: [0, 0.2, -0.5]
+    inertia: {xx: 0.9, yy: 0.9, zz: 0.3, xy: 0.01, about: [0.1, 0, -0.2]}
+  - name: upper
+    parent: base plate
+    joint:
+      {name: elbow, type: dh, convention: standard, a: 0.2, alpha: 0.7, d: 0.3, theta: 0.5, position: [0, 0, -1]}
+    mass: 1
+    com: [0, 0, -1]
+  - name: lower
+    parent: upper
+    joint: {type: dh, convention: modified, motion: prismatic, a: 0.3, alpha: pi/2, d: 0.1, theta: m/8}
+    mass: 1
+    com: [0, 0.1, -1]
+frames:
+  - {name: tip, body: lower, orientation: {rpy: [0.1, 0.2, pi/2]}}
+"""
+
+
+@pytest.mark.parametrize("zeros", [False, True], ids=["", "zeros"])
+def test_parameters_are_the_numbers_of_other_forms(zeros: bool, tmp_path: Path) -> None:
+    """Tensors about a point move with the centre of mass; rows of tables and roll, pitch and yaw keep their words."""
+    assert_parameters_are_numbers_of_the_file(FORMS, tmp_path, 3, zeros=zeros)
+    names = {p.name for p in build_parametric(read_model(tmp_path / "model.yaml"), zeros=zeros).parameters}
+    assert names >= {
+        "base plate.orientation.roll",
+        "base plate.orientation.yaw",
+        "base plate.inertia.about.x",
+        "base plate.inertia.zz",
+        "elbow.position.z",
+        "elbow.a",
+        "elbow.alpha",
+        "elbow.d",
+        "elbow.theta",
+        "lower.a",
+        "lower.d",
+        "frames.tip.orientation.pitch",
+    }
+    assert not names & {"upper.position.x", "upper.orientation.1", "lower.theta", "base plate.orientation.1"}
+
+
 def test_names_are_those_of_the_file(tmp_path: Path) -> None:
     """Of a turned axis, of bodies fixed together, of numbers that depend on a parameter, of limits."""
     file = tmp_path / "model.yaml"

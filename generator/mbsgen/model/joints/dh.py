@@ -19,7 +19,7 @@ from pydantic import Field
 
 from mbsgen.expressions import Expression
 from mbsgen.model.joints.section import Description, JointSection
-from mbsgen.model.model import HERE, UNITS, ZERO, Carrier, Joint, Placement, Rotation
+from mbsgen.model.model import HERE, UNITS, ZERO, Carrier, Joint, Placement, Rotation, Row
 from mbsgen.model.placements import compose
 from mbsgen.model.sections import NumberField, SettingSection
 from mbsgen.model.tree import Motion
@@ -41,23 +41,33 @@ class DhSection(JointSection, SettingSection):
     theta: NumberField = Field(ZERO, examples=[0.0], description="about z at q = 0, rad")
 
     @property
-    def tail(self) -> Placement:
-        """The body's frame in the frame that the joint moves."""
-        if self.convention == "modified":
-            return HERE
-        return Placement((self.a, ZERO, ZERO), _turn(0, self.alpha))
+    def row(self) -> Row:
+        """The numbers of the row."""
+        return Row(self.convention == "standard", self.placement, self.a, self.alpha, self.d, self.theta)
 
     def make(self, body: str) -> Joint:
         """Make the joint."""
-        row = Placement((ZERO, ZERO, self.d), _turn(2, self.theta))
-        if self.convention == "modified":
-            row = compose(Placement((self.a, ZERO, ZERO), _turn(0, self.alpha)), row)
-        return self.apply(Joint(Motion(self.motion), UNITS["z"], placement=compose(self.placement, row)))
+        return self.apply(Joint(Motion(self.motion), UNITS["z"], placement=place_joint(self.row), row=self.row))
 
     @classmethod
     def describe(cls, body: str, carrier: Carrier) -> Description | None:
         """Describe nothing: a writer writes the axis and the place of the joint."""
         return None
+
+
+def place_joint(row: Row) -> Placement:
+    """Place the frame that the joint moves on the body that carries it."""
+    place = Placement((ZERO, ZERO, row.d), _turn(2, row.theta))
+    return compose(row.base, place if row.is_standard else compose(_link(row), place))
+
+
+def place_tail(row: Row) -> Placement:
+    """Place the body's frame in the frame that the joint moves."""
+    return _link(row) if row.is_standard else HERE
+
+
+def _link(row: Row) -> Placement:
+    return Placement((row.a, ZERO, ZERO), _turn(0, row.alpha))
 
 
 def _turn(axis: int, angle: Expression) -> tuple[Rotation, ...]:
