@@ -39,10 +39,7 @@ def write_folder(files: Mapping[str, str | bytes], out: Path) -> None:
 
     Raises InputError when `out` holds anything that mbsgen did not write, or cannot be written.
     """
-    out = Path(os.path.realpath(out))  # a link is followed
-    strange = _find_strange(out)
-    if strange:
-        raise InputError([Fault(str(out), 0, "", strange, "name another folder with -o, or remove this one")])
+    out = check_folder(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as aside:
@@ -53,6 +50,15 @@ def write_folder(files: Mapping[str, str | bytes], out: Path) -> None:
             _replace(fresh, out)
     except OSError as error:
         raise _refuse(out, error) from None
+
+
+def check_folder(out: Path) -> Path:
+    """Return the folder that a path leads to. Raises InputError where it must not be replaced."""
+    out = Path(os.path.realpath(out))  # a link is followed
+    strange = _find_strange(out)
+    if strange:
+        raise InputError([Fault(str(out), 0, "", strange, "name another folder with -o, or remove this one")])
+    return out
 
 
 def write_file(content: bytes, out: Path) -> None:

@@ -147,7 +147,8 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification, 
 def _write_files(
     unit: Unit, sources: Sources, described: Manifest, report: Report, request: Request
 ) -> Mapping[str, str]:
-    written = [target.write(unit) for target in find_targets(request.targets)]
+    other = replace(unit, families=tuple(family for family in unit.families if not family.is_precise))
+    written = [target.write(other) for target in find_targets(request.targets)]
     return {
         **sources.files,
         manifest.FILE_NAME: manifest.write(described),

@@ -41,6 +41,7 @@ class Role(Enum):
     RATE = "rate"  # time derivatives of q
     CONDITION = "condition"  # the factor by which a solution loses digits
     RESULT = "result"  # any other result
+    REMAINDER = "remainder"  # the second part of a number in double-double, which is the sum of two
     SEED = "seed"  # the weights of a result, of which the adjoint is the sum
     ADJOINT = "adjoint"  # the derivative of the weighted sum of all results, by an input
     DERIVATIVE = "derivative"  # a block of a Jacobian
@@ -107,6 +108,16 @@ FAMILY = (Order.VALUE, Order.JACOBIAN, Order.ADJOINT, Order.ADJOINT_JACOBIAN)
 def name_kernel(base: str, order: Order) -> str:
     """Name the kernel of a function of an order, as in `jac_impl`."""
     return order.prefix + base
+
+
+def name_precise(name: str) -> str:
+    """Name the kernel in double-double arithmetic that computes what another one does, as in `dd_impl`."""
+    return f"dd_{name}"
+
+
+def name_low(name: str) -> str:
+    """Name the second part of an argument of such a kernel, as in `low_q`."""
+    return f"low_{name}"
 
 
 def split_kernel(name: str) -> tuple[str, Order]:

@@ -29,7 +29,8 @@ def compare(families: Sequence[Family], *, only_driven: bool, has_loops: bool = 
     At random poses, the equations of loops may nearly depend on each other. Differences err there by too much, and
     derivatives are compared with results in 50 digits instead.
     """
-    functions = [family.value for family in families if family.value.function.order is Order.VALUE]
+    plain = [family.value for family in families if not family.is_precise]  # second parts would be drawn as the first
+    functions = [function for function in plain if function.function.order is Order.VALUE]
     between = _compare_functions(functions, only_driven=only_driven)
     derivatives = (c for family in families for c in _compare_derivatives(family))
     return (*(c for c in derivatives if not (has_loops and c.function == DIFFERENCES)), *between)

@@ -13,6 +13,7 @@ from itertools import chain
 from itertools import count as count_from
 from typing import Any
 
+from mbsgen.procedure.double_double import DoubleDouble
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import LANES, General, Pattern, Symmetric, Tree
 from mbsgen.procedure.procedure import Procedure
@@ -21,9 +22,11 @@ from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
 from mbsgen.procedure.wires import Wire
+from mbsgen.roles import name_low
 from mbsgen.tape.ordering import arrange
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
+from mbsgen.targets import c_double_double
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
@@ -52,6 +55,7 @@ class Functions:
     keeper: str  # the variable that holds them
     kept: tuple[str, ...]  # the values that outlive their part, as lines of declarations
     parts: tuple[CFunction, ...]
+    number: str = "mbs_real"  # the type of a value
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,7 @@ def _find_held(procedure: Procedure) -> set[str]:
     outputs = {wire.name for wire in procedure.outputs}
     for k, stage in enumerate(procedure.stages):
         later = procedure.stages[k + 1 :]
-        is_early = any(s.can_fail for s in later) or (stage.can_fail and not isinstance(stage, Straight))
+        is_early = any(s.can_fail for s in later) or (stage.can_fail and not isinstance(stage, Straight | DoubleDouble))
         read = {wire.name for s in later for wire in s.reads}
         held |= {wire.name for wire in stage.gives if wire.name in outputs and (is_early or wire.name in read)}
     return held
@@ -249,6 +253,30 @@ def _rename(tape: Tape, writer: Writer) -> Tape:
         tape,
         outputs=tuple(replace(o, port=Port(writer.name(Wire.of(o)), o.port.role)) for o in tape.outputs),
     )
+
+
+def _write_double_double(writer: Writer, stage: DoubleDouble) -> None:
+    """Write the only stage of a kernel in double-double arithmetic, in the kernel's own function."""
+    assert writer.procedure.stages == (stage,), "a kernel in double-double has one stage"
+    writer.headers[c_double_double.HEADER] = None
+    divided, unused = c_double_double.divide_tape(stage.tape, "mbs_part", writer.part)
+    writer.read |= {part for i in stage.tape.inputs if i.name not in unused for part in (i.name, name_low(i.name))}
+    parts = tuple(_write_precise(part) for part in divided.parts)
+    if len(parts) == 1:
+        writer.lines += parts[0].lines
+        return
+    written = Functions("mbs_values", "mbs_kept", wrap(divided.kept), parts, c_double_double.NUMBER)
+    writer.functions += _render("functions", tape=written)
+    writer.values = written.values if written.kept else ""
+    for part in written.parts:
+        writer.call(part.name, part.arguments)
+
+
+def _write_precise(part: Part) -> CFunction:
+    """Write a part in double-double arithmetic: each result has two parts."""
+    results = tuple(x for name in part.results for x in (name, name_low(name)))
+    text = tuple(x for line in c_double_double.write_lines(part.lines) for x in _break(line))
+    return replace(_write_function(replace(part, results=results, lines=()), "mbs_values"), lines=text)
 
 
 def _write_function(part: Part, values: str) -> CFunction:
@@ -495,6 +523,7 @@ def _keep(written: Functions) -> tuple[str, ...]:
 
 RULES: Mapping[type[Stage], Callable[[Writer, Any], None]] = {
     Straight: _write_straight,
+    DoubleDouble: _write_double_double,
     Factor: _write_factor,
     Solve: _write_solve,
     Newton: _write_newton,

@@ -17,7 +17,7 @@ from typing import Literal
 
 from mbsgen.procedure.procedure import Computation, Procedure, as_procedure, count
 from mbsgen.procedure.wires import Wire
-from mbsgen.roles import FAMILY, Order, name_adjoint, name_derivative, name_kernel, name_unneeded
+from mbsgen.roles import FAMILY, Order, Role, name_adjoint, name_derivative, name_kernel, name_unneeded
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.ports import Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.types import Input, Output, Sparsity, Tape
@@ -44,6 +44,11 @@ class Family:
     def tapes(self) -> tuple[Tape, ...]:
         """List the functions that are straight-line programs."""
         return tuple(f for f in self.functions if isinstance(f, Tape))
+
+    @property
+    def is_precise(self) -> bool:
+        """Return whether its numbers have two parts: other languages have number types for that."""
+        return any(i.port.role is Role.REMAINDER for i in self.value.inputs)
 
     def __post_init__(self) -> None:
         own, derivatives = self.value.function, (self.jac, self.adj1, self.jac_adj1)

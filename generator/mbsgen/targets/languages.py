@@ -17,6 +17,7 @@ from mbsgen.targets.acados import add_acados
 from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.cpp import list_headers, write_cpp
+from mbsgen.targets.double_double import add_double_double
 from mbsgen.targets.fmu import pack_source
 from mbsgen.targets.julia import write_julia
 from mbsgen.targets.matlab import write_matlab
@@ -67,6 +68,11 @@ TARGETS: tuple[Target, ...] = (
     Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
+    ),
+    Target(
+        "double-double",
+        "Also write the functions in double-double arithmetic, with some 31 digits, in C.",
+        add=add_double_double,
     ),
     Target("acados", "Also write the functions that acados requires, under its names.", add=add_acados),
     Target(

@@ -39,6 +39,7 @@ class Syntax:
     taken: re.Pattern[str]
     nonzeros: Callable[[str, Sparsity], list[str]] = write_nonzeros  # of an argument of this name and pattern
     turns: bool = False  # sines and cosines side by side are computed together
+    number: Callable[[mpf | float], str] | None = None  # writes a literal; None: as the nearest double
 
 
 # Keywords of C, and possible macros of <math.h> or the ABI header, cannot name local variables.
@@ -179,10 +180,14 @@ def write_literal(value: mpf | float, syntax: Syntax = C) -> str:
     return syntax.literal.format(repr(number))
 
 
+def _write_number(value: mpf | float, syntax: Syntax) -> str:
+    return syntax.number(value) if syntax.number else write_literal(value, syntax)
+
+
 def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
-    if op in _INFIX:
+    if op in _INFIX and op not in syntax.calls:
         return f"{_bare(a) if op in _SUMS else a}{_INFIX[op]}{b}"
-    if op is Op.NEG:
+    if op is Op.NEG and op not in syntax.calls:
         return f"-{a}"
     return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"
 
@@ -196,7 +201,7 @@ def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequ
     for g in tape.guards:
         place = max(place, places[g.value], places[g.scale])  # no guard is tested before an earlier one
         tolerance = write_literal(g.tolerance, syntax)
-        value = f"-{texts[g.value]}" if g.negated else _bare(texts[g.value])
+        value = _write(syntax, Op.NEG, texts[g.value], "") if g.negated else _bare(texts[g.value])
         checks.append(Check(place, value, texts[g.scale], tolerance, g.joint))
     return tuple(checks)
 
@@ -208,7 +213,7 @@ def _bare(text: str) -> str:
 
 def _write_leaves(tape: Tape, syntax: Syntax) -> list[str]:
     texts = [x for i in tape.inputs for x in syntax.nonzeros(i.name, i.sparsity)]
-    return texts + [write_literal(x, syntax) for x in tape.literals]
+    return texts + [_write_number(x, syntax) for x in tape.literals]
 
 
 def _unused_inputs(tape: Tape, uses: Mapping[int, int]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from mbsrun.measuring.overview import draw_overview
 from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
 from mbsrun.measuring.points import MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
+from mbsrun.ocp.checks import LEAST_TOLERANCE
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.statement import read_problem
 
@@ -31,8 +32,8 @@ with the captions of NAME.section.json.
 
 KERNELS_HELP = """Chart kernels of MODEL, a model file, and of chains: time of a call against error to 50 digits.
 
-Formulations, single and double precision, flags of the compiler; derivatives of MODEL beside finite differences, and
-beside CasADi's differentiation of the same equations.
+Formulations, precisions from single to double-double, flags of the compiler; derivatives of MODEL beside finite
+differences, and beside CasADi's differentiation of the same equations.
 
 \b
 The output folder gets
@@ -55,9 +56,10 @@ The output folder gets
 
 OPTIMISATION_HELP = """Chart the optimal control of PROBLEM: time of a solve against error of the cost, and defect.
 
-Numbers of intervals, degrees, Radau and Legendre points, and representations, in all combinations. Inputs are constant
-over an interval, so each number of intervals is a control grid with its own optimum; a solve of degree 9 finds it. A
-second picture shows the error of the control grid itself.
+Numbers of intervals, degrees, Radau and Legendre points, and representations, in all combinations; with the highest
+degree of Radau points, other tolerances of the solver than PROBLEM's. Inputs are constant over an interval, so each
+number of intervals is a control grid with its own optimum; a solve of degree 9 finds it. A second picture shows the
+error of the control grid itself.
 
 \b
 The output folder gets
@@ -157,6 +159,13 @@ def chart_simulation_command(
     multiple=True,
     help="By default all.",
 )
+@click.option(
+    "--tolerance",
+    "tolerances",
+    type=click.FloatRange(LEAST_TOLERANCE),
+    multiple=True,
+    help="Of the solver, beside PROBLEM's own; by default 1e-2 1e-3 1e-4 1e-6.",
+)
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @choose_format
 def chart_optimisation_command(
@@ -165,6 +174,7 @@ def chart_optimisation_command(
     intervals: tuple[int, ...],
     degrees: tuple[int, ...],
     names: tuple[str, ...],
+    tolerances: tuple[float, ...],
     quick: bool,
 ) -> None:
     """Measure, write, draw."""
@@ -176,6 +186,7 @@ def chart_optimisation_command(
         intervals=tuple(sorted(set(intervals))) or usual.intervals,
         degrees=tuple(sorted(set(degrees))) or usual.degrees,
         representations=tuple(map(Representation, dict.fromkeys(names))) or usual.representations,
+        tolerances=tuple(sorted(set(tolerances))) or usual.tolerances,
     )
     out = out or Path(f"{problem.name.split('.')[0]}.chart")
     store = Store(out / "optimisation.jsonl", SolvePoint)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
-from mbsgen.roles import name_derivative
+from mbsgen.roles import name_derivative, name_precise
 from mbsrun.library import compile_library
 from mbsrun.measuring.functions import Code, Numbers, Variant, find_function
 from mbsrun.measuring.mechanisms import Subject
@@ -110,8 +110,9 @@ class Candidate:
 
 
 def compile_kernel(subject: Subject, name: str, variant: Variant) -> Candidate:
-    """Compile a generated kernel."""
-    kernel, manifest = subject.manifest.kernel(name), subject.manifest
+    """Compile a generated kernel, or the one in double-double arithmetic that computes the same."""
+    manifest, is_precise = subject.manifest, variant.precision == "double-double"
+    kernel = manifest.kernel(name_precise(name) if is_precise else name)
     library = compile_library(subject.folder, manifest.prefix, kernel.sources, variant.compiler())
     return Candidate(name, Code(find_function(library, kernel.symbol), variant.precision), variant)
 

@@ -41,10 +41,10 @@ OUTLINES: Mapping[str, Outline] = {
             "kernels",
             1,
             "Speed against accuracy: kernels",
-            "Each formulation, in double and single precision, compiled with several flags, for the model and for "
-            "chains of equal bodies; derivatives beside finite differences, and beside CasADi's of the same "
-            "equations. The reference is the textbook's recursion in 50 digits, at the same inputs. A loop in C over "
-            "states in memory is timed, in many rounds of all in turn.",
+            "Each formulation, in single, double and double-double precision, compiled with several flags, for the "
+            "model and for chains of equal bodies; derivatives beside finite differences, and beside CasADi's of "
+            "the same equations. The reference is the textbook's recursion in 50 digits, at the same inputs. A loop "
+            "in C over states in memory is timed, in many rounds of all in turn.",
             (
                 Caption(
                     "kernels.png",
@@ -89,7 +89,8 @@ OUTLINES: Mapping[str, Outline] = {
             3,
             "Speed against accuracy: optimal control",
             "The problem with several numbers of intervals, degrees, Radau and Legendre points, in all "
-            "representations. Inputs are constant over an interval, so each number of intervals is a control grid "
+            "representations; the highest degree of Radau points also with other tolerances of the solver. "
+            "Inputs are constant over an interval, so each number of intervals is a control grid "
             "with its own optimum. The reference is the optimum with Legendre points of degree 9; its difference from "
             "Radau points of degree 9 is its accuracy.",
             (

@@ -22,7 +22,8 @@ from mbsrun.library import Compiler, find_compiler
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating[Any]]
-Precision = Literal["float64", "float32"]
+Precision = Literal["float64", "float32", "double-double"]
+STORED: Mapping[Precision, str] = {"float64": "float64", "float32": "float32", "double-double": "float64"}
 
 POINTERS = 64  # spare room in lists of arguments: a function may need more entries than it has arguments
 _INTEGERS = ctypes.POINTER(ctypes.c_longlong)
@@ -133,8 +134,9 @@ class Code:
         self.function, self.precision, self.blank = function, precision, blank
         self.inputs, self.results = function.face.inputs, function.face.results
         self._library = ctypes.CDLL(str(function.library))
+        self._stored = STORED[precision]  # the type of an array's entries
         self.iw = np.zeros(function.face.sz_iw + 1, dtype=np.int64)
-        self.w = np.zeros(function.face.sz_w + 1, dtype=precision)
+        self.w = np.zeros(function.face.sz_w + 1, dtype=self._stored)
 
     @cached_property
     def address(self) -> int:
@@ -144,14 +146,15 @@ class Code:
     def lay(self, states: Mapping[str, Array]) -> list[Numbers]:
         """Return the inputs for states, arrays (K, size) by name, in the precision of the function.
 
-        An input without a name there is 0: CasADi passes results to derivatives, which do not read them.
+        An input without a name there is 0: second parts of numbers, and results, which CasADi passes to derivatives
+        that do not read them.
         """
-        unused = np.zeros((len(states["q"]), 1))
-        return [np.ascontiguousarray(states.get(name, unused), dtype=self.precision) for name in self.inputs]
+        zeros = np.zeros((len(states["q"]), max(x.shape[1] for x in states.values())))
+        return [np.ascontiguousarray(states.get(name, zeros), dtype=self._stored) for name in self.inputs]
 
     def make_results(self) -> list[Numbers]:
         """Return arrays for the nonzeros of the results."""
-        return [np.full(max(1, len(x.places)), self.blank, dtype=self.precision) for x in self.results]
+        return [np.full(max(1, len(x.places)), self.blank, dtype=self._stored) for x in self.results]
 
     def call(self, inputs: Sequence[Numbers]) -> tuple[NDArray[np.int64], list[dict[str, Array]]]:
         """Return the status of each state and its results, dense matrices by name; none where the status is not 0."""

@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsgen.roles import Order, name_derivative, name_kernel
+from mbsgen.roles import Order, name_derivative, name_kernel, name_low, name_precise
 from mbsrun import forms
 from mbsrun.closure import has_loops
 from mbsrun.kernel import find_place
@@ -54,8 +55,9 @@ SLOPES = {SLOPES_R: RESIDUAL, SLOPES_A: ACCELERATIONS, SLOPES_RR: REDUCED_R, SLO
 OF_LOOPS = (REDUCED_R, REDUCED_M, REDUCED_A, SLOPES_RR, SLOPES_RA)  # tasks that mechanisms without loops do not have
 VALUES = Extent(forms.FUNCTIONS, 0, optional=CLOSING)
 DERIVATIVES = replace(VALUES, derivatives=1, targets=("python",))
+DOUBLE_DOUBLE = "double-double"  # the target, and the precision
 
-USUAL, SINGLE = Variant(), Variant("float32")
+USUAL, SINGLE, PRECISE = Variant(), Variant("float32"), Variant("double-double")
 VARIANTS = (
     *(Variant(level=level) for level in ("-O0", "-O1", "-O2", "-O3")),
     Variant(contract=False),
@@ -64,6 +66,8 @@ VARIANTS = (
     Variant("float32", level="-O1"),
     Variant("float32", contract=False),
     Variant("float32", libm=True),
+    PRECISE,
+    Variant("double-double", contract=False),
 )
 TEXTBOOK, EXACT = "textbook's recursion, Python", "50 digits"
 REPEATED = 3  # states in which the reference is timed
@@ -81,7 +85,7 @@ class KernelScope:
     derivatives: bool = True  # of the model, not of the chains
 
 
-QUICK = KernelScope((3,), (Variant(level="-O0"), USUAL, SINGLE), 3, 3)
+QUICK = KernelScope((3,), (Variant(level="-O0"), USUAL, SINGLE, PRECISE), 3, 3)
 
 
 @dataclass(frozen=True)
@@ -99,9 +103,9 @@ def measure_kernels(
 
     Raises InputError for a model with faults, CompileError.
     """
-    own = Subject(model, DERIVATIVES if scope.derivatives else VALUES)
+    own = Subject(model, _extend(DERIVATIVES if scope.derivatives else VALUES, scope))
     report(f"{own.manifest.model}: generating", 0, 1)  # a model with faults is refused before anything is written
-    chains = [Subject(write_chain(size, folder / "models"), VALUES) for size in scope.sizes]
+    chains = [Subject(write_chain(size, folder / "models"), _extend(VALUES, scope)) for size in scope.sizes]
     jobs = [(own, task) for task in list_tasks(own.manifest, derivatives=scope.derivatives)]
     jobs += [(chain, task) for chain in chains for task in list_tasks(chain.manifest, derivatives=False)]
     store = Store(folder / "kernels.jsonl", KernelPoint)
@@ -110,6 +114,11 @@ def measure_kernels(
         report(f"{subject.model.stem}: {task}", done, len(jobs))
         points += measure_task(subject, task, scope, store)
     return points
+
+
+def _extend(extent: Extent, scope: KernelScope) -> Extent:
+    """Add the kernels in double-double, if they are measured."""
+    return replace(extent, targets=(*extent.targets, DOUBLE_DOUBLE)) if PRECISE in scope.variants else extent
 
 
 def list_tasks(manifest: Manifest, *, derivatives: bool) -> list[str]:
@@ -153,7 +162,7 @@ class KernelTask:
 
     @cached_property
     def expected(self) -> list[dict[str, Array]]:
-        """Compute the expected results in 50 digits, and round them."""
+        """Compute the expected results in 50 digits, each as the sum of two arrays of doubles."""
         return [_expect(self.task, moment) for moment in self.moments]
 
     def measure(self, variants: Sequence[Variant]) -> list[KernelPoint]:
@@ -182,7 +191,12 @@ class KernelTask:
 
     def _list_candidates(self, variant: Variant) -> Iterator[Candidate | KernelPoint]:
         if self.task in KERNELS:
-            yield from (compile_kernel(self.subject, name, variant) for name in KERNELS[self.task])
+            known = {kernel.name for kernel in self.subject.manifest.kernels}
+            for name in KERNELS[self.task]:
+                if variant.precision == DOUBLE_DOUBLE and name_precise(name) not in known:
+                    yield self._point(name, variant, "computed in stages: there is no kernel in double-double")
+                else:
+                    yield compile_kernel(self.subject, name, variant)
             return
         names = KERNELS[SLOPES[self.task]]
         yield from (compile_kernel(self.subject, name_kernel(name, Order.JACOBIAN), variant) for name in names)
@@ -235,24 +249,25 @@ class KernelTask:
     def _compare(self, k: int, found: Results) -> Errors:
         moment, expected = self.moments[k], self.expected[k]
         parts = [
-            float(np.abs(found[name] - value).max() / np.abs(value).max())
-            for name, value in expected.items()
-            if value.size and np.abs(value).max() > 0
+            float(np.abs(_subtract(found, expected, name)).max() / np.abs(expected[name]).max())
+            for name in _list_first(expected)
+            if expected[name].size and np.abs(expected[name]).max() > 0
         ]
         return Errors(max(parts, default=0.0), _measure_backward(self.task, moment, found, expected))
 
 
 def _expect(task: str, moment: Moment) -> dict[str, Array]:
-    """Compute the results of a task in 50 digits, by their names in kernels."""
+    """Compute the results of a task in 50 digits, by their names in kernels; of values, two arrays make a sum."""
     reduced = moment.reduced
     if task in (RESIDUAL, REDUCED_R):
-        return {"Phi": _round([moment.residual() if task == RESIDUAL else reduced.residual()]).T}
+        return _split("Phi", [moment.residual() if task == RESIDUAL else reduced.residual()], turned=True)
     if task in (MASS, REDUCED_M):
         M, c = (moment.M, moment.bias) if task == MASS else reduced.terms
-        return {"M": _round(M), "c": _round([c]).T}
+        return _split("M", M) | _split("c", [c], turned=True)
     if task in (ACCELERATIONS, REDUCED_A):
         solution = moment.solution if task == ACCELERATIONS else reduced.solution
-        return {name: _round([x]).T for name, x in solution.items()}
+        parts = [_split(name, [x], turned=True) for name, x in solution.items()]
+        return {name: part for found in parts for name, part in found.items()}
     names = [name for name in _INPUTS[task] if moment.state.get(name)]
     if task in (SLOPES_R, SLOPES_RR):
         rows = {name: moment.slopes(name) if task == SLOPES_R else reduced.slopes(name) for name in names}
@@ -270,14 +285,40 @@ _INPUTS = {  # that results are differentiated by
 }
 
 
+def _split(name: str, rows: Sequence[Sequence[Any]], *, turned: bool = False) -> dict[str, Array]:
+    """Write a matrix as the sum of two, the second one by the name of the second part."""
+    high = _round(rows)
+    low = _round([[x - type(x)(float(x)) for x in row] for row in rows])
+    return {name: high.T, name_low(name): low.T} if turned else {name: high, name_low(name): low}
+
+
+def _list_first(results: Results) -> list[str]:
+    """List results without their second parts."""
+    lows = {name_low(name) for name in results}
+    return [name for name in results if name not in lows]
+
+
+def _subtract(found: Results, expected: Results, name: str) -> Array:
+    """Subtract an expected result; its second part only where the result has one."""
+    difference, low = found[name] - expected[name], name_low(name)
+    return difference + (found[low] - expected[low]) if low in found else difference
+
+
 def _measure_backward(task: str, moment: Moment, found: Results, expected: Results) -> float | None:
     if task == RESIDUAL:
         forces = {name: moment.state[name] for name in ("qdd", "lam", "tau") if moment.state.get(name)}
-        return _relate(found["Phi"] - expected["Phi"], moment.scale(forces)[: moment.size])
+        return _relate(_subtract(found, expected, "Phi"), moment.scale(forces)[: moment.size])
     if task == ACCELERATIONS and all(np.isfinite(x).all() for x in found.values()):
-        solution = {name: [moment.context.mpf(float(x)) for x in found[name].ravel()] for name in expected}
+        solution = {name: _add(moment, found, name) for name in _list_first(expected)}
         return _relate(_round([moment.balance(**solution)]), moment.scale(solution))
     return None
+
+
+def _add(moment: Moment, found: Results, name: str) -> list[Any]:
+    """Return a result in 50 digits."""
+    lows = found.get(name_low(name), 0 * found[name])
+    pairs = zip(found[name].ravel(), lows.ravel(), strict=True)
+    return [moment.context.mpf(float(high)) + moment.context.mpf(float(low)) for high, low in pairs]
 
 
 def _relate(rest: Array, scale: Array) -> float:

@@ -1,4 +1,4 @@
-"""Optimal control: processor time of a solve against the error of its optimum, by collocation and representation.
+"""Optimal control: time of a solve against the error of its optimum, by collocation, representation and tolerance.
 
 Inputs are constant over an interval, so each number N of intervals is a control grid with an optimum J*(N):
 
@@ -8,6 +8,9 @@ Inputs are constant over an interval, so each number N of intervals is a control
 J*(N) is the optimum with Legendre points of degree 9; its difference from Radau points of degree 9 is its accuracy.
 J* is extrapolated with order 2 from the two finest grids; its difference from the extrapolation without the finest grid
 is its accuracy.
+
+All combinations are solved with the solver's tolerance that the problem states; other tolerances are tried with the
+highest degree of the first family.
 """
 
 from __future__ import annotations
@@ -34,9 +37,10 @@ class OptimumScope:
     families: tuple[Family, ...] = tuple(Family)
     representations: tuple[Representation, ...] = tuple(Representation)
     repeats: int = 2
+    tolerances: tuple[float, ...] = (1e-2, 1e-3, 1e-4, 1e-6)  # of the solver, beside the problem's own
 
 
-QUICK = OptimumScope((5, 10), (2, 4), (Family.RADAU,), (Representation.IMPL, Representation.EXP2_O), 1)
+QUICK = OptimumScope((5, 10), (2, 4), (Family.RADAU,), (Representation.IMPL, Representation.EXP2_O), 1, (1e-2, 1e-4))
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,7 @@ class OptimumPoint:
     family: str
     degree: int
     intervals: int
+    tolerance: float  # of the solver
     seconds: Cost | None  # of processor time; None: not solved
     error: float | None  # of the cost, on the same control grid, relative
     total_error: float | None  # against the limit of fine grids, relative
@@ -74,13 +79,7 @@ def measure_optima(
     case: Case, scope: OptimumScope, store: Store[SolvePoint], report: Callable[[str, int, int], None]
 ) -> tuple[list[OptimumPoint], list[GridOptimum]]:
     """Solve the references and all combinations; earlier solves are read from the store."""
-    jobs = [
-        (intervals, family, degree, representation)
-        for intervals in scope.intervals
-        for family in scope.families
-        for degree in scope.degrees
-        for representation in scope.representations
-    ]
+    jobs = _list_jobs(case.problem, scope)
     total = len(jobs) + 2 * len(scope.intervals)
     pairs = []
     for done, intervals in enumerate(scope.intervals):
@@ -89,14 +88,37 @@ def measure_optima(
         pairs.append([measure_solve(case, problem, 1, store) for problem in exact])
     grids = _judge_grids(case, scope.intervals, pairs)
     points = []
-    for done, (intervals, family, degree, representation) in enumerate(jobs, 2 * len(scope.intervals)):
-        report(f"{intervals} intervals, {family.value} {degree}, {representation.value}", done, total)
-        problem = replace(case.problem, intervals=intervals, mesh=None, family=family, degree=degree)
-        problem = _represent(problem, representation)
-        points.append(measure_solve(case, problem, scope.repeats, store))
+    for done, problem in enumerate(jobs, 2 * len(scope.intervals)):
+        report(_describe(problem), done, total)
+        found = measure_solve(case, problem, scope.repeats, store)
+        points.append((found, problem.solver.tolerance))
     limit = _find_limit([(g.intervals, g.cost) for g in grids if g.cost is not None])
     own = {grid.intervals: grid.cost for grid in grids}
-    return [_judge(point, own[point.intervals], limit) for point in points], grids
+    return [_judge(point, tolerance, own[point.intervals], limit) for point, tolerance in points], grids
+
+
+def _list_jobs(problem: Problem, scope: OptimumScope) -> list[Problem]:
+    """List the problems to solve: first all with the problem's own tolerance."""
+    own = problem.solver.tolerance
+    others = [x for x in scope.tolerances if x != own]
+    grids = [
+        replace(problem, intervals=intervals, mesh=None, family=family, degree=degree)
+        for intervals in scope.intervals
+        for family in scope.families
+        for degree in scope.degrees
+    ]
+    finest = [x for x in grids if (x.family, x.degree) == (scope.families[0], scope.degrees[-1])]
+    jobs = [(grid, own) for grid in grids] + [(grid, tolerance) for grid in finest for tolerance in others]
+    return [
+        _represent(replace(grid, solver=replace(grid.solver, tolerance=tolerance)), representation)
+        for grid, tolerance in jobs
+        for representation in scope.representations
+    ]
+
+
+def _describe(problem: Problem) -> str:
+    grid = f"{problem.intervals} intervals, {problem.family.value} {problem.degree}"
+    return f"{grid}, {problem.representation.value}, tolerance {problem.solver.tolerance:g}"
 
 
 def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
@@ -143,13 +165,14 @@ def _find_limit(costs: Sequence[tuple[int, float | None]]) -> float | None:
     return (square * second - first) / (square - 1)
 
 
-def _judge(point: SolvePoint, own: float | None, limit: float | None) -> OptimumPoint:
+def _judge(point: SolvePoint, tolerance: float, own: float | None, limit: float | None) -> OptimumPoint:
     return OptimumPoint(
         mechanism=point.mechanism,
         representation=point.representation,
         family=point.family,
         degree=point.degree,
         intervals=point.intervals,
+        tolerance=tolerance,
         seconds=point.seconds,
         error=_relate(point.cost, own),
         total_error=_relate(point.cost, limit),

@@ -21,8 +21,8 @@ from PIL import Image
 from mbsgen.style import PALETTE, in_format, save_figure, styled
 from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
 from mbsrun.measuring.fronts import Mark, describe_front, find_front
+from mbsrun.measuring.kernels import DOUBLE_DOUBLE, KERNELS, SLOPES
 from mbsrun.measuring.kernels import EXACT as DIGITS
-from mbsrun.measuring.kernels import KERNELS, SLOPES
 from mbsrun.measuring.motions import Standard
 from mbsrun.measuring.optima import GridOptimum, OptimumPoint
 from mbsrun.measuring.points import KernelPoint, MotionPoint
@@ -31,10 +31,11 @@ COLORS = PALETTE
 SHADES = 128  # colours of a picture
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
-MARKERS = {"float64": "o", "float32": "s", DIGITS: "D"}
+MARKERS = {"float64": "o", "float32": "s", DOUBLE_DOUBLE: "^", DIGITS: "D"}
 NARROW, TICKS, WIDE = 8, 4, 3e3  # spans of times with few labels, and with powers of 10
 EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
-ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24}
+LEAST = 1e-35  # the same as EXACT, where kernels in double-double are drawn
+ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24, DOUBLE_DOUBLE: 2.0**-105}
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
@@ -101,10 +102,11 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     """Draw optimisation.png, a column for each control grid, and control_grid.png; return their paths."""
     figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
     rows = figure.subplots(2, len(grids), squeeze=False)
+    usual = points[0].tolerance
     for column, grid in enumerate(grids):
         own = [p for p in points if p.intervals == grid.intervals]
         for axes, number in zip(rows[:, column], ("error", "defect"), strict=True):
-            sentence = _draw_marks(axes, [_mark_optimum(p, number) for p in own], "s")
+            sentence = _draw_marks(axes, [_mark_optimum(p, number, usual) for p in own], "s")
             axes.set_xlabel(f"processor time of a solve [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
         axes = rows[0, column]
         if grid.accuracy:
@@ -118,8 +120,9 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     handles, labels = rows[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
     mechanism = plain(points[0].mechanism)
-    text = "circles: Radau, squares: Legendre, labels: degree; grey: the reference is no better; x: failed"
-    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy ({text})", fontsize=10)
+    text = "circles: Radau, squares: Legendre, triangles: another tolerance of the solver"
+    notes = f"labels: degree, and tolerance unless {usual:g}; grey: the reference is no better; x: failed"
+    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy\n{text}\n{notes}", fontsize=10)
     path = in_format(folder / "optimisation.png")
     save_picture(figure, path, 90)
     return [path, _draw_grids(points, grids, folder)]
@@ -161,7 +164,8 @@ def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     known = [(g.intervals, g.error) for g in grids if g.error]
     if known:
         axes.plot(*zip(*known, strict=True), color="black", marker="D", label="control grid alone")
-    first = points[0].representation
+    first, usual = points[0].representation, points[0].tolerance
+    points = [p for p in points if p.tolerance == usual]
     for i, (family, degree) in enumerate(dict.fromkeys((p.family, p.degree) for p in points)):
         own = [p for p in points if (p.family, p.degree, p.representation) == (family, degree, first)]
         shown = [(p.intervals, max(p.error, EXACT)) for p in own if p.error is not None]
@@ -191,10 +195,11 @@ def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
     return path
 
 
-def _mark_optimum(point: OptimumPoint, number: str) -> Mark:
-    marker = "o" if point.family == "radau" else "s"
-    is_failure = bool(point.finding)
-    return Mark(point.representation, str(point.degree), point.seconds, getattr(point, number), marker, is_failure)
+def _mark_optimum(point: OptimumPoint, number: str, usual: float) -> Mark:
+    marker, label = "o" if point.family == "radau" else "s", str(point.degree)
+    if point.tolerance != usual:
+        marker, label = "^", f"{label}, {point.tolerance:.0e}"
+    return Mark(point.representation, label, point.seconds, getattr(point, number), marker, bool(point.finding))
 
 
 def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
@@ -222,7 +227,8 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
     for r, mechanism in enumerate(rows):
         for c, task in enumerate(columns):
             own = [p for p in points if (p.mechanism, p.task) == (mechanism, task)]
-            sentence = _draw_marks(grid[r, c], [_mark(p, number) for p in own], "ns")
+            exact = LEAST if any(p.precision == DOUBLE_DOUBLE for p in own) else EXACT
+            sentence = _draw_marks(grid[r, c], [_mark(p, number) for p in own], "ns", exact=exact)
             for precision, rounding in ROUNDINGS.items():
                 if any(p.precision == precision for p in own):
                     grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
@@ -232,7 +238,8 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
     text = (
-        "grey line: the front; circles: float64, squares: float32, diamond: 50 digits, without error; "
+        "grey line: the front; squares: float32, circles: float64, triangles: double-double, diamond: 50 digits, "
+        "without error; "
         "dotted: half a unit in the last place; x: failed"
     )
     figure.suptitle(text, fontsize=9)
@@ -247,7 +254,7 @@ def _mark(point: KernelPoint, number: str) -> Mark:
     return Mark(way, label, point.ns, getattr(point, number), MARKERS[point.precision], is_failure)
 
 
-def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = False) -> str:
+def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = False, exact: float = EXACT) -> str:
     """Draw marks by series, and their front; return the sentence that describes the front.
 
     A mark without a time or without an error stands at the right or the upper edge.
@@ -257,7 +264,7 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
     worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
 
     def place(mark: Mark) -> tuple[float, float]:
-        height = worst if mark.error is None else min(max(mark.error, EXACT), WORST)
+        height = worst if mark.error is None else min(max(mark.error, exact), WORST)
         return (mark.cost.shortest if mark.cost else last), height
 
     for i, series in enumerate(dict.fromkeys(m.series for m in marks)):

@@ -14,7 +14,17 @@ from mbsrun.forms import FUNCTIONS
 from mbsrun.measuring import kernels
 from mbsrun.measuring.candidates import compile_kernel
 from mbsrun.measuring.functions import Variant
-from mbsrun.measuring.kernels import ACCELERATIONS, MASS, RESIDUAL, SINGLE, SLOPES_R, USUAL, VALUES, KernelScope
+from mbsrun.measuring.kernels import (
+    ACCELERATIONS,
+    MASS,
+    PRECISE,
+    RESIDUAL,
+    SINGLE,
+    SLOPES_R,
+    USUAL,
+    VALUES,
+    KernelScope,
+)
 from mbsrun.measuring.mechanisms import CLOSING, Subject, draw_states, write_chain
 from mbsrun.measuring.pictures import draw_kernels
 from mbsrun.measuring.points import KernelPoint, write_points
@@ -103,6 +113,23 @@ def test_errors_tell_precisions_apart(tmp_path: Path) -> None:
     points = kernels.measure_task(subject, RESIDUAL, LITTLE, Store(tmp_path / "points.jsonl", KernelPoint))
     double, single = ([p.error or 0.0 for p in points if p.precision == x] for x in U)
     assert min(single) > 1e5 * max(double)
+
+
+def test_double_double_lies_between_doubles_and_50_digits(tmp_path: Path) -> None:
+    """Its errors are a few u^2, forward and backward, so none of them can come from results rounded to doubles."""
+    subject = Subject(write_chain(3, tmp_path), Extent(FUNCTIONS, 0, targets=("double-double",)))
+    scope, store = KernelScope((), (USUAL, PRECISE), 2, 3), Store(tmp_path / "points.jsonl", KernelPoint)
+    points: list[KernelPoint] = []
+    for task, way in ((RESIDUAL, "impl"), (MASS, "semi"), (ACCELERATIONS, "exp1")):
+        found = [p for p in kernels.measure_task(subject, task, scope, store) if p.way == way]
+        double, precise = (next(p for p in found if p.precision == x) for x in ("float64", "double-double"))
+        assert 0 < (precise.error or 0.0) < 1e-30 < 1e-17 < (double.error or 0.0)
+        assert precise.backward is None or 0 < precise.backward < 1e-30
+        assert precise.ns is not None
+        assert double.ns is not None
+        assert precise.ns.shortest > 2 * double.ns.shortest
+        points += found
+    assert all(path.stat().st_size > 10_000 for path in draw_kernels(points, tmp_path))
 
 
 def test_flags_reach_the_compiler(tmp_path: Path) -> None:

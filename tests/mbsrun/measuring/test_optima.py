@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from mbsrun import cli, load
-from mbsrun.lab.mechanisms import SLIDE
-from mbsrun.lab.optimisation import state_push
+from mbsrun.lab.mechanisms import SLIDE, UNSTABLE
+from mbsrun.lab.optimisation import state_catch, state_push
 from mbsrun.measuring.captions import OUTLINES, write_captions
 from mbsrun.measuring.optima import OptimumScope, measure_optima
 from mbsrun.measuring.pictures import draw_optima
@@ -52,7 +52,7 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
     extrapolated to 4e-4: the error is of the order N^-4.
     """
     case = Case(state_push(8), load(slide))
-    scope = OptimumScope((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1)
+    scope = OptimumScope((1, 5, 10), (1, 2), (Family.RADAU,), (Representation.IMPL,), 1, ())
     store = Store(tmp_path / "out" / "optimisation.jsonl", SolvePoint)
     points, grids = measure_optima(case, scope, store, quiet)
     for grid in grids[1:]:
@@ -82,6 +82,24 @@ def test_errors_are_those_of_the_closed_form(slide: Path, tmp_path: Path) -> Non
     assert again == points
 
 
+def test_tolerances_are_tried_with_the_highest_degree(tmp_path: Path) -> None:
+    """A motion x'' = 4 sin x + u: a loose tolerance takes fewer iterations, and costs digits of the cost."""
+    path = tmp_path / "unstable.yaml"
+    path.write_text(UNSTABLE.format(rate=2), encoding="utf-8")
+    case = Case(state_catch(10, 3), load(path))
+    scope = OptimumScope((10,), (2, 5), (Family.RADAU, Family.LEGENDRE), (Representation.IMPL,), 1, (10.0, 1e-8))
+    points, grids = measure_optima(case, scope, Store(tmp_path / "out" / "points.jsonl", SolvePoint), quiet)
+    tried = [(p.family, p.degree, p.tolerance) for p in points]
+    own = [(family, degree, 1e-8) for family in ("radau", "legendre") for degree in (2, 5)]
+    assert tried == [*own, ("radau", 5, 10.0)]
+    tight, loose = points[1], points[-1]
+    assert loose.iterations < tight.iterations
+    assert loose.error is not None
+    assert tight.error is not None
+    assert loose.error > 10 * tight.error
+    assert all(drawn.stat().st_size > 10_000 for drawn in draw_optima(points, grids, tmp_path / "out"))
+
+
 def test_the_command_writes_chart_and_tables(slide: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (slide.parent / "push.ocp.yaml").write_text(PUSH, encoding="utf-8")
     monkeypatch.chdir(slide.parent)
@@ -93,6 +111,8 @@ def test_the_command_writes_chart_and_tables(slide: Path, monkeypatch: pytest.Mo
         "2",
         "--representation",
         "EXP2-O",
+        "--tolerance",
+        "1e-3",
         "-o",
         "chart",
         "--format",
@@ -102,8 +122,9 @@ def test_the_command_writes_chart_and_tables(slide: Path, monkeypatch: pytest.Mo
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code in (0, None)
-    (solved,) = json.loads(Path("chart/optimisation.json").read_text(encoding="utf-8"))
+    solved, loose = json.loads(Path("chart/optimisation.json").read_text(encoding="utf-8"))
     assert (solved["intervals"], solved["representation"], solved["total_error"]) == (4, "EXP2-O", None)
+    assert (solved["tolerance"], loose["tolerance"]) == (1e-8, 1e-3)
     assert find_kind(Path("chart/control_grid.svg")) == "svg"
     (section,) = read_folders([Path("chart")])  # its captions name the files
     assert section.name == "optimisation"
