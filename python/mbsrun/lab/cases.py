@@ -137,8 +137,12 @@ CASES: tuple[Case, ...] = (
         "F11",
         "an explicit inverse",
         "Chains of 3 to 8 links: an adjugate would divide by a determinant, and lose digits.",
-        "No more than two divisions for each joint, and errors of 10 u cond(M) at most.",
-        tuple(Trial(f"{n} links", partial(expressions.measure_inverse, size=n)) for n in (3, 5, 8)),
+        "No more than two divisions for each joint, errors of 10 u cond(M) at most, and in a straight chain of 8 links "
+        "backward errors of 10 u, which determinants that are multiplied out exceed.",
+        (
+            *(Trial(f"{n} links", partial(expressions.measure_inverse, size=n)) for n in (3, 5, 8)),
+            Trial("determinants", partial(expressions.measure_determinants, size=8)),
+        ),
     ),
     Case(
         "F12",
@@ -158,8 +162,13 @@ CASES: tuple[Case, ...] = (
         "F14",
         "compilers that change arithmetic",
         "Levels of optimisation, contraction, and flags that give up IEEE arithmetic.",
-        "Results agree to 1e-13; fast-math and its parts are refused; 1e-310 / 2 is not 0 after loading kernels.",
-        (Trial("flags", compilation.measure_flags), Trial("refusals", compilation.measure_refusals)),
+        "Results agree to 1e-13; fast-math and its parts are refused; 1e-310 / 2 is not 0 after loading kernels. With "
+        "fast-math, the rest of a sum vanishes, and a pivot that is no number passes.",
+        (
+            Trial("flags", compilation.measure_flags),
+            Trial("refusals", compilation.measure_refusals),
+            Trial("fast-math", compilation.measure_fast_math),
+        ),
     ),
     Case(
         "F15",
@@ -228,6 +237,7 @@ CASES: tuple[Case, ...] = (
             Trial("degree 1", optimisation.measure_lowest_degree, is_long=True),
             Trial("degree 3", optimisation.measure_meshes, is_long=True),
             Trial("degree 5, 80 intervals", optimisation.measure_fine_mesh, is_long=True),
+            Trial("the solver's word", optimisation.believe_success),
         ),
     ),
     Case(
@@ -244,8 +254,12 @@ CASES: tuple[Case, ...] = (
         "3 m at every point, random inputs.",
         "Three minima are reached: 57.95, the published 58.81, and 303.5, each to 0.5 %; how many starts end in each, "
         "and how many fail with which status, is reported.",
-        tuple(
-            Trial(r.value, partial(optimisation.measure_minima, representation=r), is_long=True) for r in Representation
+        (
+            *(
+                Trial(r.value, partial(optimisation.measure_minima, representation=r), is_long=True)
+                for r in Representation
+            ),
+            Trial("one start", optimisation.start_once),
         ),
     ),
     Case(
@@ -265,6 +279,7 @@ CASES: tuple[Case, ...] = (
         (
             Trial("statuses", optimisation.measure_statuses),
             Trial("a start at a lock", optimisation.measure_locked_start),
+            Trial("IPOPT alone", optimisation.ask_ipopt),
         ),
     ),
     Case(

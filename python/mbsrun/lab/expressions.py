@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from mbsrun.lab.case import Finding, Workspace, check, show_failure
 from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, U, relate, specimen
-from mbsrun.lab.mechanisms import describe_spatial, draw
+from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
 
 Array = NDArray[np.float64]
 
 ROUNDING = U["float64"]
+BACKWARD = 10 * ROUNDING  # the residual that elimination leaves, by the terms of the equations
 STIFFNESS, REST = 100.0, 0.7
 _SPRING = f"""
 name: spring
@@ -80,6 +81,41 @@ def measure_inverse(workspace: Workspace, size: int) -> list[Finding]:
             bound = 10 * ROUNDING * float(np.linalg.cond(truth.M))
             findings.append(check(way, "error", relate(found["qdd"][:, 0], truth.rounded), bound))
     return findings
+
+
+def measure_determinants(workspace: Workspace, size: int) -> list[Finding]:
+    """F11: Cramer's rule, with determinants multiplied out, leaves a residual in a straight chain; elimination none."""
+    chosen, states = specimen(workspace, describe_straight(size), *EXPLICIT.values()), draw(size, range(5), q=0.0)
+    exact = chosen.find_exact(states)
+    findings = [
+        check(way, "backward error", truth.leave(found["qdd"][:, 0]), BACKWARD)
+        for way, kernel in EXPLICIT.items()
+        for found, truth in zip(chosen.evaluate(kernel, states)[1], exact, strict=True)
+    ]
+    bias = chosen.evaluate("impl", {**states, "qdd": 0 * states["q"]})[1]
+    solved = [divide_determinants(truth.M, -c["Phi"][:, 0]) for truth, c in zip(exact, bias, strict=True)]
+    left = max(truth.leave(qdd) for truth, qdd in zip(exact, solved, strict=True))
+    return [*findings, show_failure("determinants multiplied out", "backward error", left, BACKWARD)]
+
+
+def divide_determinants(A: Array, b: Array) -> Array:
+    """Solve A x = b by Cramer's rule."""
+    whole = multiply_out(A)
+    columns = (np.column_stack((A[:, :i], b, A[:, i + 1 :])) for i in range(len(b)))
+    return np.array([multiply_out(column) / whole for column in columns])
+
+
+def multiply_out(A: Array) -> float:
+    """Compute a determinant as the sum of all products, by rows: minors of the first rows, by the columns they take."""
+    minors = {0: 1.0}
+    for row in A:
+        further: dict[int, float] = {}
+        for taken, minor in minors.items():
+            for j in (j for j in range(len(A)) if not taken >> j & 1):
+                sign = -1.0 if (taken >> j).bit_count() % 2 else 1.0
+                further[taken | 1 << j] = further.get(taken | 1 << j, 0.0) + sign * minor * float(row[j])
+        minors = further
+    return minors[(1 << len(A)) - 1]
 
 
 def measure_sums(workspace: Workspace, parallel: int) -> list[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -110,6 +111,15 @@ def measure_meshes(workspace: Workspace) -> list[Finding]:
         order = _find_orders([defects[n] for n in (10, 20, 40)]).min()
         findings.append(check(representation.value, "order of defects missing", 2 - order, 0, f"order {order:.1f}"))
     return findings
+
+
+def believe_success(workspace: Workspace) -> list[Finding]:
+    """F19: the solver calls ten intervals solved; the largest defect is a thousand times the allowed one, and more."""
+    plant, problem = _load(workspace, CART_POLE), state_swing_up(10, 3)
+    outcome = solve(problem, plant)
+    found, way = _find_defect(outcome, plant), "success of the solver alone"
+    remark = f"N = 10, {outcome.run.status}"
+    return [show_failure(way, "largest defect of an interval", found, problem.accuracy, remark)]
 
 
 def measure_lowest_degree(workspace: Workspace) -> list[Finding]:
@@ -250,6 +260,14 @@ def measure_minima(workspace: Workspace, representation: Representation) -> list
     return judge_minima(representation.value, costs, failures)
 
 
+def start_once(workspace: Workspace) -> list[Finding]:
+    """F21: from the guess of the problem alone, a minimum is found that is not the lowest."""
+    outcome = solve(state_swing_up(80, 3), _load(workspace, CART_POLE))
+    cost = outcome.cost.total if isinstance(outcome, Solution) else np.nan
+    remark = f"{cost:.4g}, and {min(MINIMA):.4g} is known"
+    return [show_failure("one start", "cost above the lowest", cost / min(MINIMA) - 1, SAME_MINIMUM, remark)]
+
+
 def scatter(smooth: Trajectory, seed: int) -> Trajectory:
     """Replace the inputs of a guess by random ones, and add noise to all its positions."""
     rng = np.random.default_rng(seed)
@@ -305,6 +323,18 @@ def measure_statuses(workspace: Workspace) -> list[Finding]:
         for representation in Representation
         for name, wanted, attempt in ATTEMPTS
     ]
+
+
+def ask_ipopt(_: Workspace) -> list[Finding]:
+    """F23: IPOPT alone calls the saddle of a cost without bound solved, though lower costs are beside it."""
+    x = ca.SX.sym("x")
+    options: dict[str, Any] = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    solver = ca.nlpsol("saddle", "ipopt", {"x": x, "f": x**3}, options)
+    found = float(solver(x0=0.0)["x"])
+    status = solver.stats()["return_status"]
+    above = found**3 - (found - 0.1) ** 3 if status == SOLVED else np.nan
+    remark = f"{status} at {found:g}, of x^3 from 0"
+    return [show_failure("IPOPT alone", "cost above a point 0.1 away", above, 0, remark)]
 
 
 def judge_status(way: str, name: str, wanted: str, outcome: Solution | Failure) -> Finding:

@@ -21,6 +21,7 @@ from mbsrun.lab import (
     chains,
     derivatives,
     digits,
+    expressions,
     integration,
     interpretation,
     locks,
@@ -95,6 +96,32 @@ def test_criteria_are_met(name: str, trial: str | Measure, workspace: Workspace)
     findings = trial(workspace)
     assert findings
     assert [x for x in findings if not x.is_met] == []
+
+
+CONTRASTS = {  # a short trial of each, in which a method that fails stands beside
+    "F11": "determinants",
+    "F13": "1e22 rad",
+    "F14": "fast-math",
+    "F19": "the solver's word",
+    "F21": "one start",
+    "F23": "IPOPT alone",
+}
+
+
+@pytest.mark.parametrize(("name", "trial"), CONTRASTS.items(), ids=CONTRASTS)
+def test_a_method_that_fails_stands_beside(name: str, trial: str, workspace: Workspace) -> None:
+    (measure,) = (x.measure for case in CASES if case.id == name for x in case.trials if x.name == trial)
+    findings = measure(workspace)
+    assert any(x.is_contrast for x in findings)
+    assert [x for x in findings if not x.is_met] == []
+
+
+def test_determinants_are_multiplied_out() -> None:
+    """Exact for whole numbers; Cramer's rule solves."""
+    A = np.array([[2.0, -1, 3, 0], [1, 4, 0, -2], [0, 5, -1, 1], [3, 1, 2, 2]])
+    assert expressions.multiply_out(A) == pytest.approx(np.linalg.det(A), rel=1e-14)
+    x = np.array([1.0, -2, 3, 4])
+    np.testing.assert_allclose(expressions.divide_determinants(A, A @ x), x, rtol=1e-14)
 
 
 def test_exact_accelerations_are_those_of_elimination(workspace: Workspace) -> None:
