@@ -87,6 +87,7 @@ class Controller:
     `data` holds its run-time data by name, as arrays; numbers that are written there count in the next call.
     """
 
+    folder: Path  # that it was loaded from
     manifest: folders.Manifest
     data: Mapping[str, Array]
     library: Path  # the shared library that was loaded
@@ -96,16 +97,16 @@ class Controller:
 
         Raises InputError for a folder without a manifest of a controller, CompileError, CacheError.
         """
-        self._folder = Path(folder)
-        self.manifest = folders.read(self._folder)
+        self.folder = Path(folder)
+        self.manifest = folders.read(self.folder)
         self._name = self.manifest.prefix
         self._ffi: Any = cffi.FFI()
         for header in ("mbs_stages.h", f"{self._name}.h"):
-            self._ffi.cdef(_declare(self._folder / header))
+            self._ffi.cdef(_declare(self.folder / header))
         self._ffi.cdef(_INSIDE.format(self._name))
         self._statuses = _name_statuses(self._ffi)
         compiler = find_compiler(os.environ)
-        self.library = compile_library(self._folder, self._name, self.manifest.sources, compiler)
+        self.library = compile_library(self.folder, self._name, self.manifest.sources, compiler)
         self._library: Any = self._ffi.dlopen(str(self.library))
         size = self._call("bytes")
         self._memory = self._ffi.new("char[]", size + _ALIGNMENT)
@@ -113,7 +114,7 @@ class Controller:
         self._start = self._memory + (-address) % _ALIGNMENT
         self._controller = self._call("create", self._start, size)
         if self._controller == self._ffi.NULL:
-            raise ControllerError(f"{self._folder}: no controller can be made of it; write the folder again")
+            raise ControllerError(f"{self.folder}: no controller can be made of it; write the folder again")
         self._clock = self._ffi.callback("double(void *)", lambda _: time.perf_counter())
         self.data = MappingProxyType(self._view())
 
@@ -189,7 +190,7 @@ class Controller:
         Raises ControllerError where the model has none in the folder, or no acceleration on the way.
         """
         if not self.manifest.predicts:
-            raise ControllerError(f"{self._folder}: the model's motion is not part of it, as it has closed loops")
+            raise ControllerError(f"{self.folder}: the model's motion is not part of it, as it has closed loops")
         if steps < 1 or not seconds >= 0:
             raise ControllerError(f"seconds = {seconds!r}, steps = {steps!r}: give a time and at least one step")
         given = self._check("state", state, len(self.manifest.states))

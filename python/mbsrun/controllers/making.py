@@ -25,6 +25,7 @@ from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.fields import find_sources
 from mbsrun.controllers.loading import Controller, Result
+from mbsrun.controllers.refusals import find_refusals
 from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
 from mbsrun.controllers.sources import merge, read_kernels, read_solver
 from mbsrun.controllers.writing import Design, name_functions, write_files
@@ -75,33 +76,16 @@ def make(
 
     Raises ProblemError, UnsolvedError, the errors of generation and compilation, and BareError.
     """
-    if problem.mesh is not None:
-        finding = "a controller moves its plan ahead by equal intervals, and these differ"
-        raise ProblemError(problem.name, [("intervals", finding, "give their number")])
-    if problem.inputs != "constant":
-        finding = "a controller holds its inputs from sample to sample, and these change within an interval"
-        raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
-    if problem.every_component or problem.forces:
-        finding = "a controller chooses the inputs u, and the problem gives forces by expressions or contacts"
-        if plant.manifest.signals:
-            finding = f"a controller chooses the inputs u, and forces read {', '.join(plant.manifest.signals)} too"
-        raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
-    if problem.every_state or problem.controls:
-        finding = "a controller measures coordinates and velocities, and the problem adds states or controls"
-        raise ProblemError(problem.name, [("states", finding, "leave them out")])
-    if problem.bounds.rates or problem.delays:
-        finding = "a controller begins anew at every sample, and knows no input before it, as rates and delays need"
-        raise ProblemError(problem.name, [("bounds", finding, "leave bounds of input_rates and delays out")])
-    if problem.functions:
-        finding = f"a controller is C, and {problem.functions[0].name} is an expression of CasADi"
-        raise ProblemError(problem.name, [("functions", finding, "write it as text")])
+    refusals = find_refusals(problem, plant.manifest)
+    if refusals:
+        raise ProblemError(problem.name, [(refusal.key, refusal.finding, refusal.remedy) for refusal in refusals])
     if emulated:
         bare.find_tools()
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
         finding = f"no pose within the bounds meets the targets; the nearest one found is {start.distance:.3g} away"
-        raise UnsolvedError(f"{problem.name}: {finding}; move the target or widen the bounds")
+        raise UnsolvedError(f"{finding}; move the target or widen the bounds")
     problem = settle(problem, plant, start)
     transcription = Solver(problem, plant).transcription
     place, kernels = gather_kernels(transcription.program, plant, model)
@@ -133,10 +117,7 @@ def _finish(design: Design, copied: Mapping[str, str], place: Path, emulated: bo
     controller = _load(_assemble(design, copied, UNSOLVED), place)
     result = controller.solve()
     if not result.is_solved:
-        at = "" if result.stage is None else f", at stage {result.stage} (from 0)"
-        finding = f"the controller does not solve its own problem: {result.message}{at}"
-        remedy = "take another guess, or see what `mbsrun solve` says"
-        raise UnsolvedError(f"{design.problem.name}: {finding} It made {result.iterations} iterations; {remedy}")
+        raise UnsolvedError(describe_failure(result))
     single = measure_single(place, controller.manifest, compiler)
     figures = Figures(
         double=controller.bytes,
@@ -149,6 +130,18 @@ def _finish(design: Design, copied: Mapping[str, str], place: Path, emulated: bo
         emulation=emulate(place, controller.manifest, single) if emulated else None,
     )
     return replace(_assemble(design, copied, figures), result=result)
+
+
+def describe_failure(result: Result) -> str:
+    """Return finding and remedy of a controller's own solve that failed."""
+    at = "" if result.stage is None else f", at stage {result.stage} (from 0)"
+    reason = result.message.rstrip(".")
+    remedy = "take another guess, such as a solution by --guess, or see what `mbsrun solve` finds"
+    if result.status == "infeasible":
+        reason = "no motion near the guess meets all conditions"
+        remedy = "`mbsrun solve --solver mbs` names the ones that clash: move a target, or widen bounds"
+    count = f"{result.iterations} iterations"
+    return f"the controller does not solve its own problem in {count}{at}: {reason}; {remedy}"
 
 
 def _load(made: Made, place: Path) -> Controller:
@@ -312,9 +305,9 @@ def choose_prediction(kernels: Mechanism, tables: StageProgram) -> tuple[Kernel,
 def place_guess(
     transcription: Transcription, tables: StageProgram, guess: Trajectory, plant: Mechanism | OnDemand
 ) -> Array:
-    """Put a guess in the order of the tables; variables of these alone are 0."""
+    """Put a guess in the order of the tables; variables of these alone are 0, or combinations."""
     x = functions.build(transcription.program, plant).complete(transcription.pack(guess))
-    return np.where(tables.variables < 0, 0.0, x[tables.variables])
+    return tables.place(x)
 
 
 def complete_guess(controller: Controller, tables: StageProgram, guess: Array) -> Array:

@@ -34,7 +34,7 @@ from mbsrun.models import Extent
 from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Bounds, Control, Delay, Force, Problem, Symbolic
+from mbsrun.ocp.problem import Bounds, Control, Delay, Force, Problem, Symbolic, Unknown
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
@@ -359,23 +359,27 @@ REFUSED: Mapping[str, tuple[Callable[[Problem], Problem], str]] = {
     "inputs": (lambda problem: replace(problem, inputs="polynomial"), "inputs: a controller holds its inputs"),
     "forces": (
         lambda problem: replace(problem, forces=(Force(0, "1"),)),
-        "forces: a controller chooses the inputs u",
+        "forces: a controller chooses the inputs of the model alone",
     ),
     "states": (
         lambda problem: replace(problem, controls=(Control("brake"),)),
-        "states: a controller measures coordinates and velocities",
+        "controls: a controller chooses the inputs of the model alone",
     ),
     "delays": (
         lambda problem: replace(problem, delays=(Delay("input", 0, 0.1),)),
-        "bounds: a controller begins anew at every sample",
+        "inputs.delay: a controller begins anew at every sample",
     ),
     "rates": (
         lambda problem: replace(problem, bounds=replace(problem.bounds, rates=((-1.0, 1.0),))),
-        "bounds: a controller begins anew at every sample",
+        "bounds.input_rates: a controller begins anew at every sample",
+    ),
+    "unknowns": (
+        lambda problem: replace(problem, unknowns=(Unknown("place"),)),
+        "unknowns: a controller chooses inputs alone",
     ),
     "functions": (
         lambda problem: replace(problem, functions=(Symbolic("drag", (), "drag"),)),
-        "functions: a controller is C, and drag is an expression of CasADi",
+        "functions: a controller is C, and the problem has expressions of CasADi",
     ),
 }
 
@@ -404,7 +408,7 @@ def test_a_problem_of_phases_is_refused_with_its_place(
 def test_a_problem_that_is_not_solved_gives_no_controller(case: Case) -> None:
     """Bounds that leave no way."""
     bounds = replace(case.problem.bounds, u=((-0.01, 0.01),))
-    with pytest.raises(UnsolvedError, match="the controller does not solve its own problem"):
+    with pytest.raises(UnsolvedError, match=r"the controller does not solve its own problem in .* no motion near"):
         make(replace(case.problem, bounds=bounds), case.plant, case.model)
 
 

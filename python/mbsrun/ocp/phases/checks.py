@@ -19,7 +19,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
-from mbsrun.ocp.phases.problem import Impact, Link, Map, PhasedProblem, Plants
+from mbsrun.ocp.phases.problem import Impact, Link, Map, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import (
     END,
@@ -54,11 +54,17 @@ def check_phases(problem: PhasedProblem, plants: Plants) -> None:
         try:
             check_problem(phase.problem, plant.manifest, is_phase=True)
         except ProblemError as error:
-            findings += [(f"phase {phase.name}: {place}", found, remedy) for place, found, remedy in error.findings]
+            findings += [name_phase(phase, finding) for finding in error.findings]
     faults = [] if findings else list(find_faults(problem, plants))
     findings += [(write_path(fault.place), fault.finding, fault.remedy) for fault in faults]
     if findings:
         raise ProblemError(problem.name, findings)
+
+
+def name_phase(phase: Phase, finding: Finding) -> Finding:
+    """Return a finding in a phase as one in the whole problem."""
+    place, found, remedy = finding
+    return f"phase {phase.name}: {place}", found, remedy
 
 
 def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:

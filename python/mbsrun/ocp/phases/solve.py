@@ -7,6 +7,7 @@ failure, which has no trajectories; it names the phases and links whose rows sta
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,12 +15,12 @@ import numpy as np
 
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
-from mbsrun.ocp.phases.checks import check_phases
+from mbsrun.ocp.phases.checks import check_phases, name_phase
 from mbsrun.ocp.phases.guess import Unreached, guess_phases, solve_links
 from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
@@ -36,6 +37,7 @@ from mbsrun.ocp.solve import (
     call,
     describe_unreachable,
     find_crossed_bounds,
+    find_wrong_states,
     make_solution,
     measure_excess,
     measure_size,
@@ -66,10 +68,10 @@ class PhasedSolver:
         own, method = self.transcription, self.problem.solver.method
         if METHODS[method].calls_casadi or not own.unstaged.size:
             return
-        texts = dict.fromkeys(text for rows, text in own.texts if np.isin(rows, own.unstaged).any())
-        texts |= {"the cost of a link": None} if (own.unstaged < 0).any() else {}
-        finding = f"{method} cannot read inputs at a start, accelerations or forces here: {', '.join(texts)}"
-        raise ProblemError(self.problem.name, [("links", finding, "take solver.method: ipopt")])
+        finding = f"{method} cannot read inputs at a start, accelerations or forces here"
+        found = list(_list_unstaged(own)) or [("links", "")]
+        findings = [(place, f"{finding}{text}", "take solver.method: ipopt") for place, text in found]
+        raise ProblemError(self.problem.name, findings)
 
     def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
         """Solve from a guess on the grids of the phases; `watch` is called in every iteration."""
@@ -221,6 +223,17 @@ class PhasedSolver:
         )
 
 
+def _list_unstaged(own: PhasedTranscription) -> Iterator[tuple[str, str]]:
+    """Name the parts of links that keep a program from falling into stages, with their expressions."""
+    for i, rows in enumerate(own.links):
+        parts = ("conditions", rows.link.conditions, rows.conditions), ("cost", rows.link.cost, -1 - rows.costs)
+        for key, given, numbers in parts:
+            for k in np.flatnonzero(np.isin(numbers, own.unstaged)).tolist():
+                yield f"links[{i}].{key}[{k}].expression", f": {given[k].expression}"
+        if np.isin(np.setdiff1d(np.arange(*rows.extent), rows.conditions), own.unstaged).any():
+            yield f"links[{i}]", ""
+
+
 def _measure_part(own: PhasedTranscription, k: int) -> Size:
     """Return the size of a phase's own program, without nonzeros, which the whole counts."""
     program = own.phases[k].program
@@ -247,16 +260,37 @@ def prepare_phases(
     """Return the solver of a problem, and its guess on the grids of the phases; a failure where there is no guess."""
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
+    _check_states(problem, plants)
     start = guess_phases(problem, plants) if guess is None else adapt_guess(problem, guess)
     if isinstance(start, Unreached):
         finding, remedy = describe_unreachable(start.pose)
         finding = f"phase {problem.phases[start.phase].name}: {finding}"
         return PhasedFailure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
-    settled = tuple(
-        Phase(phase.name, settle(phase.problem, plant, motion))
-        for phase, plant, motion in zip(problem.phases, plants.phases, start.trajectories, strict=True)
-    )
-    return PhasedSolver(replace(problem, phases=settled), plants), start
+    return PhasedSolver(replace(problem, phases=_settle(problem, plants, start)), plants), start
+
+
+def _check_states(problem: PhasedProblem, plants: Plants) -> None:
+    """Raise ProblemError for starts, ends and contacts that kernels contradict, of all phases."""
+    findings = [
+        name_phase(phase, finding)
+        for phase, plant in zip(problem.phases, plants.phases, strict=True)
+        for finding in find_wrong_states(phase.problem, plant)
+    ]
+    if findings:
+        raise ProblemError(problem.name, findings)
+
+
+def _settle(problem: PhasedProblem, plants: Plants, guess: Guess) -> tuple[Phase, ...]:
+    """Settle all phases. Raises ProblemError with every fault of them."""
+    settled, findings = [], list[Finding]()
+    for phase, plant, motion in zip(problem.phases, plants.phases, guess.trajectories, strict=True):
+        try:
+            settled.append(Phase(phase.name, settle(phase.problem, plant, motion)))
+        except ProblemError as error:
+            findings += [name_phase(phase, finding) for finding in error.findings]
+    if findings:
+        raise ProblemError(problem.name, findings)
+    return tuple(settled)
 
 
 def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:

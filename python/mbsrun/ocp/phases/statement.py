@@ -25,7 +25,7 @@ from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSectio
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Problem, Range, Term
 from mbsrun.ocp.statement import PHASED, name_problem, read_phase
-from mbsrun.reading import Reading, overlay
+from mbsrun.reading import Reading, overlay, relate
 
 SHARED = ("solver", "unknowns", *PHASED)  # keys that a phase does not repeat
 ONLY = "motion"  # the name of the phase of a file without `phases`
@@ -92,7 +92,7 @@ def interpret_phases(
         raise refuse(faults)
     loading = _Loading(folder, load)
     reading = _Links(document, examination.stand_ins, whole)
-    linked = {link.target for link in reading.name_links()}
+    linked = _list_linked(reading.name_links(), [str(phase.get("name", ONLY)) for phase in whole.phases])
     phases = [
         _read_phase(document, k, linked, loading, extensions)
         for k in range(len(whole.phases))
@@ -107,6 +107,12 @@ def interpret_phases(
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, plants
+
+
+def _list_linked(links: Sequence[Link], names: Sequence[str]) -> set[str]:
+    """List the phases to which a link leads: perhaps all, where a link leads to a name that no phase has."""
+    linked = {link.target for link in links}
+    return linked if linked <= set(names) else linked | set(names)
 
 
 @dataclass(frozen=True)
@@ -126,10 +132,10 @@ class PhaseDocument(Document):
 
     def find(self, place: Place) -> Place:
         """Return a place of a phase as one of the file."""
-        return _find_in_file(self.whole, self.phase, place)
+        return find_in_file(self.whole, self.phase, place)
 
 
-def _find_in_file(whole: Document, phase: int, place: Place) -> Place:
+def find_in_file(whole: Document, phase: int, place: Place) -> Place:
     """Return a place of a phase as one of the file: among the phase's own keys, or among the defaults."""
     own: Place = ("phases", phase)
     for size in range(len(place), 0, -1):
@@ -148,8 +154,8 @@ class _Loading:
         self._known: dict[str, Plant | None] = {}
         self.faults: list[Fault] = []
 
-    def load(self, model: str | None) -> Plant | None:
-        """Return the plant of a model, or of no mechanism; None for one with faults."""
+    def load(self, model: str | None, document: Document, place: Place) -> Plant | None:
+        """Return the plant of a model that a place names, or of no mechanism; None for one with faults."""
         if model is None:
             return NO_MECHANISM
         if model not in self._known:
@@ -157,7 +163,7 @@ class _Loading:
                 self._known[model] = self._load(self._folder / model)
             except InputError as error:
                 self._known[model] = None
-                self.faults += error.faults
+                self.faults += relate(error.faults, document, place)
         return self._known[model]
 
 
@@ -204,7 +210,7 @@ def _read_phase(
     section, stand_ins = examination.value, frozenset(map(part.find, examination.stand_ins))
     if section is None or lies_under(("model",), examination.stand_ins):
         return _Read(name, None, None, faults, stand_ins)
-    plant = loading.load(section.model)
+    plant = loading.load(section.model, part, ("model",))
     if plant is None:
         return _Read(name, None, None, faults, stand_ins)
     extension = extensions.get(name)
@@ -244,7 +250,10 @@ class _Links(Reading):
         """Load the models of impacts that have one."""
         models = [None if link.impact is None else link.impact.model for link in self.whole.links]
         known = [not lies_under(("links", i, "impact", "model"), self.stand_ins) for i in range(len(models))]
-        return [loading.load(model) if model and own else None for model, own in zip(models, known, strict=True)]
+        return [
+            loading.load(model, self.document, ("links", i, "impact", "model")) if model and own else None
+            for i, (model, own) in enumerate(zip(models, known, strict=True))
+        ]
 
     def problem(self, name: str, phases: list[_Read], models: list[Plant | None]) -> tuple[PhasedProblem, Plants]:
         """Make the problem, which is valid only if there are no faults."""
@@ -265,7 +274,7 @@ class _Links(Reading):
         for fault in find_faults(problem, plants):
             place = fault.place
             if place[:1] == ("phases",) and len(place) > 2:
-                place = _find_in_file(self.document, int(place[1]), place[2:])
+                place = find_in_file(self.document, int(place[1]), place[2:])
             self.fault(place, fault.finding, fault.remedy)
         return problem, plants
 

@@ -123,7 +123,9 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     )
     (tmp_path / "split.ocp.yaml").write_text(text)
     unstaged = CliRunner().invoke(cli, [*command, "--solver", "mbs"])
-    assert f"{tmp_path / 'split.ocp.yaml'}:10: links: mbs cannot read inputs at a start" in str(unstaged.exception)
+    place = f"{tmp_path / 'split.ocp.yaml'}:11: links[0].conditions[0].expression"
+    assert f"{place}: mbs cannot read inputs at a start" in str(unstaged.exception)
+    assert "here: start_u_cart - end_u_cart; take solver.method: ipopt" in str(unstaged.exception)
     (tmp_path / "split.ocp.yaml").write_text(TEXT)
     refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--form", "integral"])
     assert refused.exit_code == 2

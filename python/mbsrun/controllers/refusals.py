@@ -1,0 +1,196 @@
+"""Parts of a problem that a controller in C cannot have: what was found, where a problem file says it, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from mbsgen.documents import Data, Document, Place
+from mbsgen.errors import Fault
+from mbsgen.manifest import Manifest
+from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.rewriting import INPUT
+from mbsrun.quantities import SIGNAL
+
+EVERY = "*"  # in a place: each key of a mapping, each entry of a list
+
+_HOLDS = "a controller holds its inputs from sample to sample"
+_CHOOSES = "a controller chooses the inputs of the model alone"
+_MEASURES = "a controller measures coordinates and velocities alone"
+_BEGINS = "a controller begins anew at every sample, and knows no input before it"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A part that a controller cannot have; EVERY in `place` stands for all keys or entries."""
+
+    place: Place
+    finding: str
+    remedy: str
+
+    @property
+    def key(self) -> str:
+        """Return the key of a problem file that holds the part."""
+        return ".".join(str(step) for step in self.place if step != EVERY)
+
+
+@dataclass(frozen=True)
+class _Rule:
+    refusal: Refusal
+    is_broken: Callable[[Problem], object]
+
+
+def _rule(place: Place, finding: str, remedy: str, is_broken: Callable[[Problem], object]) -> _Rule:
+    return _Rule(Refusal(place, finding, remedy), is_broken)
+
+
+def _list_lifted(problem: Problem) -> list[str]:
+    """List the states that `inputs: linear` makes."""
+    return [force.expression for force in problem.forces if force.expression.startswith(INPUT)]
+
+
+def _has_own_states(problem: Problem) -> bool:
+    """Return whether the file adds states; controls with rates are states too."""
+    controls = {control.name for control in problem.controls}
+    return any(state.rate not in controls for state in problem.states)
+
+
+def _has_own_controls(problem: Problem) -> bool:
+    """Return whether the file adds controls; slacks and rates of linear inputs are controls too."""
+    lifted = _list_lifted(problem)
+    rates = {state.rate for state in problem.states if state.name in lifted}
+    return any(not part.softens and part.name not in rates for part in problem.controls)
+
+
+def _has_slacks(problem: Problem) -> bool:
+    return any(part.softens for part in problem.controls) or any(part.softens for part in problem.unknowns)
+
+
+_RULES = (
+    _rule(
+        ("intervals",),
+        "a controller moves its plan ahead by equal intervals, and these differ",
+        "give their number",
+        lambda problem: problem.mesh is not None,
+    ),
+    _rule(
+        ("inputs",),
+        f"{_HOLDS}, and these change within an interval",
+        "take constant ones",
+        lambda problem: problem.inputs != "constant" or _list_lifted(problem),
+    ),
+    _rule(
+        ("inputs", "delay"),
+        f"{_BEGINS}, as delays need",
+        "leave delays out; the delay of `mbsrun track` lets inputs act late",
+        lambda problem: any(delay.kind == "input" for delay in problem.delays),
+    ),
+    _rule(
+        ("bounds", "input_rates"),
+        f"{_BEGINS}, as bounds of rates need",
+        "leave them out, or price rates by cost.input_rates",
+        lambda problem: problem.bounds.rates and not _list_lifted(problem),
+    ),
+    _rule(
+        ("forces",),
+        f"{_CHOOSES}, and here expressions give forces",
+        "leave forces out; a constant one may be a bound of inputs",
+        lambda problem: len(problem.forces) > len(_list_lifted(problem)),
+    ),
+    _rule(
+        ("contacts",),
+        f"{_CHOOSES}, and contacts have unknown forces",
+        "leave contacts out, or give the model compliant ones under its key contacts",
+        lambda problem: problem.contacts or problem.touching,
+    ),
+    _rule(
+        ("states",),
+        f"{_MEASURES}, and the problem adds states",
+        "leave them out",
+        _has_own_states,
+    ),
+    _rule(
+        ("integrals",),
+        f"{_MEASURES}, and an integral is a state",
+        "leave integrals out, or price them under cost.running",
+        lambda problem: problem.integrals,
+    ),
+    _rule(
+        ("controls",),
+        f"{_CHOOSES}, and the problem adds controls",
+        "leave controls out, or make them inputs of joints in the model",
+        _has_own_controls,
+    ),
+    _rule(
+        ("constraints", EVERY, "soft"),
+        "a slack is an unknown beside the model's inputs, and a controller has none",
+        "leave soft out, and price the excess under cost.running, as softplus(x, width)**2",
+        _has_slacks,
+    ),
+    _rule(
+        ("cost", "largest"),
+        "the largest value along a plan is an unknown of the problem, and a controller has none",
+        "leave largest out, and price a power of the expression under cost.running",
+        lambda problem: any(part.largest for part in problem.unknowns),
+    ),
+    _rule(
+        ("unknowns",),
+        "a controller chooses inputs alone, and the problem has unknowns",
+        "solve it by `mbsrun solve`, and write the values found into the model or the constants",
+        lambda problem: any(not part.softens and not part.largest for part in problem.unknowns),
+    ),
+    _rule(
+        ("functions",),
+        "a controller is C, and the problem has expressions of CasADi",
+        "write them as text",
+        lambda problem: problem.functions,
+    ),
+)
+
+
+def find_refusals(problem: Problem, manifest: Manifest) -> list[Refusal]:
+    """List all parts of a problem that a controller cannot have."""
+    found = [rule.refusal for rule in _RULES if rule.is_broken(problem)]
+    return [*found, *_find_open_wrenches(problem, manifest)]
+
+
+def _find_open_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Refusal]:
+    """Find wrenches and signals of the model; the wrenches of contacts are refused with these."""
+    if manifest.signals:
+        finding = f"{_CHOOSES}, and forces of the model read {', '.join(manifest.signals)} too"
+        yield Refusal(("signals",), finding, "put constants into the model in place of these")
+    touched = {contact.wrench for contact in (*problem.contacts, *problem.touching)}
+    left = {part.wrench for part in problem.wrenches if part.component != SIGNAL} - touched
+    if left:
+        finding = f"{_CHOOSES}, and the model leaves {', '.join(sorted(left))} open"
+        yield Refusal(("wrenches",), finding, "describe them under forces of the model, or leave them out there")
+
+
+def locate(refusals: Sequence[Refusal], document: Document) -> list[Fault]:
+    """Return the faults of a problem file; a part that is in several places is a fault in each."""
+    return [
+        document.fault(place, refusal.finding, refusal.remedy)
+        for refusal in refusals
+        for place in _expand(document.data, refusal.place)
+    ]
+
+
+def _expand(data: Data, pattern: Place) -> list[Place]:
+    """List the places of a pattern that the data has; where there is none, the part of it before EVERY."""
+    found = list(_walk(data, pattern))
+    return found or [pattern[: pattern.index(EVERY)] if EVERY in pattern else pattern]
+
+
+def _walk(data: Data, pattern: Place) -> Iterator[Place]:
+    if not pattern:
+        yield ()
+        return
+    step, *rest = pattern
+    entries: dict[str | int, Data] = {}
+    if isinstance(data, dict):
+        entries = dict(data.items())
+    elif isinstance(data, list):
+        entries = dict(enumerate(data))
+    for key in entries if step == EVERY else [step] if step in entries else []:
+        for inner in _walk(entries[key], tuple(rest)):
+            yield (key, *inner)

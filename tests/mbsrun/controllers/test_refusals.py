@@ -1,0 +1,136 @@
+"""Problems that a controller cannot have: each is refused with its line, all parts at once, before any work."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mbsrun import cli
+from mbsrun.controllers import making
+
+MODEL = """\
+name: cart
+gravity: [0, 0, -9.81]
+bodies:
+  - name: cart
+    joint: {name: cart, type: prismatic, axis: x}
+    mass: 1
+"""
+OPEN = (
+    MODEL
+    + """\
+frames:
+  - {name: hand, body: cart}
+wrenches:
+  - {name: hand, body: cart, frame: base, force: input}
+"""
+)
+WINDY = MODEL.replace("axis: x", "axis: x, force: gust") + "signals: [gust]\n"
+PROBLEM = """\
+model: cart.yaml
+horizon: 1
+intervals: 8
+scheme: radau
+degree: 2
+cost:
+  inputs: 1
+start:
+  pose: {}
+end:
+  pose: {cart: 1}
+bounds:
+  inputs: [-8, 8]
+"""
+Refuse = Callable[[str, str], str]
+LINES = len(PROBLEM.splitlines())
+END = f"task.ocp.yaml:{LINES + 1}:"
+
+
+@pytest.fixture
+def refuse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refuse:
+    """Call the command on a problem and a model; return stderr of a refusal."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(making, "_finish", lambda *_: pytest.fail("a controller was made"))
+
+    def call(problem: str, model: str) -> str:
+        Path("task.ocp.yaml").write_text(problem, encoding="utf-8")
+        Path("cart.yaml").write_text(model, encoding="utf-8")
+        monkeypatch.setattr(sys, "argv", ["mbsrun", "controller", "task.ocp.yaml", "-o", "out"])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 2
+        return capsys.readouterr().err
+
+    return call
+
+
+SECTIONS = {
+    "integrals: [{expression: q_cart, range: [0, 1]}]": f"{END} integrals: a controller measures coordinates",
+    "states: {heat: {rate: u_cart**2, start: 0}}": f"{END} states: a controller measures coordinates",
+    "controls: {brake: {range: [0, 1]}}": f"{END} controls: a controller chooses the inputs of the model alone",
+    "controls: {brake: {range: [0, 1], rate: {range: [-1, 1]}}}": f"{END} controls: a controller chooses the inputs",
+    "constraints: [{expression: q_cart, range: [0, 1]}, {expression: qd_cart, range: [0, 1], soft: 10}]": (
+        f"{END} constraints[1].soft: a slack is an unknown"
+    ),
+    "constraints: [{expression: q_cart, range: [0, 1], at: end, soft: 10}]": f"{END} constraints[0].soft: a slack is",
+    "unknowns: {place: {range: [0, 1], guess: 0.5}}": f"{END} unknowns: a controller chooses inputs alone",
+    "inputs: linear": f"{END} inputs: a controller holds its inputs from sample to sample",
+    "inputs: polynomial": f"{END} inputs: a controller holds its inputs from sample to sample",
+    "inputs: {delay: 0.125}": f"{END} inputs.delay: a controller begins anew at every sample",
+    "forces: {cart: 3*sin(t)}\ncontrols: {brake: {}}": f"{END} forces: a controller chooses the inputs",
+}
+CHANGES = {
+    "intervals: 8": ("intervals: [0.1, 0.4, 0.5]", "task.ocp.yaml:3: intervals: a controller moves its plan ahead"),
+    "  inputs: [-8, 8]": ("  input_rates: [-9, 9]", "task.ocp.yaml:13: bounds.input_rates: a controller begins anew"),
+    "  inputs: 1": (
+        "  inputs: 1\n  largest: [{expression: q_cart, weight: 1}]",
+        "task.ocp.yaml:8: cost.largest: the largest value along a plan is an unknown",
+    ),
+}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_a_section_that_a_controller_cannot_have_is_refused(refuse: Refuse, section: str) -> None:
+    assert SECTIONS[section] in refuse(f"{PROBLEM}{section}\n", MODEL)
+
+
+@pytest.mark.parametrize("line", CHANGES)
+def test_a_line_that_a_controller_cannot_have_is_refused(refuse: Refuse, line: str) -> None:
+    changed, expected = CHANGES[line]
+    assert expected in refuse(PROBLEM.replace(line, changed), MODEL)
+
+
+OPENED = {
+    "contacts: [{sensor: hand, axes: x, normal: null}]": f"{END} contacts: a controller chooses the inputs",
+    "wrenches: {hand: {force: [3*sin(t), 0, 0]}}": f"{END} wrenches: a controller chooses the inputs",
+}
+
+
+@pytest.mark.parametrize("section", OPENED)
+def test_forces_beside_the_inputs_are_refused(refuse: Refuse, section: str) -> None:
+    assert OPENED[section] in refuse(f"{PROBLEM}{section}\n", OPEN)
+
+
+def test_signals_are_refused(refuse: Refuse) -> None:
+    told = refuse(f"{PROBLEM}signals: {{gust: sin(t)}}\n", WINDY)
+    assert told.startswith(
+        f"{END} signals: a controller chooses the inputs of the model alone, and forces of the model"
+    )
+
+
+def test_all_parts_are_refused_at_once(refuse: Refuse) -> None:
+    changed = PROBLEM.replace("intervals: 8", "intervals: [0.1, 0.9]")
+    told = refuse(
+        f"{changed}controls: {{brake: {{}}}}\nunknowns: {{place: {{range: [0, 1], guess: 0}}}}\n", MODEL
+    ).splitlines()
+    places = ("task.ocp.yaml:3: intervals:", f"{END} controls:", f"task.ocp.yaml:{LINES + 2}: unknowns:")
+    assert [line.startswith(place) for line, place in zip(told, places, strict=True)] == [True] * 3
+
+
+def test_a_folder_of_somebody_else_is_refused_before_the_work(refuse: Refuse) -> None:
+    Path("out").mkdir()
+    Path("out/notes.txt").write_text("mine", encoding="utf-8")
+    assert "out: it exists, and is no folder that mbsgen wrote" in refuse("no problem", MODEL)
