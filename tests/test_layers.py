@@ -139,7 +139,7 @@ MBSRUN = Package(
         "optimal",
         "peers.peer",
         "peers",
-        "controllers.folder",
+        "controllers.folder controllers.refusals",
         "controllers.fields controllers.arrays controllers.sources controllers.loading",
         "controllers.emulation",
         "controllers.report controllers.writing",

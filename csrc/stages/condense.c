@@ -364,6 +364,12 @@ static void solve_inner(mbs_stages_recursion *r, const mbs_stages_stage *s, cons
         x[i] = -x[i];
 }
 
+const real *mbs_stages_correct_inner(mbs_stages_recursion *r, int k, const real *rc)
+{
+    solve_inner(r, &r->stage[k], rc);
+    return r->stage[k].inner.constant;
+}
+
 void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows)
 {
     const mbs_stages_stage *s = &r->stage[k];

@@ -19,6 +19,9 @@ int mbs_stages_outer(const mbs_stages_stage *s, int i);
 /* How variable i changes with the recursion's variables, if it is an inner one; NULL: it is one of these. */
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
 
+/* Newton's corrections of the inner variables of stage k for all rows `rc`, by the factors that are there. */
+const real *mbs_stages_correct_inner(mbs_stages_recursion *r, int k, const real *rc);
+
 /* Right-hand sides of stage k where the inner equations hold with all outer variables 0: gradient += (H + diagonal) z,
  * rows (e, d, g) += J z. */
 void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows);

@@ -108,6 +108,8 @@ typedef struct {
     mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
     mbs_stages_real least_barrier;        /* solve for this barrier parameter, in units of the cost; 0: as low as the
                                            * tolerance asks for (in real time: 1e-4) */
+    int follow;                           /* 1: where a trial is refused, inner variables are solved for anew, as if
+                                           * they were functions of the others: 0 */
 } mbs_stages_options;
 
 /* A row or a bound that stays violated. */

@@ -18,6 +18,7 @@
 #define FREE ((real)1e20)
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
+#define ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
 #define NOTHING ((real)1e-2) /* share of the tolerance that no step needs to be refined to */
 
 static int has(real bound)
@@ -229,11 +230,14 @@ static real larger(real a, real b)
     return a > b ? a : b;
 }
 
-/* Residuals over their limits: a share of the right-hand sides, or little beside the tolerance of a solution. */
+/* Residuals over their limits: a share of the right-hand sides, little beside the tolerance of a solution, or the
+ * rounding of numbers as large as the solution. Multipliers can be a million times the right-hand sides. */
 static real rate(const mbs_stages *s, residuals error, residuals right, real share)
 {
     const real least = s->options.tolerance * NOTHING;
-    return larger(error.w / larger(share * right.w, least), error.c / larger(share * right.c, least));
+    const real w = larger(least, ROUNDING * mbs_stages_largest(s->rows, s->dy));
+    const real c = larger(least, ROUNDING * mbs_stages_largest(s->variables, s->dw));
+    return larger(error.w / larger(share * right.w, w), error.c / larger(share * right.c, c));
 }
 
 static void add(int n, const real *a, real *b)

@@ -6,7 +6,11 @@
  *
  * After ten short steps in a row a watchdog lets up to three whole steps pass unseen. If none of the points then is
  * better than the first one, the search goes back there. Where no length will do, steps that lower the errors of the
- * optimality conditions are made, before restoration (sections 3.2 and 3.3 there). */
+ * optimality conditions are made, before restoration (sections 3.2 and 3.3 there).
+ *
+ * With the option `follow`, inner variables of a refused trial are corrected by their own equations. Then the trial's
+ * violation is nearly the violation that it has where inner variables are functions of the others. */
+#include "condense.h"
 #include "solver.h"
 
 #include <string.h>
@@ -24,6 +28,8 @@
 #define TRIALS 3          /* of the watchdog */
 #define SOFTLY 10         /* steps that lower the errors alone, in a row */
 #define SOFT_GAIN ((real)0.9999)
+#define FOLLOWED 8        /* corrections of inner variables, at most */
+#define CLOSER ((real)0.99) /* of the violation, by each of them */
 #define RISE 5            /* orders of magnitude that the barrier function may rise by */
 
 typedef struct {
@@ -59,7 +65,18 @@ static real keep_inside(real x, real trial, real lower, real upper)
     return trial;
 }
 
-/* Evaluate x + alpha dx; returns -1 if there is no result. */
+/* Evaluate the trial; returns -1 if there is no result. */
+static int evaluate(mbs_stages *s, mbs_stages_phase *p, search *t)
+{
+    t->theta = t->phi = MBS_STAGES_LARGEST;
+    if (mbs_stages_phase_values(s, p, p->trial, &p->trial_cost, p->trial_c))
+        return -1;
+    t->theta = mbs_stages_sum(s->rows, p->trial_c);
+    t->phi = mbs_stages_barrier(s, p, p->trial, p->trial_cost);
+    return real_abs(t->phi) <= MBS_STAGES_LARGEST && t->theta <= MBS_STAGES_LARGEST ? 0 : -1;
+}
+
+/* Evaluate x + alpha dx. */
 static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alpha, search *t)
 {
     int i;
@@ -67,12 +84,7 @@ static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alp
         const real trial = p->x[i] + alpha * dx[i];
         p->trial[i] = mbs_stages_is_fixed(s, i) ? trial : keep_inside(p->x[i], trial, p->lower[i], p->upper[i]);
     }
-    t->theta = t->phi = MBS_STAGES_LARGEST;
-    if (mbs_stages_phase_values(s, p, p->trial, &p->trial_cost, p->trial_c))
-        return -1;
-    t->theta = mbs_stages_sum(s->rows, p->trial_c);
-    t->phi = mbs_stages_barrier(s, p, p->trial, p->trial_cost);
-    return real_abs(t->phi) <= MBS_STAGES_LARGEST && t->theta <= MBS_STAGES_LARGEST ? 0 : -1;
+    return evaluate(s, p, t);
 }
 
 static int is_descent(const mbs_stages_phase *p, const search *t, real alpha)
@@ -108,6 +120,39 @@ static int is_accepted(const mbs_stages_phase *p, search *t, real alpha)
         return 0;
     t->filtered = !mbs_stages_filter_accepts(&p->filter, t->theta, t->phi);
     return !t->filtered;
+}
+
+/* Correct all inner variables of the trial by their equations, with the factors of the iterate. */
+static void correct_inner(mbs_stages *s, mbs_stages_phase *p)
+{
+    int k, i;
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        const real *correction = t->inner.n > 0 ? mbs_stages_correct_inner(&s->recursion, k, p->trial_c) : NULL;
+        for (i = 0; i < t->inner.n; ++i) {
+            const int at = t->w + t->nx + i;
+            const real x = p->trial[at];
+            if (!mbs_stages_is_fixed(s, at))
+                p->trial[at] = keep_inside(x, x + correction[i], p->lower[at], p->upper[at]);
+        }
+    }
+}
+
+/* Let the inner variables of a refused trial follow the others, while that lowers the violation; -1: refused still. */
+static int follow(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha)
+{
+    int i;
+    for (i = 0; s->options.follow && i < FOLLOWED; ++i) {
+        const real before = t->theta;
+        correct_inner(s, p);
+        if (evaluate(s, p, t))
+            return -1;
+        if (is_accepted(p, t, alpha))
+            return 0;
+        if (!(t->theta <= CLOSER * before))
+            return -1;
+    }
+    return -1;
 }
 
 static void exchange(mbs_stages_direction *a, mbs_stages_direction *b)
@@ -193,6 +238,16 @@ static void note_length(mbs_stages_phase *p, int first)
     p->watchdog.shortened = first ? 0 : p->watchdog.shortened + 1;
 }
 
+/* Make a step of the length `alpha` to the trial. */
+static int take(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha, int first, int refused)
+{
+    augment(p, t, alpha);
+    accept(s, p, t, alpha);
+    note_length(p, first);
+    mind_refusals(p, refused);
+    return 0;
+}
+
 /* Try shorter and shorter steps; `again`: the longest one was tried already. */
 static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t, int again)
 {
@@ -200,25 +255,21 @@ static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t, int again)
     real alpha = again ? most / 2 : most, length;
     int first = 1, refused = 0;
     for (; alpha > least || first; alpha /= 2, first = 0) {
-        const int failed = try_step(s, p, p->step.x, alpha, t);
+        const int failed = try_step(s, p, p->step.x, alpha, t), whole = first && !again;
         p->failing = failed;
         if (failed)
             continue;
-        if (is_accepted(p, t, alpha)) {
-            augment(p, t, alpha);
-            accept(s, p, t, alpha);
-            note_length(p, first && !again);
-            mind_refusals(p, refused);
-            return 0;
-        }
+        if (is_accepted(p, t, alpha))
+            return take(s, p, t, alpha, whole, refused);
         refused |= first && t->filtered;
-        if (!first || again || t->theta < p->theta || correct(s, p, t, alpha, &length))
-            continue;
-        augment(p, t, alpha);
-        accept(s, p, t, length);
-        note_length(p, 1);
-        mind_refusals(p, refused);
-        return 0;
+        if (whole && t->theta >= p->theta) {
+            if (correct(s, p, t, alpha, &length) == 0)
+                return take(s, p, t, length, 1, refused);
+            if (s->options.follow && try_step(s, p, p->step.x, alpha, t))
+                continue;
+        }
+        if (follow(s, p, t, alpha) == 0)
+            return take(s, p, t, alpha, whole, refused);
     }
     return -1;
 }

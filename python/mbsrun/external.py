@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -85,7 +85,9 @@ def _fix(
     results = function(**symbols, **fixed)
     cache = {f"{prefix}_{function.name()}": derivative for prefix, derivative in derivatives.items()}
     chosen = [results[name] for name in outputs]
-    return ca.Function(function.name(), list(symbols.values()), chosen, inputs, outputs, {"cache": cache})
+    # else CasADi may take Jacobians, which it cannot differentiate, in place of adjoints
+    options: dict[str, Any] = {"cache": cache, "jac_penalty": -1}
+    return ca.Function(function.name(), list(symbols.values()), chosen, inputs, outputs, options)
 
 
 class OnDemand:

@@ -110,9 +110,9 @@ class Kernels:
         A column is an array of shape (rows,), a matrix one of (rows, cols); Jacobians, positions and rotations are
         matrices even with one column. Any input may have a leading batch axis; results then have it too, and inputs
         without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,), of
-        which `matrix` makes a matrix. Inputs without an entry may be left out, and `theta`, the differentiated
-        parameters, where their present values are meant. Raises ArgumentError for inputs that do not fit, KernelError
-        where a state cannot be computed.
+        which `matrix` makes a matrix. Inputs without an entry may be left out; so may second parts of numbers, which
+        are 0 then, and `theta`, the differentiated parameters, where their present values are meant. Raises
+        ArgumentError for inputs that do not fit, KernelError where a state cannot be computed.
         """
         entry = self._binder.bind(name)
         if entry.design:
@@ -292,7 +292,8 @@ def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, 
     arrays = []
     for name, port in wanted.items():
         if name not in inputs:
-            faults += [f"{name}: missing, shape {_text(port.shape)}"] if port.argument.nnz else []
+            is_optional = not port.argument.nnz or port.argument.role is Role.REMAINDER
+            faults += [] if is_optional else [f"{name}: missing, shape {_text(port.shape)}"]
             continue
         array = _read(inputs[name])
         if array is None:

@@ -52,6 +52,14 @@ def _leaves(options: Data, place: Place = ()) -> Iterator[Place]:
         yield place
 
 
+def relate(faults: Sequence[Fault], document: Document, place: Place) -> list[Fault]:
+    """Name the line that gives a file, where the file as a whole is at fault, as one that is missing."""
+    return [
+        fault if fault.line or fault.path else document.fault(place, f"{fault.file}: {fault.finding}", fault.remedy)
+        for fault in faults
+    ]
+
+
 class Reading:
     """Evaluates numbers and looks names up; collects the faults."""
 
@@ -86,13 +94,13 @@ class Reading:
         is_known = not unknown and all(math.isfinite(self.constants.get(n, 0)) for n in names(expression))
         return is_known and not lies_under(place, self.stand_ins)
 
-    def find(self, place: Place, name: str, known: Sequence[str], kind: str) -> int | None:
-        """Look a name up; report it where it is unknown."""
+    def find(self, place: Place, name: str, known: Sequence[str], kind: str, owner: str = "model") -> int | None:
+        """Look a name up among the ones of an owner; report it where it is unknown."""
         if name in known:
             return list(known).index(name)
         meant = nearest(name, list(known))
         remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(known) or 'none'}"
-        self.fault(place, f"the model has no {kind} {abbreviate(name)}", remedy)
+        self.fault(place, f"the {owner} has no {kind} {abbreviate(name)}", remedy)
         return None
 
     def fault(self, place: Place, finding: str, remedy: str) -> None:

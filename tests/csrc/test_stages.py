@@ -48,6 +48,19 @@ def test_linear_quadratic_problems_have_the_solution_of_dense_algebra(
         assert max(problem.residuals(*answer.point)) < 1e-9
 
 
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
+def test_large_multipliers_are_no_lost_digits(library: Library, size: float) -> None:
+    """They leave residuals that are large beside a small right-hand side; no step is factorised anew for that."""
+    problem = random_problem(np.random.default_rng(3), [(3, 4, 2, 0)] * 12 + [(3, 2, 2, 0)])
+    problem.H = [size * H for H in problem.H]
+    problem.q = [0 * q for q in problem.q]
+    problem.lower[:3] = problem.upper[:3] = 0.0
+    answer = Solver(library, problem).solve()
+    assert answer.status == "solved"
+    assert answer.result.factorisations == answer.result.iterations
+    assert np.abs(answer.y).max() > size
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, seed: int) -> None:
     """Bounds of either side, inequalities and equalities; in half of them the minimum is not unique."""

@@ -240,6 +240,26 @@ def test_condensing_in_single_precision(library: Library, single: Library) -> No
         assert answer.result.cost == pytest.approx(exact.result.cost, rel=1e-3)
 
 
+def steep() -> Problem:
+    """Reach a far point with the force y = sinh(u), which a step along its tangent misses by orders of magnitude."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v", 2)
+    stage = Kind(x, v, v[1] ** 2, x + 0.1 * v[0], e=v[0] - ca.sinh(v[1]), inner=1, sparse=True)
+    last = Kind(x, ca.SX(0, 1), ca.SX(0), e=x - 10)
+    first = np.concatenate([[0.0], -free(2)]), np.concatenate([[0.0], free(2)])
+    bounds = [first, (-free(3), free(3)), (-free(3), free(3)), (-free(1), free(1))]
+    return assemble("steep", [stage, last], [0] * 3 + [1], bounds, [], [np.zeros(3)] * 3 + [np.zeros(1)])
+
+
+def test_inner_variables_may_follow_the_others(library: Library) -> None:
+    """Refused trials then meet the inner equations, so longer steps pass; the optimum is the same."""
+    usual, followed = (Solver(library, steep()).solve(follow=follow) for follow in (0, 1))
+    assert (usual.status, followed.status) == ("solved", "solved")
+    assert followed.result.cost == pytest.approx(usual.result.cost, rel=1e-9)
+    assert followed.path[1][6] >= 2 * usual.path[1][6]  # the first step
+    assert 3 * followed.result.iterations < 2 * usual.result.iterations
+    assert max(steep().residuals(*followed.point)) < 1e-8
+
+
 def turning() -> Problem:
     """Two forces y in axes that a state turns: other pivots are large at other angles."""
     x, v = ca.SX.sym("x", 2), ca.SX.sym("v", 3)

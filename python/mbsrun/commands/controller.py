@@ -6,11 +6,14 @@ from pathlib import Path
 
 import click
 
+from mbsgen.documents import read_document, refuse
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, keep_grid, output_folder, say
 from mbsrun.controllers.making import Made, UnsolvedError, make
+from mbsrun.controllers.refusals import find_refusals, locate
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement import name_problem, read_problem
 
 CONTROLLER_HELP = """Write a model predictive controller for the problem of the file PROBLEM, in C.
 
@@ -56,11 +59,12 @@ Exit codes
     "stack. Needs arm-none-eabi-gcc and qemu-system-arm.",
 )
 @click.pass_context
+@name_lines
 def controller_command(
     context: click.Context, /, file: Path, out: Path | None, other: Path | None, *, emulated: bool
 ) -> None:
     """Read, make, write, print."""
-    from mbsgen.output import write_folder
+    from mbsgen.output import check_folder, write_folder
 
     models: list[Path] = []
 
@@ -68,17 +72,21 @@ def controller_command(
         models.append(model)
         return load_on_demand(model)
 
+    out = out or Path(f"{name_problem(file)}.controller")
+    check_folder(out)  # before minutes of work
     problem, plant = read_problem(file, load_model)
     problem = keep_grid(problem)
+    refusals = find_refusals(problem, plant.manifest)
+    if refusals:
+        raise refuse(locate(refusals, read_document(file)))
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
     guess = None if other is None else find_guess(other, problem, plant)
-    out = out or Path(f"{problem.name}.controller")
     try:
         with MESSAGES.status("making the controller"):
             made = make(problem, plant, models[-1], guess, emulated=emulated)
     except UnsolvedError as error:
-        say(str(error))
+        say(f"{file}: {error}")
         context.exit(NOT_SOLVED)
     write_folder(made.files, out)
     _print_summary(made, out)

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import click
 
-from mbsgen.documents import Document, read_document
-from mbsgen.errors import InputError
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.multistart import Wish
 from mbsrun.ocp.phases.files import SOLUTION, write_files
 from mbsrun.ocp.phases.multistart import solve_phases_from_many
+from mbsrun.ocp.phases.placing import naming_guess
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, read_phased_guess
@@ -45,18 +43,17 @@ def solve_file(
     if accuracy is not None:
         problem = _ask(problem, accuracy)
     solution_file = problem.phases[0].problem.guess.solution
+    is_own = other is None and solution_file is not None
     if other is None and solution_file is not None:
         other = file.parent / solution_file
     if wish is not None and other is not None:
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
     names = tuple(phase.name for phase in problem.phases)
     manifests = tuple(plant.manifest for plant in plants.phases)
-    guess = None if other is None else read_phased_guess(other, names, manifests)
+    with naming_guess(file, is_own=is_own):
+        guess = None if other is None else read_phased_guess(other, names, manifests)
     out = out or Path(f"{problem.name}.solution")
-    try:
-        outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
-    except ProblemError as error:
-        raise _locate(error, read_document(file)) from None
+    outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
     if outcome is None:
         say("the time was over before the first start ended")
         return NOT_SOLVED
@@ -78,11 +75,6 @@ def solve_file(
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     return NOT_SOLVED if shortcomings else 0
-
-
-def _locate(error: ProblemError, document: Document) -> InputError:
-    """Name the lines of a file that a method refuses; a fault of one key is at its line."""
-    return InputError([document.fault((key,), finding, remedy) for key, finding, remedy in error.findings])
 
 
 def _ask(problem: PhasedProblem, accuracy: float) -> PhasedProblem:

@@ -30,6 +30,7 @@ from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.files import DISTRIBUTION
+from mbsrun.ocp.phases.placing import name_lines, naming_guess
 from mbsrun.ocp.phases.statement import has_phases
 from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
@@ -157,6 +158,7 @@ Exit codes
 )
 @choose_format
 @click.pass_context
+@name_lines
 def solve_command(
     context: click.Context,
     /,
@@ -191,11 +193,13 @@ def solve_command(
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
+    is_own = other is None and problem.guess.solution is not None
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
     if starts is not None and other is not None:
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
-    guess = None if other is None else find_guess(other, problem, plant)
+    with naming_guess(file, is_own=is_own):
+        guess = None if other is None else find_guess(other, problem, plant)
     out = out or Path(f"{problem.name}.solution")
     if wish is None:
         outcome: Solution | Failure | None = _solve(problem, plant, guess)

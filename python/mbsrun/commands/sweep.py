@@ -28,6 +28,7 @@ from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.attempts import Summary, describe_search, list_open_tasks, summarise
 from mbsrun.ocp.executor import LocalExecutor
+from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import OutOfTimeError, Search
@@ -119,6 +120,7 @@ Exit codes
 )
 @click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after this time.")
 @click.pass_context
+@name_lines
 def sweep_command(
     context: click.Context,
     /,

@@ -9,7 +9,9 @@ import click
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from mbsgen.documents import Data
+from mbsgen.documents import Data, refuse
+from mbsgen.errors import Fault
+from mbsgen.manifest import FILE_NAME
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
@@ -24,10 +26,11 @@ from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.methods import METHODS as SOLVERS
+from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
-from mbsrun.tracking.compiled import CompiledController
+from mbsrun.tracking.compiled import CompiledController, find_wrong_rate, list_misfits
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
 from mbsrun.tracking.mechanisms import load_simulated
@@ -112,6 +115,7 @@ MAX_STEPS = 100  # of Newton's method in a sample
 )
 @choose_format
 @click.pass_context
+@name_lines
 def track_command(
     context: click.Context,
     /,
@@ -148,7 +152,7 @@ def track_command(
         predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
         controller: Controller = SolvingController(problem, model, trial.period, trial.horizon)
         if folder is not None:
-            controller = _load_controller(folder, problem, trial, steps)
+            controller = _load_controller(folder, file, problem, trial, statement, steps)
     try:
         found = _run(trial, problem, Plant(true, trial), controller, predicting)
     except NoPlanError as error:
@@ -165,15 +169,26 @@ def track_command(
     context.exit(0 if report.is_met else NOT_SOLVED)
 
 
-def _load_controller(folder: Path, problem: Problem, trial: Trial, steps: int | None) -> CompiledController:
-    """Load a controller in C, and check that it fits."""
-    if trial.horizon is not None:
-        raise click.UsageError("a controller in C has plans of one length; leave horizon out of the settings")
+def _load_controller(
+    folder: Path, file: Path, problem: Problem, trial: Trial, statement: TrialStatement, steps: int | None
+) -> CompiledController:
+    """Load a controller in C. Raises InputError with every way in which it does not fit the problem and the loop."""
     loaded = load_controller(folder)
-    controller = CompiledController(loaded, problem, trial.period, steps)
-    if loaded.manifest.problem_hash != hash_problem(problem):
+    manifest, faults = loaded.manifest, []
+    if trial.horizon is not None:
+        finding = "a controller in C has plans of one length"
+        faults.append(statement.fault(("horizon",), finding, "leave horizon out, or take --solver"))
+    misfits = list_misfits(manifest, problem, trial.updates)
+    remedy = f"write the controller of this problem by `mbsrun controller {file} -o DIR`"
+    faults += [Fault(str(folder / FILE_NAME), 0, "", finding, remedy) for finding in misfits]
+    wrong = find_wrong_rate(loaded.period, trial.period)
+    if wrong is not None and not misfits:
+        faults.append(statement.fault(("rate",), *wrong))
+    if faults:
+        raise refuse(faults)
+    if manifest.problem_hash != hash_problem(problem):
         say(f"warning: {folder} was written for another version of the problem; its own weights, bounds and ends count")
-    return controller
+    return CompiledController(loaded, problem, trial.period, steps)
 
 
 def _collect_options(given: dict[str, Any]) -> dict[str, Data]:

@@ -113,24 +113,30 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
         if loops is not None:
             yield Conflict("loops", "the model has no closed loops", "leave this out")
         return
-    if form is not Form.STANDARD:
-        finding = f"the {form.value} form has no coordinates at its points, where loops have to be closed"
-        yield Conflict("form", finding, "take standard")
+    if form is not Form.STANDARD and loops is Loops.MULTIPLIERS:
+        finding = f"the {form.value} form has no multipliers of loops, and no corrections, at its points"
+        remedy = "take standard, or loops: reduced where independent coordinates determine the others along the motion"
+        yield Conflict("form", finding, remedy)
     if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
         finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
         yield Conflict("loops", finding, "take scheme: radau, or loops: reduced")
     if loops is Loops.MULTIPLIERS and problem.integrator == SECOND_ORDER:
         finding = "corrections of the rates of coordinates, which second-order collocation does not have"
         yield Conflict("loops", finding, "take integrator: collocation, or loops: reduced")
-    if loops is Loops.REDUCED:
+    if loops is Loops.REDUCED or (loops is None and form is not Form.STANDARD):
+        # other forms are reduced without being asked
+        key, other = ("form", "form: standard") if loops is None else ("loops", "loops: multipliers")
+        other += ", in form: standard" if loops is not None and form is not Form.STANDARD else ""
         if representation in _WITHOUT_REDUCTION:
             finding = f"{representation.value} has no reduced form"
-            yield Conflict("loops", finding, "take representation: IMPL or EXP1-O, or loops: multipliers")
+            yield Conflict(key, finding, f"take representation: IMPL or EXP1-O, or {other}")
         if divided := list_divided(manifest, manifest.independent):
             named = ", ".join(dict.fromkeys(manifest.positions[i].rpartition(".")[0] for i in divided))
             finding = f"of the velocities of {named} some are independent and some are not"
-            yield Conflict("loops", finding, "take loops: multipliers, or name independent joints in the model")
-        yield from _find_dependent_accelerations(problem, manifest)
+            yield Conflict(key, finding, f"take {other}, or name independent joints in the model")
+        if named := _find_dependent_accelerations(problem, manifest):
+            finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
+            yield Conflict(key, finding, f"take {other}")
 
 
 def find_open_references(problem: Problem) -> Iterator[Conflict]:
@@ -143,7 +149,8 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
         if problem.horizon_range is not None and not reference.is_normalised:
             open_ones.add(reference.name)
             finding = f"the horizon is free, and the reference {reference.name} is in seconds"
-            yield Conflict("references", finding, "write time: normalised into it, or give the horizon")
+            remedy = "write time: normalised into it, or give the horizon"
+            yield Conflict("references", finding, remedy, (reference.name,))
     for text in [text for _, texts in list_expressions(problem) for text in texts]:
         read = names(parse(text)) & set(named)
         for name in sorted(read):
@@ -156,7 +163,8 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
             if unknown and unknown not in [references.list_unknown(*pair, problem.horizon) for pair in factors]:
                 spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in unknown[:3]) + (", ..." if unknown[3:] else "")
                 finding = f"{name} is unknown at {spans} of its recording, and {abbreviate(text)} reads it"
-                yield Conflict("references", finding, f"multiply by {minded}, which is 0 there, or bridge longer gaps")
+                remedy = f"multiply by {minded}, which is 0 there, or bridge longer gaps"
+                yield Conflict("references", finding, remedy, (reference.name,))
 
 
 def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
@@ -165,31 +173,28 @@ def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Con
     for name in given:
         if name not in changeable:
             finding = f"{manifest.model} has no parameter {abbreviate(name)} that may be changed"
-            yield Conflict("parameters", finding, f"there are {', '.join(changeable) or 'none'}")
+            yield Conflict("parameters", finding, f"there are {', '.join(changeable) or 'none'}", (name,))
     for name in (unknown.name for unknown in problem.unknowns):
         if name in given:
-            yield Conflict("unknowns", f"{name} has a value in parameters, too", "leave one of them out")
+            yield Conflict("unknowns", f"{name} has a value in parameters, too", "leave one of them out", (name,))
         if changeable.get(name) is False:
             finding = f"{name} is a run-time parameter, by which kernels have no derivatives"
-            yield Conflict("unknowns", finding, "write kind: differentiated in the model")
+            yield Conflict("unknowns", finding, "write kind: differentiated in the model", (name,))
         if changeable.get(name) and has_loops(manifest):
             finding = f"{name} is a parameter of a mechanism with closed loops"
-            yield Conflict("unknowns", finding, "give it a value in parameters")
+            yield Conflict("unknowns", finding, "give it a value in parameters", (name,))
 
 
 _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)
 
 
-def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
-    """Find accelerations of dependent coordinates, which are no variables in the reduced form."""
+def _find_dependent_accelerations(problem: Problem, manifest: Manifest) -> str:
+    """Name the dependent coordinates whose accelerations are read, which are no variables in the reduced form."""
     known = list_quantities(manifest, problem.added)
     texts = [text for _, own in list_expressions(problem) for text in own]
     read = [known[name] for text in texts for name in list_names(text, problem.functions) if name in known]
     found = {x.index for x in read if x.kind == "qdd"} | {i for i, _ in problem.end.accelerations}
-    if dependent := sorted(found & set(manifest.dependent)):
-        named = ", ".join(manifest.coordinates[i].name for i in dependent)
-        finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
-        yield Conflict("loops", finding, "take loops: multipliers")
+    return ", ".join(manifest.coordinates[i].name for i in sorted(found & set(manifest.dependent)))
 
 
 @cache

@@ -23,6 +23,11 @@ inner variables, found from h(q_kj) = 0 at every point and mesh point:
 
 Velocities of dependent coordinates are variables only where a problem reads them; J(q_kj) qd_kj = 0 gives them.
 
+The integral form and shooting exist in the reduced form. Independent coordinates at the places of an interval are
+linear in accelerations; dependent ones are inner variables at all stages, at points that are no stages, and at the
+interval's end. There they are the ones at the mesh point before, plus shifts. Newton's method begins with shifts of 0,
+so the mechanism stays assembled as it is.
+
 Where joints have quaternions, q' = E(q) qd: the first rows have E qd_kj and E J' mu_kj. The rotation does not depend on
 a quaternion's length. So h has no slope along it, and neither E qd nor E J' mu changes it. In the reduced form,
 collocation carries on a quaternion whose three velocities are independent; where all three are dependent, h(q) = 0 and

@@ -113,8 +113,10 @@ def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
             yield (f"{place}.axes", f"found {contact.axes}", "give each axis once")
         if contact.normal is not None and contact.normal not in contact.axes:
             yield (f"{place}.normal", "the point is not held along its normal", "hold it there, or give normal: null")
-        if contact.friction is not None and (contact.normal is None or not 0 <= contact.friction < np.inf):
-            yield (f"{place}.friction", f"found {contact.friction}", "give a positive number, and a normal")
+        if contact.friction is not None and not 0 <= contact.friction < np.inf:
+            yield (f"{place}.friction", f"found {contact.friction:g}", "give a number that is not negative")
+        if contact.friction is not None and contact.normal is None:
+            yield (f"{place}.friction", "friction without a normal", "give normal, too, or leave friction out")
         for axis in contact.axes:
             if (contact.wrench, axis) in given:
                 finding = f"the force along {AXES[axis]} is given by an expression, and holds the point"

@@ -10,7 +10,9 @@ z and its knowns w. So one interval's matrices serve all, and all intervals are 
 Only scales differ between intervals. Variables that intervals have in common are knowns of each. Where one of them
 multiplies a function, the product is F.
 
-Newton's method solves r = 0, or substitution where r is triangular. The last solution is kept with the knowns that it
+Newton's method solves r = 0, or substitution where r is triangular. Where the last equations give the last unknowns,
+whatever the others are, they are solved after every step: closed loops stay closed, and the others are computed where
+mechanisms can be. The last solution is kept with the knowns that it
 belongs to: asked for again at the very same numbers, it is not computed again. So constraints, Jacobian and Hessian at
 one iterate share one solve.
 """
@@ -137,9 +139,17 @@ class Elimination:
     """
 
     def __init__(
-        self, A: Array, applications: Sequence[Application], groups: Groups, orders: Sequence[Indices] = ()
+        self,
+        A: Array,
+        applications: Sequence[Application],
+        groups: Groups,
+        orders: Sequence[Indices] = (),
+        nested: int = 0,
     ) -> None:
-        """A is (s, s + k); orders are equations of a triangular system with ones on its diagonal, one after another."""
+        """A is (s, s + k); orders are equations of a triangular system with ones on its diagonal, one after another.
+
+        The last `nested` equations give the last unknowns.
+        """
         self.A, self.applications, self.groups = A, applications, groups
         self._count = len(groups.unknowns)
         self._sparse = sparse.csr_array(A)
@@ -147,6 +157,8 @@ class Elimination:
             (rows, [part.take(chosen) for part in applications if (chosen := _find(part.rows, rows)).size])
             for rows in orders
         ]
+        self._nested = np.arange(len(A) - nested, len(A))
+        self._nested_parts = [part.take(at) for part in applications if (at := _find(part.rows, self._nested)).size]
         self._lock = threading.Lock()
         self._last: _Found | None = None
 
@@ -239,6 +251,8 @@ class Elimination:
         """
         z, last = v[:, : self._s], np.inf
         kept: Factors | None = None
+        if not self._solve_nested(v):
+            return False
         for _ in range(ITERATIONS):
             r = self._residual(v)
             if kept is not None:
@@ -246,6 +260,8 @@ class Elimination:
                 moved = _measure(step, z)
                 if moved <= SLOW * last:
                     z -= step
+                    if not self._solve_nested(v):
+                        return False
                     if moved * moved <= ROUNDING * last:
                         return True
                     last = moved
@@ -255,10 +271,27 @@ class Elimination:
             step = kept.solve_transposed(r)
             last = _measure(step, z)
             z -= step
-            if not np.isfinite(last):
+            if not np.isfinite(last) or not self._solve_nested(v):
                 return False
             if last <= STEP:
                 return True
+        return False
+
+    def _solve_nested(self, v: Array) -> bool:
+        """Solve the nested equations for their unknowns by Newton's method; return whether it ends."""
+        own = self._nested
+        if not own.size:
+            return True
+        for _ in range(ITERATIONS):
+            r = np.ascontiguousarray(self._residual(v, self._nested_parts)[:, own])
+            slopes = self._slopes(v, unknowns_only=True, parts=self._nested_parts)[:, own[:, None], own]
+            step = Factors(slopes.transpose(0, 2, 1)).solve_transposed(r)
+            moved = _measure(step, v[:, own])
+            v[:, own] -= step
+            if moved <= STEP:
+                return True
+            if not np.isfinite(moved):
+                return False
         return False
 
     def _residual(self, v: Array, parts: Sequence[Application] | None = None) -> Array:
@@ -268,11 +301,14 @@ class Elimination:
             r[:, part.rows] += part.value(v)
         return r
 
-    def _slopes(self, v: Array, *, unknowns_only: bool = False) -> Array:
-        """Return the equations' derivatives by unknowns and knowns, (G, s, s + k), or by unknowns, (G, s, s)."""
+    def _slopes(self, v: Array, *, unknowns_only: bool = False, parts: Sequence[Application] | None = None) -> Array:
+        """Return the equations' derivatives by unknowns and knowns, (G, s, s + k), or by unknowns, (G, s, s).
+
+        With some parts, of the rows alone to which no others add.
+        """
         columns = slice(self._s if unknowns_only else None)
         J = np.repeat(self.A[None, :, columns], self._count, axis=0)
-        for part in self.applications:
+        for part in self.applications if parts is None else parts:
             slopes = part.slopes(v)
             for p, rows in enumerate(part.rows):
                 J[:, rows] += slopes[:, p] @ part.C[p, :, columns]
@@ -293,7 +329,7 @@ def eliminate(program: Program, bind: Bind) -> Elimination:
     parts = [_read_block(block, column, order.shape, S * size, bind) for block in equations.blocks]
     A = _localise(sparse.csr_array(equations.A), (G, S * size, order.shape[1]), column)
     orders = list(np.arange(S * size).reshape(S, size)) if stages.is_triangular else []
-    return Elimination(A, parts, groups, orders)
+    return Elimination(A, parts, groups, orders, stages.nested)
 
 
 def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations: int, bind: Bind) -> Application:

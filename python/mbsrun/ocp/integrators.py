@@ -58,6 +58,18 @@ class Integrator:
         """Return whether each stage follows from those before it."""
         return not np.triu(self.stages.V).any()
 
+    @property
+    def closed(self) -> Reading:
+        """Return the places where loops are closed: stages, points that are no stages, and the interval's end."""
+        parts = [self.stages] if self.points.are_stages else [self.stages, self.points]
+        last = _pick(self.ends, 1)
+        return _join(parts if self.points.c[-1] == 1.0 else [*parts, last])
+
+    @property
+    def first_point(self) -> int:
+        """Return the number of the first point among `closed`."""
+        return 0 if self.points.are_stages else len(self.stages.c)
+
 
 def build(name: IntegratorName, scheme: Scheme, steps: int) -> Integrator:
     """Return a method that takes `steps` of equal length over an interval, and is read at the points of a scheme."""
@@ -155,6 +167,17 @@ class _Composition:
         V[i] += length * v
         W[i] = w
         return (i + local) * length, V.ravel(), P.ravel(), W.ravel()
+
+
+def _pick(reading: Reading, place: int) -> Reading:
+    """Keep one place."""
+    one = slice(place, place + 1)
+    return Reading(reading.c[one], reading.V[one], reading.P[one], reading.W[one])
+
+
+def _join(parts: Sequence[Reading]) -> Reading:
+    """Put places one after the other."""
+    return Reading(*(np.concatenate(every) for every in zip(*((x.c, x.V, x.P, x.W) for x in parts), strict=True)))
 
 
 def _stack(places: Sequence[tuple[float, Array, Array, Array]]) -> Reading:

@@ -19,7 +19,9 @@ The states that a problem adds lie behind the mechanism's, at mesh points and wi
 inputs.
 
 With closed loops a point also has multipliers lam_kj and corrections mu_kj, or only the independent velocities and
-accelerations: see `closing`.
+accelerations: see `closing`. In the reduced form without states at the points, only independent entries are linear in
+accelerations or slopes. The others are the ones at the mesh point before, plus shifts, which are variables wherever
+loops are closed.
 """
 
 from __future__ import annotations
@@ -64,6 +66,11 @@ class Motions:
         return [*self.places, *(self.nq + i for i in self.carried_velocities)]
 
     @property
+    def found(self) -> list[int]:
+        """List the other entries of a state, which the loops give."""
+        return [i for i in range(self.nq + len(self.velocities)) if i not in set(self.carried)]
+
+    @property
     def carried_velocities(self) -> list[int]:
         """List the places of `independent` among `velocities`."""
         return [self.velocities.index(i) for i in self.independent]
@@ -96,10 +103,13 @@ class Layout:
     grid: Grid
     mesh: Indices  # (N + 1, nq + n): states at the mesh points
     points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
-    slopes: Indices  # (N, S, nq + n): derivatives of states at the stages, times the interval's length; or (N, S, 0)
+    slopes: (
+        Indices  # (N, S, ...): derivatives of carried states at the stages, times the interval's length; or (N, S, 0)
+    )
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     multipliers: Indices  # (N, S, ...): of loops, where they are variables
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
+    shifts: Indices  # (N, P, ...): of entries that loops give, from the interval's start to each closed place; or P = 0
     inputs: Indices  # (N, m) without inputs that expressions give; (N, 0) where they are polynomials
     point_inputs: Indices  # (N, S, m) without these; (N, S, 0) where they are constant
     horizon: int | None  # T, where it is free
@@ -117,6 +127,11 @@ class Layout:
     def n(self) -> int:
         """Count the velocities that are variables."""
         return len(self.motions.velocities)
+
+    def split_carried(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
+        """Split carried states (..., carried), into coordinates and velocities."""
+        count = len(self.motions.places)
+        return states[..., :count], states[..., count:]
 
     @property
     def every_input(self) -> Indices:
@@ -161,7 +176,7 @@ class Rows:
     lengths: Indices  # (quaternions,) where the start is free, or empty
     states: Indices  # (N, S, nq + n); (N, S, 0) in the integral form
     dynamics: Indices  # (N, S, n): for an ODE, the rows of the states that hold the equations of motion
-    closure: Indices  # (N, S, ...): of loops, and of their rates where velocities are variables
+    closure: Indices  # (N, S or P, ...): of loops, and of their rates where velocities are variables
     start_closure: Indices  # the same where the start is free, or empty: loops, then rates
     continuity: Indices  # (N, nq + n)
     extras: ExtraRows
@@ -192,8 +207,11 @@ def lay_out(
     added: ExtraSizes,
     unknowns: int = 0,
     has_constant_inputs: bool = True,
+    closed: int = 0,
 ) -> Layout:
     """Number the variables; `has_states`, `has_slopes`, `has_accelerations` say which variables the stages have.
+
+    `closed` counts the places of an interval that have shifts.
 
     Inputs and controls are constant over an
     interval, or have a value at each stage.
@@ -203,7 +221,7 @@ def lay_out(
     sizes = (
         width * has_states,
         states,
-        width * has_slopes,
+        len(motions.carried) * has_slopes,
         len(motions.independent) * has_accelerations,
         motions.multipliers,
         motions.corrections,
@@ -212,13 +230,15 @@ def lay_out(
     )
     at_stage = sum(sizes)
     values = (free + controls) * (1 if has_constant_inputs else S)
-    stride = width + states + S * at_stage + values
+    before = width + states + S * at_stage
+    stride = before + closed * len(motions.found) + values
     first = np.arange(N + 1) * stride
     mesh = first[:, None] + np.arange(width + states)
     points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
     moved, further, slopes, accelerations, multipliers, corrections, forces, wrenches = np.split(
         points, np.cumsum(sizes)[:-1], axis=2
     )
+    shifts = first[:N, None] + np.arange(before, stride - values)
     every = first[1:, None] - values + np.arange(values)
     if has_constant_inputs:
         inputs, point_inputs = every, np.zeros((N, S, 0), dtype=np.int64)
@@ -233,6 +253,7 @@ def lay_out(
         accelerations=accelerations,
         multipliers=multipliers,
         corrections=corrections,
+        shifts=shifts.reshape(N, closed, len(motions.found)),
         inputs=inputs[:, :free],
         point_inputs=point_inputs[:, :, :free],
         horizon=N * stride + width + states if horizon_is_free else None,
@@ -281,7 +302,7 @@ class Places:
 
 def at_points(layout: Layout, integrator: Integrator, h: Array) -> Places:
     """Return all points of the scheme, interval by interval; the integral form needs h, the intervals' lengths."""
-    return _at(layout, integrator.points, h)
+    return _at(layout, integrator.points, h, integrator.first_point)
 
 
 def at_stages(layout: Layout, integrator: Integrator, h: Array) -> Places:
@@ -289,7 +310,13 @@ def at_stages(layout: Layout, integrator: Integrator, h: Array) -> Places:
     return _at(layout, integrator.stages, h)
 
 
-def _at(layout: Layout, reading: Reading, h: Array) -> Places:
+def at_closed(layout: Layout, integrator: Integrator, h: Array) -> Places:
+    """Return all places that have shifts, interval by interval."""
+    return _at(layout, integrator.closed, h)
+
+
+def _at(layout: Layout, reading: Reading, h: Array, first: int = 0) -> Places:
+    """Return the places of a reading, the first of which has a number among the closed ones."""
     N, k = len(layout.inputs), len(reading.c)
     s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
@@ -302,7 +329,8 @@ def _at(layout: Layout, reading: Reading, h: Array) -> Places:
         return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers, *added)
     motion = read_slopes(layout, reading) if layout.slopes.size else read_motion(layout, reading, h)
     qdd = accelerations if reading.are_stages or not layout.accelerations.size else motion.qdd
-    return Places(motion.q, motion.qd, qdd, u, s, interval, interval, motion.qd, multipliers, *added)
+    whole = fill_in(motion, layout, first)
+    return Places(whole[0], whole[1], qdd, u, s, interval, interval, motion.qd, multipliers, *added)
 
 
 def _flatten(points: Indices) -> Indices:
@@ -313,18 +341,51 @@ def _flatten(points: Indices) -> Indices:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion at k places of every interval, (N k) in all, each of size n."""
+    """A motion at k places of every interval, (N k) in all: the entries that collocation carries on."""
 
     q: Combination
     qd: Combination
     qdd: Combination
 
 
+def fill_in(motion: Motion, layout: Layout, first: int) -> tuple[Combination, Combination]:
+    """Return q and qd with the entries that loops give; the first place has a number among the closed ones."""
+    motions, N = layout.motions, layout.shifts.shape[0]
+    found, k = motions.found, len(motion.q.which) // N
+    if not found:
+        return motion.q, motion.qd
+    variables = np.concatenate(
+        (
+            np.repeat(layout.mesh[:-1, found], k, axis=0),
+            layout.shifts[:, first : first + k].reshape(N * k, len(found)),
+        ),
+        axis=1,
+    ).reshape(N * k, 2, len(found))
+    split = sum(i < motions.nq for i in found)
+    return (
+        _fill(motion.q, motions.nq, motions.places, variables[:, :, :split]),
+        _fill(motion.qd, layout.n, motions.carried_velocities, variables[:, :, split:]),
+    )
+
+
+def _fill(part: Combination, size: int, own: Sequence[int], variables: Indices) -> Combination:
+    """Put a part into a vector; its other entries are sums of two variables each, (places, 2, entries)."""
+    kinds, _, width = part.matrices.shape
+    others = np.setdiff1d(np.arange(size), own)
+    matrices = np.zeros((kinds, size, width + 2 * others.size))
+    matrices[:, list(own), :width] = part.matrices
+    for first in (width, width + others.size):
+        matrices[:, others, first + np.arange(others.size)] = 1.0
+    every = np.concatenate((part.variables, variables.reshape(len(variables), -1)), axis=1)
+    return Combination(matrices, part.which, every)
+
+
 def read_slopes(layout: Layout, reading: Reading) -> Motion:
     """Read a motion off the states at the mesh points and the slopes at the stages; accelerations, if there are any."""
     (N, S, _), k = layout.slopes.shape, len(reading.c)
     which = np.tile(np.arange(k), N)
-    starts, slopes = layout.split(layout.mesh[:-1]), layout.split(layout.slopes)
+    carried = layout.mesh[:-1, layout.motions.carried]
+    starts, slopes = layout.split_carried(carried), layout.split_carried(layout.slopes)
     weights = np.concatenate((np.ones((k, 1)), reading.V), axis=1)
 
     def combine(start: Indices, stages: Indices, coefficients: Array) -> Combination:
@@ -342,7 +403,8 @@ def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
     Intervals of equal length share their matrices.
     """
     (N, S, n), k = layout.accelerations.shape, len(reading.c)
-    variables = np.concatenate((layout.mesh[:-1], layout.accelerations.reshape(N, S * n)), axis=1)
+    carried = layout.mesh[:-1, layout.motions.carried]
+    variables = np.concatenate((carried, layout.accelerations.reshape(N, S * n)), axis=1)
     lengths, kind = (h[:1], np.zeros(N, dtype=np.int64)) if layout.grid.is_equal else (h, np.arange(N))
     which, repeated = (kind[:, None] * k + np.arange(k)).ravel(), np.repeat(variables, k, axis=0)
     step = np.repeat(lengths, k)

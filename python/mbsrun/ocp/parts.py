@@ -61,6 +61,8 @@ class PartReading(Reading):
         self.referring = Referring(self, manifest, Path(document.file).parent)
         self.quantities: dict[str, Quantity] = {}  # everything that an expression of the motion reads
         self.used: set[str] = set()  # constants that formulas read
+        self.standing: list[int] = []  # the contacts of the file that stand
+        self.has_wrong_contacts = False
 
     def range(self, place: Place, limits: Limits) -> Range:
         lower, upper = (
@@ -183,7 +185,7 @@ class PartReading(Reading):
         found = [
             self.component(("signals", name), name, SIGNAL, section)
             for name, section in given.items()
-            if self.find(("signals", name), name, known, "signal of the model") is not None
+            if self.find(("signals", name), name, known, "signal") is not None
         ]
         found += [WrenchComponent(name, SIGNAL, name) for name in known if name not in given and name in named]
         return [*found, *([WrenchComponent(TIME, SIGNAL, TIME)] if self.manifest.reads_time else [])]
@@ -200,6 +202,7 @@ class PartReading(Reading):
 
     def contacts(self, given: Sequence[ContactSection]) -> tuple[Contact, ...]:
         """Read the points that stand on the ground."""
+        self.standing = [i for i, section in enumerate(given) if section.mode == "stand"]
         return tuple(contact for contact, section in self._read_contacts(given) if section.mode == "stand")
 
     def touching(
@@ -216,6 +219,7 @@ class PartReading(Reading):
                 continue
             faults = list(find_touching_faults(contact, self.manifest))
             for key, finding, remedy in faults:
+                self.has_wrong_contacts = True
                 self.fault(("contacts", i, key), finding, remedy)
             if not faults:
                 height = 0.0 if section.height is None else self.number(("contacts", i, "height"), section.height)
@@ -249,6 +253,7 @@ class PartReading(Reading):
             friction = None
             if section.friction is not None:
                 friction = self.number(("contacts", i, "friction"), section.friction, least=0)
+                friction = 0.0 if math.isnan(friction) else friction
             axes, normal = tuple("xyz".index(axis) for axis in section.axes), section.normal
             wrench = section.wrench or section.sensor
             place = None if normal is None else "xyz".index(normal)
@@ -257,14 +262,29 @@ class PartReading(Reading):
 
     def check_given(self, problem: Problem) -> None:
         """Check that all components of open wrenches have a value, and that expressions can be put in an order."""
+        for part, finding, remedy in find_faults(problem, self.manifest):
+            self.fault(self._find_given(problem, part), finding, remedy)
+        faults = list(find_contact_faults(problem, self.manifest))
+        for part, finding, remedy in faults:
+            place = _split(part)
+            own = place if len(place) < 2 else ("contacts", self.standing[int(place[1])], *place[2:])
+            self.fault(own, finding, remedy)
+        if faults or self.has_wrong_contacts:  # which may be the ones that would give the components
+            return
         if left := list_open_components(problem, self.manifest):
             finding = f"{', '.join(left)} have no value" if len(left) > 1 else f"{left[0]} has no value"
             key = "signals" if all(name.startswith("signal_") for name in left) else "wrenches"
             self.fault((key,), f"the model leaves {key} open, and {finding}", "give an expression or a range")
-        for place, finding, remedy in find_faults(problem, self.manifest):
-            self.fault((place.partition("[")[0],), finding, remedy)
-        for place, finding, remedy in find_contact_faults(problem, self.manifest):
-            self.fault(_split(place), finding, remedy)
+
+    def _find_given(self, problem: Problem, part: str) -> Place:
+        """Return the place of an expression that gives a force: "wrenches[0].expression", of the problem's list."""
+        key, i, *_ = _split(part)
+        if key == "forces":
+            return ("forces", self.manifest.coordinates[self.manifest.actuated[problem.forces[int(i)].input]].name)
+        found = problem.every_component[int(i)]
+        if found.component == SIGNAL:
+            return ("signals", found.wrench)
+        return ("wrenches", found.wrench, "moment" if found.component > 2 else "force", found.component % 3)
 
     def unknowns(self, given: Mapping[str, UnknownSection]) -> tuple[Unknown, ...]:
         """Read the numbers that the solver chooses."""

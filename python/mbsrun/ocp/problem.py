@@ -395,6 +395,7 @@ class Conflict:
     key: str  # the part of a file that says it
     finding: str
     remedy: str
+    entry: tuple[str, ...] = ()  # of this part, if it is one
 
 
 def find_conflicts(problem: Problem) -> list[Conflict]:
@@ -426,7 +427,8 @@ def find_conflicts(problem: Problem) -> list[Conflict]:
         found.append(Conflict("inputs", finding, "let a control be the rate of a state, as `lift_inputs` does"))
     if form is not Form.SHOOTING and (not INTEGRATORS[problem.integrator].is_collocation or problem.steps != 1):
         finding = f"{problem.integrator} with {problem.steps} steps is for shooting, and the form is {form.value}"
-        found.append(Conflict("form", finding, "take form: shooting, or integrator: collocation and 1 step"))
+        key = "steps" if INTEGRATORS[problem.integrator].is_collocation else "integrator"
+        found.append(Conflict(key, finding, "take form: shooting, or integrator: collocation and 1 step"))
     elif INTEGRATORS[problem.integrator].is_explicit and not representation.is_explicit:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
@@ -443,19 +445,28 @@ def _find_delays(problem: Problem) -> list[Conflict]:
     found = []
     if problem.delays and problem.horizon_range is not None:
         finding = "the horizon is free, so the mesh points move, and a delay ends at one of them"
-        found.append(Conflict("inputs", finding, "give the horizon, or leave the delay out"))
-        return found
+        place = _place_delay(problem, problem.delays[0])
+        return [Conflict(place[0], finding, "give the horizon, or leave the delay out", place[1:])]
     for delay in problem.delays:
+        key, *entry = _place_delay(problem, delay)
         if not 0 < delay.seconds < problem.horizon:
             finding = f"a delay of {delay.seconds:g} s, and the horizon is {problem.horizon:g} s"
-            found.append(Conflict("inputs", finding, "give a positive delay below the horizon"))
+            found.append(Conflict(key, finding, "give a positive delay below the horizon", tuple(entry)))
         elif count_delayed(delay, problem) is None:
             times = problem.grid.mesh(problem.horizon).tolist()
             k = next(k for k, t in enumerate(times) if t > delay.seconds)
             finding = f"a delay of {delay.seconds:g} s ends within an interval, from {times[k - 1]:g} to {times[k]:g} s"
             remedy = "let it end at a mesh point: give a multiple of the intervals' length, or lengths of intervals"
-            found.append(Conflict("inputs", finding, remedy))
+            found.append(Conflict(key, finding, remedy, tuple(entry)))
     return found
+
+
+def _place_delay(problem: Problem, delay: Delay) -> tuple[str, ...]:
+    """Return the place of a delay in a file; rates of continuous inputs have the delays of these."""
+    if delay.kind == "input" or delay.index >= len(problem.controls):
+        return ("inputs",)
+    name = problem.controls[delay.index].name
+    return ("inputs",) if name.startswith("rate_") else ("controls", name, "delay")
 
 
 def _find_slopes(problem: Problem) -> list[Conflict]:

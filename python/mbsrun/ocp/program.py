@@ -18,6 +18,7 @@ So the KKT matrix, ordered by stages, is block tridiagonal, bordered by the comm
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -46,6 +47,10 @@ class Combination:
     def size(self) -> int:
         """Size of the part at one place."""
         return int(self.matrices.shape[1])
+
+    def pick(self, entries: Sequence[int]) -> Combination:
+        """Keep some entries of the part."""
+        return replace(self, matrices=self.matrices[:, list(entries)])
 
     def restrict(self, chosen: Indices) -> Combination:
         """Keep some places."""
@@ -127,6 +132,7 @@ class Stages:
     continuity: Indices  # (N, nx) rows: states[k + 1] minus a function of the variables of interval k
     common: Indices  # variables of no stage: what the whole horizon shares
     rows: Indices  # (constraints,): the stage of each row
+    nested: int = 0  # how many of an interval's last inner variables its last equations give, whatever the others are
     is_triangular: bool = False  # equations[:, j] are inner[:, j] minus a function of inner[:, :j], states and inputs
 
     @property

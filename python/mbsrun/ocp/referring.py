@@ -22,7 +22,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Term
 from mbsrun.ocp.sections import ReferenceSection, TrackSection
 from mbsrun.quantities import list_quantities
-from mbsrun.reading import Reading
+from mbsrun.reading import Reading, relate
 from mbsrun.recordings import (
     AXES,
     Recording,
@@ -61,6 +61,7 @@ class Referring:
     def __init__(self, reading: Reading, manifest: Manifest, folder: Path) -> None:
         self.reading, self.manifest, self.folder = reading, manifest, folder
         self.sources: dict[str, _Source] = {}
+        self.missing: set[str] = set()  # references of which no recording could be read
         self.units = {c.name: c.unit for c in manifest.coordinates}
         self.spelled = {(x.kind, x.index): name for name, x in list_quantities(manifest).items()}
 
@@ -69,12 +70,14 @@ class Referring:
         for name, section in sections.items():
             place: Place = ("references", name)
             if not is_free_name(name):
+                self.missing.add(name)
                 self.reading.fault(place, "no name for a reference", "give a word that means nothing else")
                 continue
             try:
                 recording = read_recording(self.folder / section.file)
             except InputError as error:
-                self.reading.faults += error.faults
+                self.missing.add(name)
+                self.reading.faults += relate(error.faults, self.reading.document, (*place, "file"))
                 continue
             self.sources[name] = self.source(place, section, recording)
         known = list(self.list_names())
@@ -136,6 +139,8 @@ class Referring:
                 if column != name and column in source.columns:
                     self.use(place, key, column)
                     return True
+            if any(name.startswith(f"{prefix}{key}_") for key in self.missing):
+                return True
         return False
 
     def list_names(self) -> Iterator[str]:
@@ -195,8 +200,9 @@ class Referring:
         place: Place = ("cost", "track", i)
         source = self.sources.get(section.reference)
         if source is None:
-            if f"references.{section.reference}" not in {fault.path for fault in self.reading.faults}:
-                self.reading.find((*place, "reference"), section.reference, list(self.sources), "reference")
+            if section.reference not in self.missing:
+                known = list(self.sources)
+                self.reading.find((*place, "reference"), section.reference, known, "reference", "problem")
             return ()
         weight = self.reading.number((*place, "weight"), section.weight, least=0)
         weights = {

@@ -18,7 +18,7 @@ from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import ProblemError, check_problem, find_loop_conflicts
+from mbsrun.ocp.checks import Finding, ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import Found, describe, describe_point, name_parts, see_solver
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
@@ -64,7 +64,9 @@ class Solver:
         _check_states(problem, plant)
         self.plant = plant = equip(plant, problem)
         self._loops = settle(problem, plant).loops
-        self.transcription = transcribe(replace(problem, loops=self._loops), plant)
+        problem = replace(problem, loops=self._loops)
+        check_problem(problem, plant.manifest)
+        self.transcription = transcribe(problem, plant)
         self.program = Prepared(self.transcription.program, plant)
         self._solvers: dict[SolverOptions, methods.Solver] = {}
 
@@ -266,12 +268,16 @@ def solve(
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:
-    """Raise ProblemError for a start or an end that closed loops contradict."""
-    if findings := list(find_stray_forces(problem, plant)):
+    """Raise ProblemError for a start, an end or contacts that kernels contradict."""
+    if findings := find_wrong_states(problem, plant):
         raise ProblemError(problem.name, findings)
+
+
+def find_wrong_states(problem: Problem, plant: Plant) -> list[Finding]:
+    """Find a start or an end that closed loops contradict, and contacts whose forces act elsewhere or that slip."""
+    findings = list(find_stray_forces(problem, plant))
     closure = find_closure(plant)
-    if closure is not None and (findings := list(find_open_states(problem, closure))):
-        raise ProblemError(problem.name, findings)
+    return findings if closure is None else [*findings, *find_open_states(problem, closure)]
 
 
 def describe_unreachable(pose: Pose) -> tuple[str, str]:

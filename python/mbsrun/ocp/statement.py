@@ -97,6 +97,7 @@ from mbsrun.quaternions import (
     neutral,
     normalise,
 )
+from mbsrun.reading import relate
 
 PHASED = ("phases", "links")  # keys of problems that `phases.statement` reads
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
@@ -161,7 +162,7 @@ def interpret(
     try:
         plant = none if section.model is None else load(section.model)
     except InputError as error:
-        raise refuse([*faults, *error.faults]) from None
+        raise refuse([*faults, *relate(error.faults, document, ("model",))]) from None
     if plant is None:
         remedy = "name a model file; only `mbsrun solve` takes problems without a mechanism"
         raise refuse([*faults, document.fault(("model",), "no model", remedy)])
@@ -313,7 +314,7 @@ class _Reading(PartReading):
             *find_open_references(problem),
             *find_unknown_conflicts(problem, self.manifest),
         ):
-            self.fault((conflict.key,), conflict.finding, conflict.remedy)
+            self.fault((conflict.key, *conflict.entry), conflict.finding, conflict.remedy)
         return problem
 
     def read_start(
@@ -657,6 +658,7 @@ class _Reading(PartReading):
         place: Place = ("guess", key)
         if given and self.closure is not None:
             self.fault(place, "closed loops give the coordinates of a guess", "leave this out")
+            return ()
         found = []
         for name, expression in given.items():
             inner = (*place, name)

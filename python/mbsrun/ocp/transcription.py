@@ -44,7 +44,7 @@ from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.design import list_fixed_values
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
-from mbsrun.ocp.layout import Layout, Rows, at_points, read_slopes
+from mbsrun.ocp.layout import Layout, Rows, at_points, fill_in, read_slopes
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Delay, Problem, count_delayed, find_conflicts
 from mbsrun.ocp.program import Program
@@ -215,7 +215,12 @@ class Transcription:
         if layout.slopes.size and not self.program.solves_inner:
             nodes = zip((trajectory.q, trajectory.qd), (trajectory.point_q, trajectory.point_qd), strict=True)
             states = [np.concatenate((mesh[:-1, None], points), axis=1) for mesh, points in nodes]
-            x[layout.slopes] = self.scheme.D @ np.concatenate(states, axis=2)
+            x[layout.slopes] = (
+                self.scheme.D
+                @ np.concatenate((states[0], states[1][:, :, velocities]), axis=2)[:, :, layout.motions.carried]
+            )
+        if layout.shifts.size and not self.program.solves_inner:
+            x[layout.shifts] = self._find_shifts(x[layout.mesh], trajectory)
         self._pack_inputs(x, trajectory)
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
@@ -244,13 +249,13 @@ class Transcription:
             rates = layout.split(nodes)[1][:, :, layout.motions.carried_velocities]
             qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h[:, None, None]
         elif layout.slopes.size:
-            motion = read_slopes(layout, self.integrator.points)
-            q, qd = (part.evaluate(x).reshape(*point_t.shape, part.size) for part in (motion.q, motion.qd))
-            qdd = self.integrator.points.W @ layout.split(x[layout.slopes])[1] / h[:, None, None]
+            motion = fill_in(read_slopes(layout, self.integrator.points), layout, self.integrator.first_point)
+            q, qd = (part.evaluate(x).reshape(*point_t.shape, part.size) for part in motion)
+            qdd = self.integrator.points.W @ layout.split_carried(x[layout.slopes])[1] / h[:, None, None]
         else:
             places = at_points(layout, self.integrator, h)
             q, qd, qdd = (
-                (x[part].T if isinstance(part, np.ndarray) else part.evaluate(x)).reshape(*point_t.shape, layout.n)
+                (x[part].T if isinstance(part, np.ndarray) else part.evaluate(x)).reshape(*point_t.shape, -1)
                 for part in (places.q, places.qd, places.qdd)
             )
         mesh_q, mesh_qd = layout.split(mesh)
@@ -276,6 +281,14 @@ class Transcription:
             point_controls=x[layout.extras.point_controls],
             point_w=x[layout.extras.wrenches].reshape(*point_t.shape, layout.extras.wrenches.shape[2]),
         )
+
+    def _find_shifts(self, mesh: Array, trajectory: Trajectory) -> Array:
+        """Return how far entries of states that loops give move from an interval's start, where loops are closed."""
+        assert self.integrator.points.are_stages, "other stages are solved for"
+        velocities, found = list(self.layout.motions.velocities), self.layout.motions.found
+        points = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
+        places = points if self.scheme.ends_interval else np.concatenate((points, mesh[1:, None]), axis=1)
+        return np.asarray((places - mesh[:-1, None])[:, :, found])
 
     def _pack_inputs(self, x: Array, trajectory: Trajectory) -> None:
         """Put inputs, controls and components of wrenches into the variables."""

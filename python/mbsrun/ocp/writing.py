@@ -22,6 +22,7 @@ from mbsrun.ocp.layout import (
     Layout,
     Places,
     Rows,
+    at_closed,
     at_mesh,
     at_points,
     at_stages,
@@ -75,6 +76,7 @@ class Writer:
             ),
             unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
             has_constant_inputs=shape.inputs == "constant",
+            closed=0 if shape.form is Form.STANDARD else len(integrator.closed.c),
         )
         chosen, fixed = np.split(self.layout.unknowns, [len(shape.added.unknowns)])
         theta = design.order_design(shape.added.unknowns, chosen, fixed, plant.manifest)
@@ -144,7 +146,10 @@ class Writer:
                 continuity=continuity,
                 common=self.list_common(),
                 rows=np.concatenate(self.stages),
-                is_triangular=self.integrator.is_explicit and shape.form is Form.SHOOTING,
+                nested=self.layout.shifts[0].size,
+                is_triangular=self.integrator.is_explicit
+                and shape.form is Form.SHOOTING
+                and not self.layout.shifts.size,
             ),
             solves_inner=shape.form is Form.SHOOTING,
         )
@@ -186,22 +191,29 @@ class Writer:
         return [self.motions.velocities.index(i) for i in which]
 
     def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
-        """Split the equations of stages (N, S, ...) into groups.
+        """Split the equations of stages (N, S, ...) into groups; where there are shifts, of intervals (N, 1, ...).
 
         They are of states, of motion, of loops, of states added, of results of expressions, and of contacts.
 
-        For an ODE, the equations of motion are the last ones of states.
+        For an ODE, the equations of motion are the last ones of states. Equations of shifts follow all others.
         """
+        N, P, found = self.layout.shifts.shape
+        at_places = np.zeros((N, P, 0), dtype=np.int64)
+        if P * found:
+            every = equations.reshape(N, -1)
+            equations, at_places = np.split(every, [every.shape[1] - P * found], axis=1)
+            equations = equations.reshape(N, len(self.integrator.stages.c), -1)
+            at_places = at_places.reshape(N, P, found)
         n = len(self.motions.independent)
         states = len(self.motions.carried) if self.layout.points.size or self.layout.slopes.size else 0
         end = states + (n if self.layout.accelerations.size else 0)
-        rates = end + self.loop_rows
+        rates = end + (0 if P * found else self.loop_rows)
         given = rates + len(self.shape.rates)
         held = given + len(self.list_given())
         return (
             equations[:, :, :states],
             equations[:, :, end - n : end],
-            equations[:, :, end:rates],
+            at_places if P * found else equations[:, :, end:rates],
             equations[:, :, rates:given],
             equations[:, :, given:held],
             equations[:, :, held:],
@@ -229,10 +241,12 @@ class Writer:
         N, S, width = layout.points.shape
         at_stage = len(self.motions.carried) if width or layout.slopes.size else 0
         at_stage += n if layout.accelerations.size else 0
-        at_stage += self.loop_rows + len(self.shape.rates) + len(self.list_given()) + len(self.held)
-        carried = layout.mesh.shape[1]
-        interval = self.take(np.arange(N), N, S * at_stage + carried + len(self.shape.rates))
-        equations, continuity = interval[:, : S * at_stage].reshape(N, S, at_stage), interval[:, S * at_stage :]
+        at_stage += len(self.shape.rates) + len(self.list_given()) + len(self.held)
+        at_stage += 0 if layout.shifts.size else self.loop_rows
+        carried, count = layout.mesh.shape[1], S * at_stage + layout.shifts[0].size
+        interval = self.take(np.arange(N), N, count + carried + len(self.shape.rates))
+        equations, continuity = interval[:, :count], interval[:, count:]
+        equations = equations.reshape(N, 1 if layout.shifts.size else S, -1)
         states, dynamics, closure, rates, given, held = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity[:, :carried])
@@ -240,13 +254,15 @@ class Writer:
             self.write_slopes(states, continuity)
         else:
             self.write_integrals(continuity[:, :carried])
+        self.write_shifts(continuity[:, :carried])
         self.write_added_states(rates, continuity[:, carried:])
         self.write_given(given)
         self.hold_contacts(held)
         self.write_dynamics(dynamics.reshape(N * S, n).T)
-        self.write_closure(self.points, closure.reshape(N * S, -1).T, self.points.interval)
+        places = at_closed(layout, self.integrator, self.h) if layout.shifts.size else self.points
+        self.write_closure(places, closure.reshape(places.s.size, -1).T, places.interval)
         self.write_corrections(states)
-        inner = (
+        inner: tuple[Indices, ...] = (
             layout.points,
             layout.extras.point_states,
             layout.slopes,
@@ -256,6 +272,8 @@ class Writer:
             self.place_given(),
             layout.extras.wrenches[:, :, list(self.held)],
         )
+        if layout.shifts.size:
+            inner = tuple(part.reshape(N, 1, -1) for part in (*inner, layout.shifts))
         return np.concatenate(inner, axis=2), equations, continuity
 
     def write_closure(self, places: Places, rows: Indices, stages: Indices) -> None:
@@ -265,8 +283,9 @@ class Writer:
         m, count = len(self.manifest.dependent), self.closing_rows
         self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, count, m)], stages)
         for row, first in zip(rows[count:], self.motions.lengths, strict=False):  # a start has other rows for these
-            assert isinstance(places.q, np.ndarray), "coordinates that loops give are variables"
-            self.blocks.append(Block(formulas.fix_length(), (places.q[first : first + 4],), row[None], stages))
+            entries = range(first, first + 4)
+            q = places.q[list(entries)] if isinstance(places.q, np.ndarray) else places.q.pick(entries)
+            self.blocks.append(Block(formulas.fix_length(), (q,), row[None], stages))
 
     def write_start_closure(self) -> Indices:
         """Close the loops at a start that is free."""
@@ -298,7 +317,7 @@ class Writer:
         for k, i in enumerate(self.shape.bounded):
             part = self.points.q if i < self.layout.nq else self.points.qd
             assert isinstance(part, Combination), "states at points that are variables have bounds, not rows"
-            entry = i if i < self.layout.nq else i - self.layout.nq
+            entry = i if i < self.layout.nq else self.motions.velocities.index(i - self.layout.nq)
             self.A.put_part(rows[:, :, k].reshape(-1, 1), part.restrict(chosen), [entry])
         return rows
 
@@ -448,10 +467,12 @@ class Writer:
 
     def write_integrals(self, continuity: Indices) -> None:
         """Read the states at the interval's end off those at its start and the accelerations."""
-        layout, n, h, end = self.layout, self.layout.n, self.h[:, None], self.integrator.ends
-        self.A.put(continuity, layout.mesh[1:], 1.0)
-        self.A.put(continuity, layout.mesh[:-1], -1.0)
-        self.A.put(continuity[:, :n], layout.mesh[:-1, n:], -h)
+        layout, n, h, end = self.layout, len(self.motions.independent), self.h[:, None], self.integrator.ends
+        carried = self.motions.carried
+        continuity, mesh = continuity[:, carried], layout.mesh[:, carried]
+        self.A.put(continuity, mesh[1:], 1.0)
+        self.A.put(continuity, mesh[:-1], -1.0)
+        self.A.put(continuity[:, :n], mesh[:-1, n:], -h)
         for j in range(len(self.integrator.stages.c)):
             self.A.put(continuity[:, :n], layout.accelerations[:, j], -(h**2) * end.P[1, j])
             self.A.put(continuity[:, n:], layout.accelerations[:, j], -h * end.V[1, j])
@@ -463,17 +484,29 @@ class Writer:
         """
         layout, places = self.layout, at_stages(self.layout, self.integrator, self.h)
         self.A.put(states, layout.slopes, 1.0)
-        self.A.put(continuity, layout.mesh[1:], 1.0)
-        self.A.put(continuity, layout.mesh[:-1], -1.0)
+        carried = self.motions.carried
+        continuity, mesh = continuity[:, carried], layout.mesh[:, carried]
+        self.A.put(continuity, mesh[1:], 1.0)
+        self.A.put(continuity, mesh[:-1], -1.0)
         for j, weight in enumerate(self.integrator.ends.V[1]):
             self.A.put(continuity, layout.slopes[:, j], -weight)
-        q, qd = (rows.reshape(-1, rows.shape[2]).T for rows in layout.split(states))
+        q, qd = (rows.reshape(-1, rows.shape[2]).T for rows in layout.split_carried(states))
         if self.quaternions:
             self.write_turning(q, places)
         else:
-            self.write_copies(places.qd, q, places.interval)
+            self.write_copies(places.yd, q, places.interval)
         if layout.accelerations.size:
             self.write_copies(places.qdd, qd, places.interval)
+
+    def write_shifts(self, continuity: Indices) -> None:
+        """Read the entries that loops give at the interval's end off the last place where these are closed."""
+        layout, found = self.layout, self.motions.found
+        if not layout.shifts.size:
+            return
+        rows = continuity[:, found]
+        self.A.put(rows, layout.mesh[1:, found], 1.0)
+        self.A.put(rows, layout.mesh[:-1, found], -1.0)
+        self.A.put(rows, layout.shifts[:, -1], -1.0)
 
     def write_copies(self, column: Column, rows: Indices, interval: Indices) -> None:
         """Write -h times a part of the variables as a function, whose scale may differ between intervals."""

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
-from mbsrun.controllers.folder import Data
+from mbsgen.manifest import FILE_NAME
+from mbsrun.controllers.folder import Data, Manifest
 from mbsrun.controllers.loading import Controller
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import average_inputs
@@ -37,18 +38,14 @@ class CompiledController:
     def __init__(self, controller: Controller, problem: Problem, period: float, steps: int | None = None) -> None:
         """Take a loaded controller. Raises MisfitError where it is another problem's, or the rate does not fit."""
         manifest = controller.manifest
-        sizes = len(problem.start_q) + len(problem.start_qd), len(problem.bounds.u), problem.intervals
-        if sizes != (len(manifest.states), len(manifest.inputs), manifest.intervals) or manifest.horizon is None:
-            raise MisfitError(
-                f"the controller {manifest.prefix} is of another problem; write it again by `mbsrun controller`"
-            )
+        misfits = list_misfits(manifest, problem)
+        if misfits:
+            remedy = "write it again for this problem by `mbsrun controller`"
+            raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfits)}; {remedy}")
         self._interval = controller.period
-        count = self._interval / period
-        if round(count) < 1 or abs(count - round(count)) > ROUNDED * count:
-            raise MisfitError(
-                f"the controller's intervals of {self._interval:g} s are no multiple of the period of {period:g} s; "
-                f"give a rate of {1 / self._interval:g} Hz, or a multiple"
-            )
+        misfit = find_wrong_rate(self._interval, period)
+        if misfit is not None:
+            raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfit)}")
         self._controller, self._period, self._steps = controller, period, steps
         if steps is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
             controller.options.least_barrier = BARRIER * abs(manifest.cost)
@@ -102,6 +99,36 @@ class CompiledController:
         self._has_plan = self._has_plan or result.is_solved
         inputs = self.planned(self._time)
         return Decision(inputs, result.status, result.is_solved, result.iterations, seconds, result.violation)
+
+
+def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] = ()) -> list[str]:
+    """List the ways in which a controller is not one of a problem; `constants` of it change in the loop."""
+    found = []
+    sizes = len(manifest.states), len(manifest.inputs), manifest.intervals
+    expected = len(problem.start_q) + len(problem.start_qd), len(problem.bounds.u), problem.intervals
+    if sizes != expected:
+        words = "states, inputs and intervals"
+        found.append(f"{manifest.prefix} is of another problem: {_list(sizes)} {words}, and not {_list(expected)}")
+    if manifest.horizon is None:
+        found.append(f"{manifest.prefix} chooses its horizon, and a loop needs intervals of a fixed length")
+    known = _place_constants(manifest.data)
+    found += [
+        f"{manifest.prefix} has no constant {name}, which the loop updates" for name in constants if name not in known
+    ]
+    return found
+
+
+def _list(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers))
+
+
+def find_wrong_rate(interval: float, period: float) -> tuple[str, str] | None:
+    """Return finding and remedy for a period that is no part of an interval of the plan."""
+    count = interval / period
+    if round(count) >= 1 and abs(count - round(count)) <= ROUNDED * count:
+        return None
+    finding = f"the controller's intervals of {interval:g} s are no multiple of the period of {period:g} s"
+    return finding, f"give a rate of {1 / interval:g} Hz, or a multiple"
 
 
 def _place_constants(data: tuple[Data, ...]) -> Mapping[str, int]:

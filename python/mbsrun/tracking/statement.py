@@ -28,6 +28,7 @@ from mbsgen.documents import (
     read_number,
     refuse,
 )
+from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, Number, is_free_name, names
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
@@ -180,6 +181,11 @@ class TrialStatement:
         if reading.faults:
             raise refuse(attribute(reading.faults, self._options, self._file))
         return trial, parameters
+
+    def fault(self, place: Place, finding: str, remedy: str) -> Fault:
+        """Make the fault of a place of the file or the options."""
+        fault = self._document.fault(place, finding, remedy)
+        return attribute([fault], self._options, self._file)[0]
 
 
 class _Reading(Reading):

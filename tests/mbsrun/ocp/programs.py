@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.backends.casadi import CasadiProgram, Functions
+from mbsrun.ocp.backends.condensation import Condensed
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Constraint, Cost, End, Problem, Representation, Term
 from mbsrun.ocp.schemes import Family
@@ -85,10 +86,11 @@ def check_derivatives(
     arm: Peer,
     expand: Callable[[Any, ca.MX], tuple[Any, ca.MX]] = lambda program, x: (program, x),
     more: int = 0,
+    near: np.ndarray | None = None,
 ) -> None:
     """Compare with CasADi's of the same program; `expand` gives a form of it that CasADi can differentiate.
 
-    There may be as many more nonzeros than CasADi finds.
+    There may be as many more nonzeros than CasADi finds. Variables are random, or `near` some place.
     """
     transcription = transcribe(problem, arm)
     program = condensation.build(transcription.program, arm)
@@ -97,7 +99,8 @@ def check_derivatives(
     nlp = {"x": x, "p": p, "f": plain.objective(v, p), "g": plain.constraint(v, p)}
     whole = ca.nlpsol("whole", "ipopt", nlp, {"ipopt.print_level": 0})
     rng = np.random.default_rng(1)
-    at = rng.uniform(0.5, 1, program.variables), transcription.parameters(problem)
+    x0 = rng.uniform(0.5, 1, program.variables)
+    at = x0 if near is None else near + (x0 - 0.75) / 5, transcription.parameters(problem)
     multipliers = (0.7, rng.uniform(-1, 1, program.constraints))
     for name, ours, arguments in (
         ("nlp_grad_f", program.gradient, at),
@@ -108,3 +111,27 @@ def check_derivatives(
         scale = np.abs(expected.full()).max()
         assert np.abs((found - expected).full()).max() <= 1e-10 * scale, name
         assert found.nnz() <= expected.nnz() + more, name
+
+
+def equations_of(condensed: Condensed) -> CasadiProgram:
+    """Return the rows that are solved."""
+    program = condensed.program
+    assert program.stages is not None
+    return CasadiProgram(program.restrict(program.stages.equations.ravel()), condensed.rest.plant)
+
+
+def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
+    """Return the remaining rows, and all variables, by as many iterations as necessary, for CasADi to differentiate."""
+    unknowns, equations = condensed.elimination.groups.unknowns.ravel(), equations_of(condensed)
+    z = ca.MX.zeros(unknowns.size)
+    order = np.argsort(np.concatenate((condensed.program.kept, unknowns))).tolist()
+    nothing = ca.DM.zeros(condensed.parameters)
+    if condensed.elimination.orders:  # stage after stage is exact
+        for _ in condensed.elimination.orders:
+            z -= equations.constraint(ca.vertcat(x, z)[order], nothing)
+    else:
+        for _ in range(8):
+            v = ca.vertcat(x, z)[order]
+            r, J = equations.constraint(v, nothing), equations.jacobian(v, nothing)
+            z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
+    return condensed.rest, ca.vertcat(x, z)[order]

@@ -65,7 +65,7 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {  # what is changed: the pa
     "frame": ({"guess": GuessOptions(upright=("head",))}, "guess.upright", '"head"'),
     "option": ({"solver": SolverOptions(options=(("output_file", "x"),))}, "solver.options", '"output_file"'),
     "representation": ({"representation": "IMPL "}, "representation", "IMPL "),
-    "conflict": ({"steps": 2}, "form", "with 2 steps is for shooting"),
+    "conflict": ({"steps": 2}, "steps", "with 2 steps is for shooting"),
 }
 
 

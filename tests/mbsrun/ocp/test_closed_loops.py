@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -39,7 +40,7 @@ from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
 from tests.mbsrun.ocp.phases.motions import cut, split
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
-from tests.mbsrun.ocp.programs import check_derivatives
+from tests.mbsrun.ocp.programs import check_derivatives, unroll
 from tests.mbsrun.peer import Peer
 
 FORMS = [
@@ -172,6 +173,83 @@ def test_legendre_points_close_the_loops_at_mesh_points_too() -> None:
     assert isinstance(found, Solution)
     assert found.cost.total == pytest.approx(solved(*FORMS[0]).cost.total, rel=1e-4)
     assert Closure(arms()).measure(found.trajectory.q) < 1e-10
+
+
+DISCRETISATIONS: dict[str, dict[str, Any]] = {
+    "integral": {"form": Form.INTEGRAL},
+    "integral, slopes": {"form": Form.INTEGRAL, "representation": Representation.EXP1_O},
+    "integral, explicit": {"form": Form.INTEGRAL, "representation": Representation.EXP1_A},
+    "shooting": {"form": Form.SHOOTING},
+    "shooting, explicit": {"form": Form.SHOOTING, "representation": Representation.EXP1_O},
+}
+METHODS: dict[str, dict[str, Any]] = {
+    "two steps": {"form": Form.SHOOTING, "steps": 2},
+    "rk4": {"form": Form.SHOOTING, "representation": Representation.EXP1_O, "integrator": "rk4", "steps": 3},
+    "legendre": {"form": Form.SHOOTING, "family": Family.LEGENDRE},
+    "integral, legendre": {"form": Form.INTEGRAL, "family": Family.LEGENDRE},
+    "second order": {"form": Form.INTEGRAL, "integrator": SECOND_ORDER},
+}
+
+
+@pytest.mark.parametrize("name", DISCRETISATIONS)
+def test_integral_form_and_shooting_are_collocation(name: str) -> None:
+    """Nothing but the unknowns differs: the same optimum, to the tolerance of the solver."""
+    found = solve(replace(reach(Loops.REDUCED), **DISCRETISATIONS[name]), arms())
+    expected = solved(Loops.REDUCED, Representation.IMPL)
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-9)
+    assert found.trajectory.point_q == pytest.approx(expected.trajectory.point_q, abs=1e-7)
+    assert found.trajectory.point_qd == pytest.approx(expected.trajectory.point_qd, abs=1e-6)
+    assert found.trajectory.point_qdd == pytest.approx(expected.trajectory.point_qdd, abs=1e-4)
+    _check_closure(found)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_other_methods_keep_loops_closed_wherever_they_are_read(name: str) -> None:
+    """Points that are no stages, and ends that are no points; costs differ by the error of the discretisation."""
+    found = solve(replace(reach(Loops.REDUCED), **METHODS[name]), arms())
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(solved(Loops.REDUCED, Representation.IMPL).cost.total, rel=5e-5)
+    _check_closure(found)
+
+
+def _check_closure(found: Solution) -> None:
+    check = resimulate(found, arms()).resimulation
+    assert check is not None
+    for gap in (found.violation.closure, found.violation.closure_rate, check.closure):
+        assert gap is not None
+        assert gap <= 1e-10
+
+
+def test_bounds_of_dependent_states_hold_where_these_are_no_variables() -> None:
+    """Of a velocity within intervals; shooting and collocation agree."""
+    fastest = float(np.abs(solved(Loops.REDUCED, Representation.IMPL).trajectory.point_qd[:, :, 1]).max())
+    limits = (-0.8 * fastest, 0.8 * fastest)
+    bounds = Bounds((FREE_RANGE,) * 4, (FREE_RANGE, limits, *(FREE_RANGE,) * 2), (FREE_RANGE,) * 2)
+    costs = []
+    for form in Form:
+        found = solve(replace(reach(Loops.REDUCED), bounds=bounds, form=form), arms())
+        assert isinstance(found, Solution)
+        assert np.abs(found.trajectory.point_qd[:, :, 1]).max() <= limits[1] + 1e-7
+        costs.append(found.cost.total)
+    assert costs == pytest.approx([costs[0]] * 3, rel=1e-8)
+    assert costs[0] > 1.001 * solved(Loops.REDUCED, Representation.IMPL).cost.total
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("name", [*DISCRETISATIONS, "rk4", "legendre"])
+def test_derivatives_without_states_at_points_are_casadis(name: str, free: bool) -> None:
+    """Near a guess, where Newton's method ends; CasADi differentiates its iterations."""
+    changes = {**DISCRETISATIONS, **METHODS}[name]
+    problem = rich(Loops.REDUCED, changes.get("representation", Representation.IMPL), Family.RADAU, free=free)
+    problem = replace(problem, horizon=0.2, horizon_range=(0.1, 0.4) if free else None, **changes)
+    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
+    assert isinstance(guess, Trajectory)
+    near = transcribe(problem, arms()).pack(replace(guess, qd=0.2 * guess.qd, point_qd=0.2 * guess.point_qd))
+    if problem.form is Form.SHOOTING:
+        check_derivatives(problem, arms(), unroll, more=50, near=near)
+    else:
+        check_derivatives(problem, arms(), near=near)
 
 
 @cache
@@ -343,8 +421,12 @@ def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
 
 CONFLICTS: dict[str, tuple[Callable[[], Problem], str]] = {
     "legendre": (lambda: replace(reach(Loops.MULTIPLIERS), family=Family.LEGENDRE), "no mesh points"),
-    "shooting": (lambda: replace(reach(), form=Form.SHOOTING), "has no coordinates at its points"),
-    "integral": (lambda: replace(reach(), form=Form.INTEGRAL), "has no coordinates at its points"),
+    "shooting": (lambda: replace(reach(Loops.MULTIPLIERS), form=Form.SHOOTING), "shooting form has no multipliers"),
+    "integral": (lambda: replace(reach(Loops.MULTIPLIERS), form=Form.INTEGRAL), "integral form has no multipliers"),
+    "only reduced": (
+        lambda: replace(reach(None, Representation.EXP2_O), form=Form.SHOOTING),
+        "form: EXP2-O has no reduced form; take representation: IMPL or EXP1-O, or form: standard",
+    ),
     "second order": (
         lambda: replace(reach(Loops.MULTIPLIERS), integrator=SECOND_ORDER),
         "corrections of the rates of coordinates, which second-order collocation does not have",
@@ -394,6 +476,11 @@ def test_mechanisms_without_an_optimal_control_problem_are_refused() -> None:
     manifest = arms().manifest.model_copy(update={"driven": (1,)})
     findings = [conflict.finding for conflict in find_loop_conflicts(reach(), manifest)]
     assert any("the motion of left_elbow is given" in finding for finding in findings)
+
+
+def test_a_motion_through_singular_poses_is_refused_where_it_needs_multipliers() -> None:
+    with pytest.raises(ProblemError, match="shooting form has no multipliers of loops"):
+        solve(replace(_swing(20), form=Form.SHOOTING), rods())
 
 
 def test_a_form_of_loops_needs_loops() -> None:

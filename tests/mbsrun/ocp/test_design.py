@@ -145,7 +145,7 @@ BAD = {
     "runtime": (
         "{k: {",
         "{ballast: {guess: 1}, k: {",
-        "unknowns",
+        "unknowns.ballast",
         "ballast has a value in parameters, too",
         "leave one of them out",
     ),

@@ -209,7 +209,7 @@ BAD = {
     "horizon": (
         "horizon: 1",
         "horizon: {guess: 1, range: [0.5, 2]}",
-        [":7: references: the horizon is free", "normalised"],
+        [":7: references.walk: the horizon is free", "normalised"],
     ),
     "expression": (
         ITEM,

@@ -14,7 +14,6 @@ import pytest
 from mbsrun.lab.optimisation import state_catch
 from mbsrun.lab.optimisation import state_swing_up as swing_up
 from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.integrators import SECOND_ORDER
@@ -25,7 +24,7 @@ from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
-from tests.mbsrun.ocp.programs import check_derivatives, evaluate_rows, functions_of, rich
+from tests.mbsrun.ocp.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
 
 EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}
@@ -127,30 +126,6 @@ def test_rows_of_rk4_are_the_textbooks(plant: Peer) -> None:
 
 
 # --- derivatives ---------------------------------------------------------------------------------------------------
-
-
-def equations_of(condensed: Condensed) -> CasadiProgram:
-    """The rows that are solved."""
-    program = condensed.program
-    assert program.stages is not None
-    return CasadiProgram(program.restrict(program.stages.equations.ravel()), condensed.rest.plant)
-
-
-def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
-    """Return the remaining rows, and all variables, by as many iterations as necessary, for CasADi to differentiate."""
-    unknowns, equations = condensed.elimination.groups.unknowns.ravel(), equations_of(condensed)
-    z = ca.MX.zeros(unknowns.size)
-    order = np.argsort(np.concatenate((condensed.program.kept, unknowns))).tolist()
-    nothing = ca.DM.zeros(condensed.parameters)
-    if condensed.elimination.orders:  # stage after stage is exact
-        for _ in condensed.elimination.orders:
-            z -= equations.constraint(ca.vertcat(x, z)[order], nothing)
-    else:
-        for _ in range(8):
-            v = ca.vertcat(x, z)[order]
-            r, J = equations.constraint(v, nothing), equations.jacobian(v, nothing)
-            z -= ca.solve(J[:, unknowns.tolist()], r, "qr")
-    return condensed.rest, ca.vertcat(x, z)[order]
 
 
 def test_derivatives_of_shooting_equal_casadis(arm: Peer, reach: Problem) -> None:

@@ -243,8 +243,8 @@ CONFLICTS = {
         "representation: EXP2-A",
     ),
     "rk4 of a residual": ({"form": Form.SHOOTING, "integrator": "rk4"}, "integrator: rk4"),
-    "steps of collocation": ({"steps": 2}, "form: collocation with 2 steps is for shooting"),
-    "rk4 without shooting": ({"integrator": "rk4"}, "form: rk4 with 1 steps is for shooting"),
+    "steps of collocation": ({"steps": 2}, "steps: collocation with 2 steps is for shooting"),
+    "rk4 without shooting": ({"integrator": "rk4"}, "integrator: rk4 with 1 steps is for shooting"),
 }
 
 

@@ -18,7 +18,7 @@ from mbsrun.measuring.reference import Reference
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.checks import find_loop_conflicts
 from mbsrun.ocp.guess import find_inputs
-from mbsrun.ocp.problem import Loops, Problem
+from mbsrun.ocp.problem import Form, Loops, Problem
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
@@ -104,6 +104,24 @@ def test_loops_with_quaternions_stay_closed(loops: Loops) -> None:
     assert check.closure == pytest.approx(0, abs=CLOSED)
     assert check.defect == pytest.approx(0, abs=2e-4)
     assert found.cost.total == pytest.approx(solved("hinges", Loops.REDUCED).cost.total, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("form", "method"), [(Form.INTEGRAL, "ipopt"), (Form.SHOOTING, "ipopt"), (Form.SHOOTING, "mbs")]
+)
+def test_forms_without_states_at_points_turn_as_collocation(form: Form, method: str) -> None:
+    """The loop gives the rod's quaternion, its length, and velocities, which the problem reads."""
+    problem, plant = make("ball")
+    found = solve(replace(problem, loops=Loops.REDUCED, form=form).with_solver(method), plant)
+    expected = solved("ball", Loops.REDUCED)
+    assert isinstance(found, Solution), found
+    assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-6)
+    assert found.trajectory.point_q == pytest.approx(expected.trajectory.point_q, abs=1e-4)
+    assert found.violation.closure == pytest.approx(0, abs=CLOSED)
+    assert found.violation.lengths == pytest.approx(0, abs=CLOSED)
+    check = resimulate(found, plant).resimulation
+    assert check is not None
+    assert check.closure == pytest.approx(0, abs=1e-10)
 
 
 def test_forces_of_loops_do_no_work() -> None:

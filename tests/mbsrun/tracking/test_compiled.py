@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import math
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,15 +15,17 @@ import pytest
 import mbsrun
 from mbsgen.expressions import parse
 from mbsgen.output import write_folder
-from mbsrun import Controller, Mechanism
+from mbsrun import Controller, Mechanism, cli
 from mbsrun.controllers.making import make
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.motion import Settings
-from mbsrun.tracking import Kick, Noise, Plant, SolvingController, Trial, track
+from mbsrun.tracking import Kick, Noise, Plant, SolvingController, Trial, record, track
 from mbsrun.tracking.compiled import CompiledController, MisfitError
 from tests.mbsrun.tracking.tasks import FOLLOW
+
+Call = Callable[..., tuple[object, str]]
 
 QUIET = Noise(np.zeros(1), np.zeros(1), np.zeros(1))
 TRIAL = Trial(
@@ -64,8 +70,94 @@ def test_it_acts_as_the_solver_does(
 def test_a_rate_that_does_not_fit_is_refused(written: Controller, problem: Problem) -> None:
     with pytest.raises(MisfitError, match="give a rate of 20 Hz"):
         CompiledController(written, problem, 0.04)
-    with pytest.raises(MisfitError, match="another problem"):
+    with pytest.raises(
+        MisfitError, match="another problem: 2, 1, 20 states, inputs and intervals, and not 2, 1, 10; w"
+    ):
         CompiledController(written, replace(problem, intervals=10), 0.05)
+
+
+SETTINGS = "duration: 0.3\nrate: 20\nupdates: {t0: t}\nstart: {velocity: {x: 1}}\n"
+MISUSES = {
+    "no folder": (SETTINGS, FOLLOW, "none", "none/manifest.json: there is no such file; write the folder with"),
+    "another folder": (SETTINGS, FOLLOW, ".", "manifest.json: there is no such file; write the folder with"),
+    "horizon": (
+        f"{SETTINGS}horizon: {{end: 1, least: 0.5}}\n",
+        FOLLOW,
+        "controller",
+        "task.track.yaml:5: horizon: a controller in C has plans of one length; leave horizon out",
+    ),
+    "rate": (
+        SETTINGS.replace("rate: 20", "rate: 30"),
+        FOLLOW,
+        "controller",
+        "task.track.yaml:2: rate: the controller's intervals of 0.05 s are no multiple of the period of 0.0333333 s",
+    ),
+    "intervals": (
+        SETTINGS,
+        FOLLOW.replace("intervals: 20", "intervals: 10"),
+        "controller",
+        "controller/manifest.json: follow is of another problem: 2, 1, 20 states, inputs and intervals, and not",
+    ),
+    "updates": (
+        SETTINGS.replace("{t0: t}", "{t0: t, side: t}"),
+        FOLLOW.replace("{t0: 0}", "{t0: 0, side: 0}").replace("sin(t0 + t)", "side - sin(t0 + t)"),
+        "controller",
+        "controller/manifest.json: follow has no constant side, which the loop updates; write the controller of this",
+    ),
+}
+
+
+@pytest.fixture
+def call(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run the command in the folder of the puck; return exit code and all that it prints."""
+    monkeypatch.chdir(folder)
+
+    def run(settings: str, task: str, *options: str) -> tuple[object, str]:
+        Path("task.ocp.yaml").write_text(task, encoding="utf-8")
+        Path("task.track.yaml").write_text(settings, encoding="utf-8")
+        monkeypatch.setattr(
+            sys, "argv", ["mbsrun", "track", "task.ocp.yaml", "--settings", "task.track.yaml", *options]
+        )
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, "".join(capsys.readouterr())
+
+    return run
+
+
+@pytest.mark.usefixtures("written")
+@pytest.mark.parametrize("misuse", MISUSES)
+def test_a_controller_that_does_not_fit_is_refused_with_its_place(call: Call, misuse: str) -> None:
+    settings, task, place, expected = MISUSES[misuse]
+    code, told = call(settings, task, "--controller", place, "-o", "refused")
+    assert (code, expected in told) == (2, True), told
+    assert not Path("refused").exists()
+
+
+@pytest.mark.usefixtures("written")
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--steps", "1"], "--steps is for a controller in C; give --controller too"),
+        (["--controller", "controller", "--steps", "0"], "0 is not in the range 1<=x<=100"),
+        (["--controller", "controller", "--solver", "ipopt"], "--controller has its own solver; leave --solver out"),
+        (["--controller", "puck.yaml"], "is a file"),
+    ],
+)
+def test_options_that_contradict_are_refused(call: Call, options: list[str], expected: str) -> None:
+    code, told = call(SETTINGS, FOLLOW, *options)
+    assert (code, expected in told) == (2, True), told
+
+
+@pytest.mark.usefixtures("written")
+def test_the_command_makes_steps_in_real_time(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record, "save", lambda *_: None)  # pictures take seconds
+    code, told = call(SETTINGS, FOLLOW, "--controller", "controller", "--steps", "1", "-o", "stepped")
+    assert code == 0, told
+    assert "6 stepped" in told
+    rows = list(csv.DictReader(Path("stepped/track.csv").read_text(encoding="utf-8").splitlines()))
+    assert [(row["status"], row["iterations"]) for row in rows] == [("stepped", "1")] * 6
+    assert max(abs(float(row["q[x]"]) - math.sin(float(row["t"]))) for row in rows) < 0.05
 
 
 def test_a_state_that_is_no_number_keeps_the_plan(written: Controller, problem: Problem) -> None:

@@ -91,11 +91,16 @@ def make_stages(order: Order) -> Solver:
 
 
 def _read_settings(order: Order) -> binding.Settings:
-    """Return the options by the names of the C structure; switches are 1 or 0."""
+    """Return the options by the names of the C structure; switches are 1 or 0.
+
+    Where the program eliminates variables, as in shooting, they follow the others in line searches, too.
+    """
     given: Settings = {"acceptable_tolerance": max(order.tolerance, 1e-6), **order.options}
     words = {"yes": 1.0, "no": 0.0}
     numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name != "seconds"}
+    program = order.program.data
     limits = {"tolerance": order.tolerance, "iterations": float(order.max_iterations)}
+    limits["follow"] = float(len(program.kept) < program.variables)
     return binding.Settings({**limits, **numbers}, float(given.get("seconds", 0.0)))
 
 

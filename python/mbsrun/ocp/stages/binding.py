@@ -436,10 +436,10 @@ class _Observer:
 def fill(evaluator: Evaluator, x: Array) -> Array:
     """Return the variables of the tables from the program's; lifted ones y take the values of their equations.
 
-    An equation y - f(x, y') = 0 may read others, which come first after at most as many passes as there are levels.
+    Combinations need no kernel, which could fail where they are 0. An equation y - f(x, y') = 0 may read others, which
+    come first after at most as many passes as there are levels.
     """
-    data = evaluator.tables.data
-    w = np.where(data.variables < 0, 0.0, x[data.variables])
+    w = evaluator.tables.data.place(x)
     for stage in evaluator.tables.lifted:
         for _ in range(_LEVELS):
             values = evaluator.values(stage.number, w[stage.variables])

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from mbsrun.ocp.functions import Indices
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.program import Program
+from mbsrun.ocp.program import Matrix, Program
 from mbsrun.ocp.stages.calls import Signatures
-from mbsrun.ocp.stages.intervals import Intervals, divide
+from mbsrun.ocp.stages.intervals import Intervals, Triplets, divide, stack
 from mbsrun.ocp.stages.lifting import Stage, lift
 from mbsrun.ocp.stages.scripts import Frame, Functions, list_given, write
 from mbsrun.ocp.stages.tables import StageProgram
@@ -63,7 +64,19 @@ def build(
         fixed=np.array(fixed, dtype=np.int64).reshape(-1, 2),
         lifted=np.flatnonzero(variables < 0),
         lifted_rows=_find_lifted_rows(intervals, stages),
+        combined=_find_combined(intervals, stages),
     )
+
+
+def _find_combined(intervals: Intervals, stages: list[Stage]) -> Matrix:
+    """Return the coefficients of the lifted variables that are combinations."""
+    first, found = 0, list[Triplets]()
+    for kind in intervals.kind_of_stage:
+        own = stages[kind].combined
+        found.append(Triplets(first + own.row, first + own.col, own.value))
+        first += len(stages[kind].variables)
+    every = stack(found)
+    return sparse.coo_array((every.value, (every.row, every.col)), shape=(first, first)).tocsc()
 
 
 def _list_variables(intervals: Intervals, stages: list[Stage]) -> Indices:

@@ -66,6 +66,7 @@ class Stage:
     uses: tuple[Use, ...]
     linear: Mapping[Vector, Triplets]
     quadratic: tuple[tuple[int, Triplets], ...]
+    combined: Triplets  # variables of these tables alone that are combinations of others
     variables: Indices  # the local number of each variable; -1: of these tables alone
     rows_e: Indices  # the local number of each row; -1: of these tables alone
     rows_d: Indices
@@ -135,6 +136,7 @@ class _Lifting:
             uses=tuple(uses),
             linear={vector: stack(parts) for vector, parts in linear.items()},
             quadratic=tuple((w, Triplets(at[t.row], at[t.col], t.value)) for w, t in self.functions.quadratic),
+            combined=self.list_combined(at),
             variables=known,
             rows_e=np.concatenate((np.array(rows, dtype=np.int64), np.full(self.lifted, -1))),
             rows_d=rows_d,
@@ -193,6 +195,16 @@ class _Lifting:
         if entry not in entries:
             entries[entry] = self.make()
         return entries[entry]
+
+    def list_combined(self, at: Indices) -> Triplets:
+        """List the coefficients of combinations, in the variables of the tables."""
+        return _gather(
+            [
+                (int(at[variable]), int(at[j]), float(c))
+                for variable, (read, coefficients) in zip(self.combined, self.equations, strict=True)
+                for j, c in zip(read, coefficients, strict=True)
+            ]
+        )
 
     # --- dynamics ---
 

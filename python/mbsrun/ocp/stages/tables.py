@@ -13,7 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from mbsrun.ocp.functions import Array, Formula, Indices
+from mbsrun.ocp.program import Matrix
 
 
 class Derivative(Enum):
@@ -146,3 +149,9 @@ class StageProgram:
     fixed: Indices  # (count, 2): a variable, and the program's row whose bounds it has as well
     lifted: Indices  # variables y of these tables alone, whose equation is y - f(x, v) = 0
     lifted_rows: Indices  # these equations, by their numbers among all equations
+    combined: Matrix  # (variables, variables): the lifted ones that are combinations of variables
+
+    def place(self, x: Array) -> Array:
+        """Return the variables of the tables from the program's; lifted ones are 0, or combinations."""
+        w = np.where(self.variables < 0, 0.0, x[self.variables])
+        return np.asarray(w + self.combined @ w)
