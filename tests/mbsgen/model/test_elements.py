@@ -229,6 +229,7 @@ def test_wrenches_read_the_state(tmp_path: Path) -> None:
 
 # --- the same in every function, and elsewhere ------------------------------------------------------------------------
 
+
 @pytest.fixture(scope="module")
 def forced(tmp_path_factory: pytest.TempPathFactory) -> int:
     """The first seed of a mechanism that is accepted and has a cable and a contact."""
