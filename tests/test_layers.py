@@ -54,6 +54,7 @@ MBSGEN = Package(
         "approximation.moments approximation.states",
         "approximation.cuts",
         "approximation.effects",
+        "approximation.slopes",
         "approximation.choice",
         "approximation",
         "evidence verification.states",

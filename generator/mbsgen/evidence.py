@@ -242,6 +242,8 @@ def describe(evidence: Evidence, names: Sequence[str]) -> list[tuple[str, ...]]:
         rows.append(_tell("differs from the whole by", evidence.deviations, names))
     if evidence.approximation is not None:
         rows.append(_tell("and, by the tolerance, by", evidence.approximation.errors, names))
+        if evidence.approximation.slopes:
+            rows.append(_tell("its Jacobian, by the tolerance, by", evidence.approximation.slopes, names))
     return rows
 
 

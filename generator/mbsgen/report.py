@@ -243,10 +243,15 @@ def note_of_scene(report: Report) -> str:
         return ""
     found = report.evidence.approximation
     left_out = "" if found.taken else "Nothing that would save flops could be left out. "
+    slopes = (
+        f" Errors of Jacobians are measured at {found.slope_states} of these states, relative to the largest entry of "
+        "a row of the derivative by one input; the tolerance does not limit them."
+    )
     return (
         f"{left_out}Errors by the tolerance are the largest of {found.states} states within the joints' limits, which "
         "were not used to choose what is left out, relative to the largest value that an entry has there. A mass, a "
         "moment or an inertia of a body includes the parts beyond it that their joints do not feel."
+        f"{slopes if found.slopes else ''}"
     )
 
 
@@ -324,6 +329,7 @@ def write_json(report: Report) -> str:
                 "tolerance": approximation.tolerance,
                 "states": approximation.states,
                 "errors": dict(approximation.errors),
+                "errors_of_jacobians": dict(approximation.slopes),
                 "left_out": {
                     taken.cut.name: {"value": taken.cut.value, "error": taken.error, "flops": taken.flops}
                     for taken in approximation.taken

@@ -8,15 +8,17 @@ tolerance too; the margin is widened if states drawn anew do not.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.approximation import slopes
 from mbsgen.approximation.cuts import Cut, Released, release
 from mbsgen.approximation.effects import Comparison, ReleasedFunctions, Wanted
 from mbsgen.approximation.states import draw
 from mbsgen.families import list_functions, write_families
+from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.request import Request
@@ -25,6 +27,7 @@ from mbsgen.tape.types import Tape
 
 CHOOSING, CHECKING = 64, 1024  # states at which cuts are chosen, and states at which all are measured together
 SEEDS = 1, 2  # of the two sets of states
+SLOPES = 64  # states at which Jacobians are compared: the first of the second set
 POSES = 8  # of the first set, at which M is checked; of the second set, all are
 MARGIN = 0.8  # fraction of the tolerance that the choice may use
 NARROWER = 5  # times that the fraction is reduced
@@ -51,6 +54,8 @@ class Approximation:
     taken: tuple[Taken, ...]
     errors: Mapping[str, float]  # of the functions as they are generated, at states that were not used for the choice
     states: int = CHECKING  # number of these states
+    slopes: Mapping[str, float] = field(default_factory=dict)  # errors of Jacobians, where these are written
+    slope_states: int = SLOPES
 
 
 def approximate(tree: Tree, tolerance: float, request: Request) -> Approximation:
@@ -79,10 +84,23 @@ def approximate(tree: Tree, tolerance: float, request: Request) -> Approximation
         errors = checking.measure(tapes)
         if tapes and max(errors.values(), default=0.0) <= tolerance:
             if _total(tapes) < _total(whole):
-                return Approximation(tolerance, reduced, choice.describe(chosen), errors)
+                taken = choice.describe(chosen)
+                found = _compare_slopes(functions, request, whole, tapes)
+                return Approximation(tolerance, reduced, taken, errors, slopes=found)
             break
         share *= MARGIN * min(1.0, tolerance / error)
     return Approximation(tolerance, tree, (), checking.measure(whole))
+
+
+def _compare_slopes(
+    functions: ReleasedFunctions, request: Request, whole: Mapping[str, Tape], reduced: Mapping[str, Tape]
+) -> dict[str, float]:
+    """Return the errors of the Jacobians that are written."""
+    if not request.derivatives:
+        return {}
+    states = draw(functions.released.whole, SLOPES, SEEDS[1], motion=functions.wanted.motion)
+    written = {name: tape for name, tape in whole.items() if FUNCTIONS[name].order}
+    return slopes.measure(Comparison(functions, states, poses=1), written, reduced)
 
 
 def _write(tree: Tree, request: Request, names: tuple[str, ...]) -> dict[str, Tape]:

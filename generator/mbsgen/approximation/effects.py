@@ -138,6 +138,15 @@ class Comparison:
     def _none(self) -> Sets:
         return np.zeros((1, len(self._functions.released.numbers)), bool)
 
+    @property
+    def compared(self) -> frozenset[str]:
+        """Return the functions that `evaluate` has states for: all whose errors count."""
+        return frozenset(name for name, tape in self._functions.tapes.items() if is_judged(tape))
+
+    def evaluate(self, name: str, tape: Tape) -> Results:
+        """Evaluate a tape without released numbers at the states of a function."""
+        return self._evaluate(name, self._none, tape)
+
     def _evaluate(self, name: str, sets: Sets, tape: Tape | None = None) -> Results:
         states = self._driven if self._functions.tapes[name].giving(Role.ACCELERATION) else self._still
         return self._functions.evaluate(tape or self._functions.tapes[name], states, sets)

@@ -181,6 +181,44 @@ def test_what_is_left_out_is_told(files: dict[str, str], tmp_path: Path) -> None
     assert manifest.read(tmp_path / "manifest.json").tolerance == 0.01
 
 
+def test_errors_of_jacobians_are_told() -> None:
+    """Against central differences of both trees' forces at the same states."""
+    tree = build_tree(read_model(MODELS / "six_axis.yaml"))
+    options = Options(functions=("impl", "energy"), derivatives=1, reductions=ONE_PLAN)
+    found = approximate(tree, 0.01, merge(options, EVERYTHING))
+    assert found.slopes.keys() == {"impl"}
+    states = draw(tree, choice.SLOPES, choice.SEEDS[1])
+    worst = 0.0
+    for name in ("q", "qd", "qdd"):
+        expected, reduced = (differences(x, states, name) for x in (tree, found.tree))
+        rows = np.abs(expected).max(axis=(0, 2))[:, None]
+        off = np.abs(reduced - expected).max(axis=0)
+        worst = max(worst, float((off / np.where(rows > 1e-6, rows, np.inf)).max()))
+    assert found.slopes["impl"] == pytest.approx(worst, rel=1e-4)
+    assert worst > 0.01, "the tolerance limits values alone"
+
+
+def differences(tree: Tree, states: dict[str, Array], name: str, step: float = 1e-5) -> Array:
+    """Differentiate the joints' forces by q, qd or qdd: (states, forces, columns)."""
+    tape, columns = impl.build(tree, ONE_PLAN), []
+    for k in range(states[name].shape[1]):
+        sides = []
+        for way in (step, -step):
+            moved = states[name].copy()
+            moved[:, k] += way
+            given = {key: list(x.T) for key, x in (states | {name: moved}).items()}
+            given["u"] = [np.zeros(len(moved))] * sum(b.joint.actuated for b in tree.bodies)
+            found = evaluate(tape, {i.name: given[i.name] for i in tape.inputs})["Phi"]
+            sides.append(np.array([np.broadcast_to(x, len(moved)) for x in found]).T)
+        columns.append((sides[0] - sides[1]) / (2 * step))
+    return np.stack(columns, axis=2)
+
+
+def test_without_jacobians_none_are_compared(files: dict[str, str]) -> None:
+    assert json.loads(files["report.json"])["approximation"]["errors_of_jacobians"] == {}
+    assert "Errors of Jacobians" not in files["report.md"]
+
+
 def test_without_a_tolerance_nothing_changes() -> None:
     options = Options(functions=("impl",), derivatives=0, reductions=ONE_PLAN)
     plain = make(cranes(), options).files
