@@ -65,6 +65,7 @@ MBSGEN = Package(
         "verification.verify",
         "verification",
         "equations.sums",
+        "equations.named",
         "equations.motion",
         "equations.lines",
         "equations.printing",

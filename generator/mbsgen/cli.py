@@ -30,6 +30,7 @@ from mbsgen.equations import (
     FORMATS,
     Page,
     SizeError,
+    build_numeric,
     build_symbolic,
     derive,
     show_lines,
@@ -476,7 +477,7 @@ def equations_command(
     source = read(_read(model, choices))
     with _progress() as tell:
         tell("the equations")
-        tree = read_tree(source) if numbers else build_symbolic(source)
+        tree = build_numeric(source) if numbers else build_symbolic(source)
         page = _choose_page(tree, form)
     text = FORMATS[language](page)
     if out is None:

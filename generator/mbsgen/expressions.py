@@ -123,7 +123,7 @@ class Algebra(Generic[T]):
     negate: Callable[[T], T]
     operations: Mapping[str, Callable[[T, T], T]]  # + - * /
     power: Callable[[T, int], T]
-    functions: Mapping[str, Callable[..., T]]  # PRIMITIVES
+    functions: Mapping[str, Callable[..., T]]  # PRIMITIVES; functions of DEFINED here are not written out
 
 
 def parse(text: str) -> Expression:
@@ -201,7 +201,7 @@ def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T
                 return algebra.operations[symbol](*operands)
             case Power(_, exponent):
                 return algebra.power(operands[0], exponent)
-            case Call(function) if function in _DEFINITIONS:
+            case Call(function) if function in _DEFINITIONS and function not in algebra.functions:
                 return evaluate(_DEFINITIONS[function], dict(zip("xw", operands, strict=True)), algebra)
             case Call(function):
                 return algebra.functions[function](*operands)

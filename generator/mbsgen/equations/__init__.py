@@ -1,11 +1,12 @@
 """Equations to read: a tree's equations of motion as SymPy expressions, and as LaTeX, Markdown, HTML and Python.
 
 `sums` holds trigonometric sums, a form in which equal functions are equal; `motion` finds the equations in it;
-`lines` keeps the recursion's own lines, for mechanisms whose sums would fill pages; `printing` writes them.
+`named` takes out the numbers of forces that have names; `lines` keeps the recursion's own lines, for mechanisms whose
+sums would fill pages; `printing` writes them.
 """
 
-from mbsgen.equations.lines import Line, Lines, write_lines
-from mbsgen.equations.motion import Motion, Naming, build_symbolic, derive
+from mbsgen.equations.lines import Lines, write_lines
+from mbsgen.equations.motion import Line, Motion, Naming, build_numeric, build_symbolic, derive
 from mbsgen.equations.printing import FORMATS, Page, show_lines, show_motion
 from mbsgen.equations.sums import SizeError
 
@@ -17,6 +18,7 @@ __all__ = [
     "Naming",
     "Page",
     "SizeError",
+    "build_numeric",
     "build_symbolic",
     "derive",
     "show_lines",

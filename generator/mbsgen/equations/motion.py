@@ -2,6 +2,7 @@
 
 The textbook's recursion (Docquier, Bruls, Fisette, 2019, eqs. 12-15) is evaluated in trigonometric sums, and its result
 is taken apart: what multiplies accelerations is M, what has a velocity in it belongs to c, springs and weight to g.
+Forces of contacts and of force elements are applied forces, in numbers that have names.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import sympy as sp
 from mpmath import mpf
 
 from mbsgen.assembly import assemble
+from mbsgen.equations.named import Forces, Number, name_forces
 from mbsgen.equations.sums import LARGEST, MOST, SUMS, Key, Sum, variable
 from mbsgen.expressions import ExpressionError
-from mbsgen.formulations import closure, impl, poses
+from mbsgen.formulations import closure, coupling, impl, poses
 from mbsgen.formulations.reductions import NONE
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree
@@ -24,7 +26,7 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Tape
+from mbsgen.tape.types import Input, Tape
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,12 @@ class Naming:
     u: tuple[sp.Symbol, ...]  # of the actuated joints
     parameters: tuple[sp.Symbol, ...]
     signals: tuple[sp.Symbol, ...] = ()  # the last entries of w; the time among them
+
+    @property
+    def taken(self) -> set[str]:
+        """The names of all symbols that are known here."""
+        columns = (self.q, self.qd, self.qdd, self.u, self.parameters, self.signals)
+        return {symbol.name for column in columns for symbol in column}
 
     def name(self, port: Port, size: int) -> tuple[sp.Symbol, ...]:
         """Return the symbols of the entries of an input."""
@@ -55,6 +63,14 @@ class Naming:
 
 
 @dataclass(frozen=True)
+class Line:
+    """A named value and its expression."""
+
+    name: sp.Symbol
+    expression: sp.Expr
+
+
+@dataclass(frozen=True)
 class Motion:
     """Equations M qdd + c + g = applied, of n joints; with loops, h = 0, and applied has multipliers in it."""
 
@@ -69,11 +85,18 @@ class Motion:
     sensors: tuple[str, ...]
     position: sp.Matrix  # (3, sensors): in the base frame
     terms: int  # of all equations of motion
+    named: tuple[Line, ...] = ()  # numbers of contacts and force elements, each over the state and those before
 
     @cached_property
     def residual(self) -> sp.Matrix:
         """M qdd + c + g - applied, (n, 1)."""
         return self.M * sp.Matrix(self.naming.qdd) + self.c + self.g - self.applied
+
+    def expand(self, value: sp.Basic) -> sp.Basic:
+        """Put the expressions of `named` in place of their names."""
+        for line in reversed(self.named):
+            value = value.subs(line.name, line.expression)
+        return value
 
 
 def name_symbols(tree: Tree) -> Naming:
@@ -104,14 +127,22 @@ def name_symbols(tree: Tree) -> Naming:
 
 
 def build_symbolic(model: Model) -> Tree:
-    """Build the tree of a model in which every named parameter is a symbol, where its rules allow that."""
+    """Build the tree of a model in which every named parameter is a symbol, where its rules allow that.
+
+    It is to be read, and has no code: smooth functions stay functions.
+    """
     symbolic = {p.name for p in model.parameters}
     for parameter in model.parameters:
         try:
-            build_tree(_release(model, {parameter.name}))
+            build_tree(_release(model, {parameter.name}), readable=True)
         except ExpressionError:  # a limit or another number that must be known depends on it
             symbolic.discard(parameter.name)
-    return assemble(build_tree(_release(model, symbolic)))
+    return assemble(build_tree(_release(model, symbolic), readable=True))
+
+
+def build_numeric(model: Model) -> Tree:
+    """Build the tree of a model with its numbers, to be read."""
+    return assemble(build_tree(model, readable=True))
 
 
 def derive(tree: Tree, most: int = LARGEST) -> Motion:
@@ -124,31 +155,80 @@ def derive(tree: Tree, most: int = LARGEST) -> Motion:
 
 
 def _derive(tree: Tree) -> Motion:
-    naming = name_symbols(tree)
-    (Phi,) = _evaluate(impl.build(tree, NONE), naming)
+    naming, forces = name_symbols(tree), name_forces(tree)
+    values, named = _find_numbers(forces, naming)
+    (Phi,) = _evaluate(coupling.write(impl.build, None, forces.tree, NONE), naming, numbers=values)
     n = len(tree.joints)
     accelerations = [_split(row, naming.qdd) for row in Phi]
     rest = [row.get(None, _ZERO) for row in accelerations]
-    moving = [_part(row, lambda used: bool(used & set(naming.qd))) for row in rest]
     known = {*naming.q, *naming.qd, *naming.parameters}
     applied = [_part(row, lambda used: bool(used - known)) for row in rest]
-    still = [row - a - b for row, a, b in zip(rest, moving, applied, strict=True)]
+    free = [row - a for row, a in zip(rest, applied, strict=True)]
+    moving = [_part(row, lambda used: bool(used & set(naming.qd))) for row in free]
+    still = [row - a for row, a in zip(free, moving, strict=True)]
     M = sp.Matrix(n, n, [row.get(x, _ZERO).expression for row in accelerations for x in naming.qdd])
     h, J = _derive_loops(tree, naming)
     sensors, position = _derive_positions(tree, naming)
+    Q = -_column(applied)
     return Motion(
         name=tree.name,
         naming=naming,
         M=M,
         c=_column(moving),
         g=_column(still),
-        applied=-_column(applied),
+        applied=Q,
         h=h,
         J=J,
         sensors=sensors,
         position=position,
         terms=sum(len(row.terms) for row in Phi),
+        named=keep_used(named, Q.free_symbols),
     )
+
+
+def _find_numbers(forces: Forces, naming: Naming) -> tuple[list[Sum], list[Line]]:
+    """Find the values of the numbers of forces: names, or expressions in their place; and the lines of the names."""
+    taken = naming.taken
+    values: list[Sum] = []
+    direct: list[Sum] = []  # without the names of these
+    lines: list[Line] = []
+    for k, number in enumerate(forces.numbers):
+        before = direct if number.is_direct else values
+        given = [*before, *[_ZERO] * (len(forces.numbers) - k)]  # a number reads those before it
+        (operands,) = _evaluate(forces.write_operands(k), naming, numbers=given)
+        value = _apply(number, operands)
+        direct.append(value)
+        if number.name and value.number is None:
+            symbol = choose_name(number.name, taken)
+            lines.append(Line(symbol, value.expression))
+            value = variable(symbol)
+        values.append(value)
+    return values, lines
+
+
+def _apply(number: Number, operands: Sequence[Sum]) -> Sum:
+    if number.function is None:
+        return operands[0]
+    return variable(number.function(*(x.expression for x in operands)))
+
+
+def choose_name(name: str, taken: set[str]) -> sp.Symbol:
+    """Make a symbol of a name, or of the name with underscores, that is not taken, and take it."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return _symbol(name)
+
+
+def keep_used(lines: Iterable[Line], used: set[sp.Basic]) -> tuple[Line, ...]:
+    """Keep the lines that others, or results with the given symbols, read."""
+    kept: list[Line] = []
+    needed = set(used)
+    for line in reversed([*lines]):
+        if line.name in needed:
+            kept.append(line)
+            needed |= line.expression.free_symbols
+    return tuple(reversed(kept))
 
 
 _ZERO = Sum({}, mpf(0))
@@ -166,8 +246,8 @@ def _derive_loops(tree: Tree, naming: Naming) -> tuple[sp.Matrix, sp.Matrix]:
     """Derive h(q), and its Jacobian."""
     if not tree.is_constrained:
         return sp.zeros(0, 1), sp.zeros(0, len(naming.qd))
-    (h,) = _evaluate(closure.build(tree), naming)
-    (hd,) = _evaluate(closure.build_rates(tree), naming)
+    (h,) = _evaluate(coupling.write(lambda x, _: closure.build(x), None, tree, NONE), naming)
+    (hd,) = _evaluate(coupling.write(lambda x, _: closure.build_rates(x), None, tree, NONE), naming)
     slopes = [_split(row, naming.qd) for row in hd]
     J = [row.get(x, _ZERO).expression for row in slopes for x in naming.qd]
     return _column(h), sp.Matrix(len(hd), len(naming.qd), J)
@@ -177,21 +257,27 @@ def _derive_positions(tree: Tree, naming: Naming) -> tuple[tuple[str, ...], sp.M
     names = tuple(sensor.name for sensor in tree.sensors)
     if not names:
         return (), sp.zeros(3, 0)
-    tape = poses.build_sensors(tree)
-    places = _evaluate(tape, naming, "position")[0]
+    (places,) = _evaluate(coupling.write(lambda x, _: poses.build_sensors(x), None, tree, NONE), naming)
     return names, sp.Matrix(len(names), 3, [x.expression for x in places]).T
 
 
-def _evaluate(tape: Tape, naming: Naming, *wanted: str) -> list[list[Sum]]:
-    """Evaluate dense outputs in trigonometric sums, entry by entry, column by column."""
-    given = {i.name: list(map(variable, naming.name(i.port, i.sparsity.nnz))) for i in tape.inputs}
+def _evaluate(tape: Tape, naming: Naming, *, numbers: Sequence[Sum] = ()) -> list[list[Sum]]:
+    """Evaluate dense outputs in trigonometric sums, entry by entry, column by column.
+
+    The last parameters are numbers of forces.
+    """
+
+    def give(given: Input) -> list[Sum]:
+        own = numbers if given.port.role is Role.PARAMETER else ()
+        return [*map(variable, naming.name(given.port, given.sparsity.nnz - len(own))), *own]
+
+    given = {i.name: give(i) for i in tape.inputs}
     found = evaluate(tape, given, SUMS)
     results = []
     for output in tape.outputs:
-        if not wanted or output.name in wanted:
-            entries = dict(zip(output.sparsity.entries, found[output.name], strict=True))
-            shape = output.sparsity
-            results.append([entries.get((r, c), _ZERO) for c in range(shape.cols) for r in range(shape.rows)])
+        entries = dict(zip(output.sparsity.entries, found[output.name], strict=True))
+        shape = output.sparsity
+        results.append([entries.get((r, c), _ZERO) for c in range(shape.cols) for r in range(shape.rows)])
     return results
 
 

@@ -19,11 +19,12 @@ from sympy.printing.str import StrPrinter
 
 from mbsgen.equations.lines import Lines
 from mbsgen.equations.motion import Motion, Naming
+from mbsgen.model.smooth import SMOOTH, print_source
 from mbsgen.targets.layout import lay_out
 
 _WIDE = 90  # characters of a row beyond which a matrix is written entry by entry
 _NUMBERED = re.compile(r"([A-Za-z]+)_?(\d+(?:_\d+)*)", re.ASCII)
-_LETTERED = re.compile(r"([A-Za-z])_(\w+)", re.ASCII)
+_LETTERED = re.compile(r"([A-Za-z]|gap|depth|slip|drag|length|rate)_(.+)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Formula:
     name: str
     value: sp.Matrix | sp.Expr
     title: str = ""
+    is_line: bool = False  # other formulas read it by its name
 
 
 @dataclass(frozen=True)
@@ -60,15 +62,19 @@ def show_motion(motion: Motion) -> Page:
         for k, name in enumerate(motion.sensors)
     ]
     kept = tuple(f for f in formulas if not f.value.is_zero_matrix)
+    titles = ("contacts, springs and cables", *[""] * len(motion.named))
+    named = tuple(
+        Formula(x.name.name, x.expression, title, is_line=True) for x, title in zip(motion.named, titles, strict=False)
+    )
     terms = {f.name: sp.Symbol(f.name) for f in kept}
     left = [sp.Mul(sp.Symbol("M"), sp.Symbol("qdd"), evaluate=False), *(terms[x] for x in ("c", "G") if x in terms)]
     statement = sp.Eq(sp.Add(*left, evaluate=False), terms.get("Q", sp.Integer(0)), evaluate=False)
-    return Page(f"Equations of motion of {motion.name}", statement, kept, motion.naming)
+    return Page(f"Equations of motion of {motion.name}", statement, kept + named, motion.naming)
 
 
 def show_lines(lines: Lines) -> Page:
     """Lay the lines of a recursion out, and then its results."""
-    formulas = [Formula(x.name.name, x.expression) for x in lines.lines]
+    formulas = [Formula(x.name.name, x.expression, is_line=True) for x in lines.lines]
     formulas += [Formula(name, value, "residual") for name, value in lines.results.items()]
     statement = sp.Eq(sp.Symbol("Phi"), sp.Integer(0), evaluate=False)
     return Page(f"Equations of motion of {lines.name}, line by line", statement, tuple(formulas), lines.naming)
@@ -93,10 +99,13 @@ def write_python(page: Page) -> str:
     names = _name_identifiers(page)
     lines = [f'"""{_escape_python(page.title)}."""', "", "import sympy as sp", ""]
     lines += [f"{name} = sp.Symbol({symbol.name!r}, real=True)" for symbol, name in _list_known(page, names)]
+    lines += [part for function in _list_functions(page) for part in ("", "", print_source(function))]
     lines.append("")
     printer = _PythonPrinter({"full_prec": False})
-    for formula in page.formulas:
-        target = names.get(sp.Symbol(formula.name, real=True), _make_identifier(formula.name))
+    for formula in sorted(page.formulas, key=lambda x: not x.is_line):
+        target = _make_identifier(formula.name)
+        if formula.is_line:
+            target = names.get(sp.Symbol(formula.name, real=True), target)
         value = formula.value.xreplace({symbol: sp.Symbol(name) for symbol, name in names.items()})
         lines.append(f"{target} = {printer.doprint(value)}")
     return "\n".join(lines) + "\n"
@@ -106,7 +115,11 @@ class _PythonPrinter(StrPrinter):  # type: ignore[misc]  # SymPy has no types
     """Writes expressions as calls of SymPy's functions."""
 
     def _print_Function(self, expr: sp.Function) -> str:
-        return f"sp.{super()._print_Function(expr)}"
+        text = super()._print_Function(expr)
+        return text if isinstance(expr, SMOOTH) else f"sp.{text}"
+
+    def _print_LatticeOp(self, expr: sp.Max | sp.Min) -> str:
+        return f"sp.{super()._print_LatticeOp(expr)}"
 
     def _print_Abs(self, expr: sp.Abs) -> str:
         return f"sp.Abs({self._print(expr.args[0])})"
@@ -124,13 +137,14 @@ class _PythonPrinter(StrPrinter):  # type: ignore[misc]  # SymPy has no types
 
 
 def _list_known(page: Page, names: Mapping[sp.Symbol, str]) -> Iterator[tuple[sp.Symbol, str]]:
-    lines = {formula.name for formula in page.formulas if not formula.title}
+    lines = {formula.name for formula in page.formulas if formula.is_line}
     return ((symbol, name) for symbol, name in names.items() if symbol.name not in lines)
 
 
 def _name_identifiers(page: Page) -> dict[sp.Symbol, str]:
     """Choose an identifier for every symbol."""
-    taken = {"sp", *(_make_identifier(formula.name) for formula in page.formulas if formula.title)}
+    taken = {"sp", *(_make_identifier(formula.name) for formula in page.formulas if not formula.is_line)}
+    taken |= {function.__name__ for function in SMOOTH}
     names = {}
     for symbol in sorted(_list_symbols(page), key=lambda x: x.name):
         name = _make_identifier(symbol.name)
@@ -139,6 +153,11 @@ def _name_identifiers(page: Page) -> dict[sp.Symbol, str]:
         taken.add(name)
         names[symbol] = name
     return names
+
+
+def _list_functions(page: Page) -> tuple[type[sp.Function], ...]:
+    """List the smooth functions to define: each may have another in its derivatives."""
+    return SMOOTH if any(formula.value.has(*SMOOTH) for formula in page.formulas) else ()
 
 
 def _make_identifier(name: str) -> str:
@@ -202,15 +221,16 @@ def _write_latex(formula: Formula, page: Page) -> Iterator[str]:
 def write_html(page: Page) -> str:
     """Write a page that needs no other file."""
     blocks = [(f.title, [_join(left, right) for left, right in _write_mathml(f, page)]) for f in page.formulas]
-    statement = _join(_to_mathml(page.statement.lhs, page), _to_mathml(page.statement.rhs, page))
+    left = "<mo>+</mo>".join(_to_mathml(x, page) for x in sp.Add.make_args(page.statement.lhs))
+    statement = _join(left, _to_mathml(page.statement.rhs, page))
     return lay_out("html/equations.html", title=html.escape(page.title), statement=statement, blocks=_merge(blocks))
 
 
 def _merge(blocks: Sequence[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
-    """Put formulas without a title under one heading."""
+    """Put formulas without a title under the heading before them."""
     merged: list[tuple[str, list[str]]] = []
     for title, formulas in blocks:
-        if merged and not title and not merged[-1][0]:
+        if merged and not title:
             merged[-1][1].extend(formulas)
         else:
             merged.append((html.escape(title), list(formulas)))
@@ -230,11 +250,19 @@ def _write_mathml(formula: Formula, page: Page) -> Iterator[tuple[str, str]]:
         yield f"<msub>{target}<mn>{place}</mn></msub>", _to_mathml(value, page)
 
 
+_SPACED = {  # products and minus signs as books set them
+    "<mo>&InvisibleTimes;</mo>": '<mo lspace="0.12em" rspace="0.12em">&InvisibleTimes;</mo>',
+    "<mo>-</mo>": "<mo>−</mo>",
+}
+
+
 def _to_mathml(value: sp.Matrix | sp.Expr, page: Page) -> str:
     """Write MathML; symbols go through it under names of letters, since it reads names by itself."""
     symbols = sorted(value.free_symbols, key=str)
     aliases = {symbol: sp.Symbol(f"zz{_count(k)}zz") for k, symbol in enumerate(symbols)}
     text = str(mathml(value.xreplace(aliases), printer="presentation"))
+    for plain, spaced in _SPACED.items():
+        text = text.replace(plain, spaced)
     for symbol, alias in aliases.items():
         text = text.replace(f"<mi>{alias.name}</mi>", _write_symbol(_classify(symbol, page.naming), _MATHML))
     return text

@@ -151,7 +151,7 @@ class Loads:
 
     def _define(self, name: str, key: str, value: Expr, length: Length | None = None) -> Symbol:
         symbol = Symbol(f"force[{name}] {key}", real=True)
-        self.definitions.append(Definition(symbol, value, length))
+        self.definitions.append(Definition(symbol, value, length, name, key))
         return symbol
 
     def _define_vector(self, name: str, key: str, vector: Vector) -> Vector:

@@ -48,10 +48,10 @@ from mbsgen.model.tree import (
 )
 
 
-def build_tree(description: Model) -> Tree:
-    """Make the Tree of a checked model."""
+def build_tree(description: Model, *, readable: bool = False) -> Tree:
+    """Make the Tree of a checked model. In a readable one, which has no code, forces keep smooth functions."""
     description = eliminate(description)
-    parameters, reader = _read_parameters(description)
+    parameters, reader = _read_parameters(description, readable=readable)
     expanded = expand(description).model
     seats = {BASE: _Seat(0)}
     carried: dict[int, list[RigidPart]] = {0: []}  # what is fixed to the base is not felt
@@ -142,6 +142,7 @@ class _Reader:
     values: Mapping[str, Expr]  # constants by their values
     present: Mapping[str, Expr]  # all parameters by their present values
     state: Mapping[str, Expr]  # numbers of the state by their symbols
+    forces: Algebra[Expr]  # of forces
 
     def number(self, expression: Expression) -> Expr:
         """Read a length, mass or inertia over symbols."""
@@ -180,7 +181,7 @@ class _Reader:
 
     def force(self, expression: Expression, own: Mapping[str, Expr]) -> Expr:
         """Read an expression over parameters, numbers of the state, and a force's own numbers."""
-        return evaluate(expression, {**self.state, **self.symbols, **own}, self.algebra)
+        return evaluate(expression, {**self.state, **self.symbols, **own}, self.forces)
 
     def estimate(self, expression: Expression) -> float:
         """Read a number by the present values of parameters."""
@@ -204,7 +205,7 @@ class _Reader:
         return product
 
 
-def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader]:
+def _read_parameters(description: Model, *, readable: bool) -> tuple[tuple[Parameter, ...], _Reader]:
     symbols: dict[str, Expr] = {}
     values: dict[str, Expr] = {}
     known: dict[str, Expr] = {}
@@ -227,7 +228,8 @@ def _read_parameters(description: Model) -> tuple[tuple[Parameter, ...], _Reader
         else:
             changing.add(name)
     state = {name: quantity.symbol for name, quantity in list_quantities(description).items()}
-    return tuple(parameters), _Reader(algebra, symbols, values, known, state)
+    forces = symbolic(constants, readable=readable)
+    return tuple(parameters), _Reader(algebra, symbols, values, known, state, forces)
 
 
 @dataclass(frozen=True)

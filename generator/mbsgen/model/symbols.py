@@ -37,6 +37,7 @@ from sympy import (
 )
 
 from mbsgen.expressions import PRIMITIVES, Algebra, ExpressionError
+from mbsgen.model.smooth import READ
 
 DIGITS = MPContext()
 DIGITS.dps = 60
@@ -69,10 +70,10 @@ def exact(value: float) -> Expr:
     return Rational(value)
 
 
-def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
+def symbolic(constants: Mapping[Symbol, Expr], *, readable: bool = False) -> Algebra[Expr]:
     """Make the algebra of expressions over symbols, given the values of constants.
 
-    A function of constants alone is a number.
+    A function of constants alone is a number. Where expressions are to be read, smooth functions stay functions.
     """
 
     def function(name: str) -> Callable[..., Expr]:
@@ -90,7 +91,7 @@ def symbolic(constants: Mapping[Symbol, Expr]) -> Algebra[Expr]:
         negate=operator.neg,
         operations={"+": lambda a, b: total((a, b)), "-": lambda a, b: total((a, -b)), "*": operator.mul, "/": _divide},
         power=lambda base, exponent: base**exponent if exponent >= 0 else _divide(Integer(1), base**-exponent),
-        functions={name: function(name) for name in PRIMITIVES},
+        functions={name: function(name) for name in PRIMITIVES} | (READ if readable else {}),
     )
 
 

@@ -210,6 +210,8 @@ class Definition:
     symbol: Symbol
     value: Expr  # over parameters, coordinates, velocities, probes and earlier definitions
     length: Length | None = None  # it is the square of the length of this force element
+    owner: str = ""  # the force element, or the point of contact
+    key: str = ""  # its name there
 
 
 @dataclass(frozen=True)
