@@ -39,7 +39,7 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun fit-motion MODEL RECORDING  fit the motion of joints to recorded markers
   mbsrun inverse-dynamics MODEL RECORDING  compute the forces that a recorded motion takes
   mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
-  mbsrun animate MODEL MOTION... -o FILE  write a page, a GIF or an MP4 of motions
+  mbsrun animate MODEL MOTION... -o FILE  write a page, a GIF, a picture or an MP4
   mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
   mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
   mbsrun controller PROBLEM -o DIR  write a controller in C: solves, and steps in real time

@@ -48,6 +48,7 @@ from studies.docquier.campaign import (
     restrict,
 )
 from studies.docquier.export import Form, export
+from studies.docquier.figures import drawn_as
 from studies.docquier.judgement import INSIDE, TURNS
 from studies.docquier.judges import CONFIRMED, REFUTED
 from studies.docquier.markdown import ARCHIVE, write_archive, write_page
@@ -80,7 +81,7 @@ Parts, in this order; all, unless some are chosen
 \b
 The output folder gets
   study.html     the report, one page: it needs no network and no other file
-  data/          its tables as CSV, its pictures
+  data/          its tables as CSV, its pictures in the format of --format
   study.sqlite   every attempt
 
 \b
@@ -138,6 +139,13 @@ Exit codes
 )
 @click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin no attempt after this time.")
 @click.option("--quick", is_flag=True, help="Solve a small part of the questions.")
+@click.option(
+    "--format",
+    "drawn",
+    type=click.Choice(["svg", "png", "pdf"]),
+    default="svg",
+    help="Of the pictures in data/; by default svg. Pages show SVG where this is pdf.",
+)
 @click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Also write all attempts as one table.")
 @click.option(
     "--page",
@@ -172,6 +180,7 @@ def study_command(
     linear: str,
     minutes: float,
     quick: bool,
+    drawn: str,
     form: Form | None,
     place: Path | None,
     folders: tuple[Path, ...],
@@ -207,13 +216,15 @@ def study_command(
             processes = len(os.sched_getaffinity(0)) if workers is None else workers
             with open_workers(processes, scheduler) as executor_for, show_steps() as watch:
                 is_through = carry_out(campaign, out, executor_for, watch, 60 * minutes)
-        sections = distinguish([*report(campaign, out), *extra])
+        with drawn_as(drawn):
+            sections = distinguish([*report(campaign, out), *extra])
         for section in sections:
             write_section(section, out / DATA)
         if form is not None:
             export(list_attempts(campaign, out), out / DATA / ATTEMPTS, form)
         if place is not None:
-            _write_markdown(campaign, out, sections, place)
+            with drawn_as(drawn):
+                _write_markdown(campaign, out, sections, place)
         page = render_page(
             f"Formulations of multibody dynamics in optimal control: {problem.name}", _INTRODUCTION, sections, STYLES
         )

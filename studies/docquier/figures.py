@@ -7,7 +7,9 @@ whiskers to the most extreme points that are not outliers (1.5 boxes away), and 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 from matplotlib import rc_context
@@ -17,8 +19,8 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsgen.style import BAD, PALETTE, styled
-from mbsrun.measuring.sections import Picture
+from mbsgen.style import BAD, DOTS, METADATA, PALETTE, styled
+from mbsrun.measuring.sections import KINDS, Picture
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.record import Attempt
 from mbsrun.ocp.study import Weights
@@ -29,15 +31,33 @@ from studies.docquier.results import Results
 Array = NDArray[np.float64]
 
 COLORS = PALETTE
-SVG = "image/svg+xml"
+_FORMAT = ContextVar("format", default="svg")
+
+
+@contextmanager
+def drawn_as(name: str) -> Iterator[None]:
+    """Draw figures as svg, png or pdf within the context."""
+    token = _FORMAT.set(name)
+    try:
+        yield
+    finally:
+        _FORMAT.reset(token)
 
 
 def save(figure: Figure, title: str, note: str) -> Picture:
-    """Write a figure as SVG; the same figure gives the same bytes."""
+    """Write a figure in the format of the context; as PDF, it is SVG too, which pages show."""
+    wanted = _FORMAT.get()
+    shown = "svg" if wanted == "pdf" else wanted
+    paper = _write(figure, "pdf") if wanted == "pdf" else b""
+    return Picture(title, KINDS[f".{shown}"], _write(figure, shown), note, paper)
+
+
+def _write(figure: Figure, name: str) -> bytes:
+    """Write a figure; the same figure gives the same bytes."""
     file = io.BytesIO()
     with rc_context({"svg.hashsalt": "mbsrun", "svg.fonttype": "path"}):
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return Picture(title, SVG, file.getvalue(), note)
+        figure.savefig(file, format=name, dpi=DOTS if name == "png" else "figure", metadata=dict(METADATA[name]))
+    return file.getvalue()
 
 
 def name_set(weights: Weights) -> str:

@@ -1,4 +1,4 @@
-"""Files of a film: a page for a browser, a GIF by Pillow, an MP4 by ffmpeg.
+"""Files of a film: a page for a browser, a GIF or a PNG by Pillow, an MP4 by ffmpeg.
 
 The same film gives the same bytes; of an MP4, with the same ffmpeg.
 """
@@ -26,12 +26,17 @@ COLORS = 255  # of a GIF's palette
 SAMPLED = 9  # pictures of which the palette is made
 
 
+STRIP = 6  # pictures of a strip
+SEAM = 4  # pixels between them
+
+
 @dataclass(frozen=True)
 class Size:
-    """The size of pictures."""
+    """The size of pictures, and the times of pictures in a strip."""
 
     width: int = 640
     height: int = 480
+    at: tuple[float, ...] = ()  # [s]; without any, STRIP of them over the whole time
 
 
 def write_html(film: Film, path: Path, size: Size, report: Report) -> None:  # noqa: ARG001  # a writer of WRITERS
@@ -46,11 +51,27 @@ def write_gif(film: Film, path: Path, size: Size, report: Report) -> None:
     sheet = Image.new("RGB", (size.width, size.height * len(chosen)))
     for i, picture in enumerate(chosen):
         sheet.paste(picture, (0, i * size.height))
-    palette = sheet.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette = sheet.quantize(COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     frames = [x.quantize(palette=palette, dither=Image.Dither.NONE) for x in pictures]
     ends = np.rint(100 * (film.times - film.times[0]))
     lasting = np.diff(ends, append=ends[-1] + 100).clip(2) * 10
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=lasting.tolist(), loop=0, optimize=False)
+
+
+def write_png(film: Film, path: Path, size: Size, report: Report) -> None:
+    """Write a strip of pictures, row by row."""
+    first, last = film.times[0], film.times[-1]
+    wanted = size.at or tuple(np.linspace(first, last, STRIP if last > first else 1))
+    chosen = [int(np.abs(film.times - t).argmin()) for t in wanted]
+    columns = {1: 1, 2: 2, 4: 2}.get(len(chosen), 3)
+    rows = -(-len(chosen) // columns)
+    shape = (columns * (size.width + SEAM) - SEAM, rows * (size.height + SEAM) - SEAM)
+    sheet = Image.new("RGB", shape, "white")
+    for i, picture in enumerate(draw_film(film, size.width, size.height, chosen)):
+        report("drawing", i + 1, len(chosen))
+        place = (i % columns * (size.width + SEAM), i // columns * (size.height + SEAM))
+        sheet.paste(Image.fromarray(picture), place)
+    sheet.save(path, format="PNG", optimize=True)
 
 
 def write_mp4(film: Film, path: Path, size: Size, report: Report) -> None:
@@ -91,6 +112,7 @@ def _draw(film: Film, size: Size, report: Report) -> Iterator[Picture]:
 WRITERS: Mapping[str, Callable[[Film, Path, Size, Report], None]] = {
     ".html": write_html,
     ".gif": write_gif,
+    ".png": write_png,
     ".mp4": write_mp4,
 }
 

@@ -7,7 +7,7 @@ of `renderer.js`. Pictures are drawn at twice their size and averaged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -63,10 +63,10 @@ class Paint:
     lit: bool = True
 
 
-def draw_film(film: Film, width: int, height: int) -> Iterator[Picture]:
-    """Draw the pictures of a film, one for each of its times."""
+def draw_film(film: Film, width: int, height: int, chosen: Sequence[int] | None = None) -> Iterator[Picture]:
+    """Draw the pictures of a film, one for each of its times, or for chosen ones by their numbers."""
     stage = _Stage(film, width * SAMPLES, height * SAMPLES)
-    for k in range(len(film.times)):
+    for k in range(len(film.times)) if chosen is None else chosen:
         image = Image.fromarray(stage.draw(k)).resize((width, height), Image.Resampling.BOX)
         _write_texts(image, film, k)
         yield np.asarray(image)

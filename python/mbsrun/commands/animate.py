@@ -1,9 +1,10 @@
-"""`mbsrun animate`: a model and motions -> a page, a GIF or an MP4."""
+"""`mbsrun animate`: a model and motions -> a page, a GIF, a picture or an MP4."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -11,6 +12,7 @@ import click
 from mbsgen.manifest import Manifest
 from mbsrun.animation import Wanted, make_film
 from mbsrun.animation.files import Size, write_film
+from mbsrun.animation.film import Film
 from mbsrun.animation.visuals import Visual, give_mesh, read_visuals, show_drawings
 from mbsrun.commands.animated import read_motion
 from mbsrun.commands.console import NumberType, say, show_progress
@@ -21,8 +23,9 @@ from mbsrun.models import Extent, list_undrawn
 
 DRAWN = Extent(("frames",), derivatives=0, optional=("rates",))
 LARGEST = 4096  # pixels
+LEEWAY = 1e-3  # s
 
-ANIMATE_HELP = """Animate motions of MODEL: as a page for any browser, a GIF, or an MP4.
+ANIMATE_HELP = """Animate motions of MODEL: as a page for any browser, a GIF, a picture, or an MP4.
 
 A MOTION is a folder that solve, simulate, track or fit-motion wrote, its solution.json, or a table of the model's
 coordinates over time (CSV, MOT, STO). Several motions are shown at the same time, one over the other, or with --apart
@@ -39,6 +42,7 @@ Inputs and open wrenches are arrows, paths of sensors are lines, and the phases 
 Files, by their suffix
   .html   a page without other files, in which the view turns, and time goes at any speed
   .gif    a film that repeats
+  .png    six pictures over the time, or one for each --at
   .mp4    a film, where ffmpeg is on the path
 
 \b
@@ -90,6 +94,7 @@ class SizeType(click.ParamType[Size]):
 @click.option("--title", help="The title; by default the model's name.")
 @click.option("--size", type=SizeType(), default="640x480", metavar="WxH", help="Of the pictures; 640x480.")
 @click.option("--rate", type=NumberType(), default=25.0, metavar="N", help="Pictures in a second; 25.")
+@click.option("--at", multiple=True, type=NumberType(), metavar="T", help="The time of a picture in a PNG [s].")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
 @accept_robots
 @click.pass_context
@@ -106,6 +111,7 @@ def animate_command(
     title: str | None,
     size: Size,
     rate: float,
+    at: tuple[float, ...],
     parameters: Sequence[str],
 ) -> None:
     """Read, place, draw, write."""
@@ -118,7 +124,9 @@ def animate_command(
     read = [read_motion(path, mechanism, name) for name, path in map(_split, motions)]
     markers = tuple(dict.fromkeys(marker for _, own in read for marker in own))
     film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, shown, rate))
-    for out in outputs or (Path(f"{model.stem}.html"),):
+    outputs = outputs or (Path(f"{model.stem}.html"),)
+    size = replace(size, at=_check_times(at, outputs, film))
+    for out in outputs:
         out.parent.mkdir(parents=True, exist_ok=True)
         with show_progress() as report:
             write_film(film, out, size, report)
@@ -142,6 +150,17 @@ def _read_shapes(
         warn(notice)
     own = show_drawings(manifest, model.parent if model.is_file() else model, warn)
     return (*found, *(x for x in own if x.body not in shown))
+
+
+def _check_times(at: tuple[float, ...], outputs: Sequence[Path], film: Film) -> tuple[float, ...]:
+    """Return times of pictures, if a picture is written, and they lie in the film's time."""
+    first, last = float(film.times[0]), float(film.times[-1])
+    if at and all(out.suffix.lower() != ".png" for out in outputs):
+        raise click.BadParameter("it chooses the times of a .png; give -o FILE.png", param_hint="--at")
+    for t in at:
+        if not first - LEEWAY <= t <= last + LEEWAY:
+            raise click.BadParameter(f"{t:g} s is not between {first:g} and {last:g} s", param_hint="--at")
+    return at
 
 
 def _split(text: str) -> tuple[str, Path]:

@@ -46,6 +46,7 @@ class Picture:
     kind: str  # of KINDS
     content: bytes
     note: str = ""
+    paper: bytes = b""  # the same as PDF; then it is the file
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ def write_section(section: Section, folder: Path) -> None:
     for number, item in enumerate(section.items, 1):
         name = f"{section.name}_{number}"
         if isinstance(item, Picture):
-            suffix = next(suffix for suffix, kind in KINDS.items() if kind == item.kind)
-            (folder / f"{name}{suffix}").write_bytes(item.content)
+            suffix = ".pdf" if item.paper else next(suffix for suffix, kind in KINDS.items() if kind == item.kind)
+            (folder / f"{name}{suffix}").write_bytes(item.paper or item.content)
         else:
             write_csv(item, folder / f"{name}.csv")
 

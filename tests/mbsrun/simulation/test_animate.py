@@ -18,6 +18,7 @@ from mbsgen.manifest import Frame, Point
 from mbsrun import Mechanism
 from mbsrun.animation import Motion, Part, Wanted, make_film, render_parts, write_page
 from mbsrun.animation.actors import fit_solid
+from mbsrun.animation.files import Size, write_gif
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Kind, Layer, Solid, Track
 from mbsrun.animation.raster import PAPER, draw_film, look, rasterise, read_color
 from mbsrun.commands.animate import animate_command
@@ -180,6 +181,48 @@ def test_the_command_writes_each_format(tmp_path: Path, requires: Callable[[str]
     with Image.open(files[1]) as gif:
         assert (gif.n_frames, gif.size, gif.info["duration"]) == (5, (64, 48), 100)
     assert files[3].read_bytes()[4:8] == b"ftyp"
+
+
+def test_colours_of_a_gif_are_the_pages(tmp_path: Path) -> None:
+    """The background is exact, as a page has it; bodies are near it, in every picture."""
+    colors = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7")
+    edges = (0.3, 0.3, 0.3)
+    balls = [
+        Solid(Layer.SOLIDS, 0, Kind.ELLIPSOID, edges, color, (0.4 * k - 0.8, 0, 0)) for k, color in enumerate(colors)
+    ]
+    film = make_still(*balls)
+    write_gif(film, tmp_path / "balls.gif", Size(240, 180), lambda *_: None)
+    with Image.open(tmp_path / "balls.gif") as gif:
+        found = np.asarray(gif.convert("RGB")).astype(int)
+    (drawn,) = draw_film(film, 240, 180)
+    assert (found == np.rint(255 * PAPER)).all(axis=2).mean() > 0.5
+    assert np.abs(found - drawn.astype(int)).max() <= 24
+    assert np.abs(found - drawn.astype(int)).mean() < 0.5
+
+
+def test_a_picture_is_a_strip_of_frames(tmp_path: Path) -> None:
+    """Six pictures, from the first to the last; or pictures at given times, equal to the film's."""
+    motion, out = write_motion(tmp_path), tmp_path / "a.png"
+    arguments = [str(MODEL), str(motion), "-o", str(out), "--size", "64x48", "--rate", "10"]
+    run = CliRunner().invoke(animate_command, arguments, catch_exceptions=False)
+    assert run.exit_code == 0, run.output
+    with Image.open(out) as strip:
+        assert strip.size == (3 * 64 + 8, 2 * 48 + 4)
+        first, last = (np.asarray(strip.crop(box)) for box in ((0, 0, 64, 48), (136, 52, 200, 100)))
+    for time, expected in ((0, first), (0.4, last)):
+        CliRunner().invoke(animate_command, [*arguments, "--at", str(time)], catch_exceptions=False)
+        with Image.open(out) as one:
+            assert (np.asarray(one) == expected).all()
+    content = out.read_bytes()
+    CliRunner().invoke(animate_command, [*arguments, "--at", "0.4"], catch_exceptions=False)
+    assert out.read_bytes() == content
+    for more, finding in ((["--at", "0.6"], "0.6 s is not between 0 and 0.4 s"), (["--at", "x"], "--at")):
+        run = CliRunner().invoke(animate_command, [*arguments, *more])
+        assert run.exit_code == 2
+        assert finding in run.output
+    run = CliRunner().invoke(animate_command, [str(MODEL), str(motion), "-o", str(tmp_path / "a.gif"), "--at", "0"])
+    assert run.exit_code == 2
+    assert "it chooses the times of a .png" in run.output
 
 
 class Nowhere:

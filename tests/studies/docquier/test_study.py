@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from pyarrow import parquet
 
 from mbsgen.errors import InputError, MbsError
@@ -30,6 +31,7 @@ from mbsrun.measuring.sections import (
     distinguish,
     read_folders,
     write_outline,
+    write_section,
     write_table,
 )
 from mbsrun.ocp.attempts import find_lowest
@@ -58,7 +60,7 @@ from studies.docquier.campaign import (
 )
 from studies.docquier.differentiated import Differentiated
 from studies.docquier.export import export
-from studies.docquier.figures import name_set
+from studies.docquier.figures import drawn_as, name_set, save
 from studies.docquier.markdown import write_archive, write_page
 from studies.docquier.nonzeros import count_groups, explain_nonzeros
 from studies.docquier.robustness import State, describe_outcome, find_state, list_slices, report_robust
@@ -275,6 +277,26 @@ def test_slices_are_spread_over_all_targets() -> None:
 
 HOSTILE = "</script><script>document.title = 'hostile'</script><b onclick='x'>"
 SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="900" height="10"><script>top.hostile = 1</script></svg>'
+
+
+@pytest.mark.parametrize("form", ["svg", "png", "pdf"])
+def test_pictures_have_the_format_that_is_asked_for(form: str, tmp_path: Path) -> None:
+    """A file of the format, equal each time; a page has a picture that browsers show."""
+    starts = {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}
+    pictures = []
+    for _ in range(2):
+        figure = Figure()
+        figure.subplots().plot([1, 2])
+        with drawn_as(form):
+            pictures.append(save(figure, "a line", "rises"))
+    write_section(Section("lines", "Lines", "", tuple(pictures)), tmp_path)
+    first, second = (tmp_path / f"lines_{k}.{form}" for k in (1, 2))
+    assert first.read_bytes() == second.read_bytes()
+    assert first.read_bytes().startswith(starts[form])
+    assert pictures[0].kind == ("image/png" if form == "png" else "image/svg+xml")
+    assert pictures[0].content.startswith(starts["png" if form == "png" else "svg"])
+    write_page("Title", [], [Section("lines", "Lines", "", tuple(pictures))], tmp_path / "page")
+    assert (tmp_path / "page" / f"lines_1.{'png' if form == 'png' else 'svg'}").is_file()
 
 
 def test_folders_are_taken_in(tmp_path: Path) -> None:
