@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Drawing, Element, Grip, Mass, Point, Seat, Tension, Touch
+from mbsgen.manifest import Appearance, Axle, Ball, Drawing, Element, Grip, Mass, Point, Seat, Tension, Touch
 from mbsgen.model.model import (
     BASE,
     HERE,
@@ -26,6 +26,7 @@ from mbsgen.model.model import (
     LoopEnd,
     Model,
     Placement,
+    Plane,
     Triple,
     Visual,
 )
@@ -178,17 +179,22 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
 
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
-    seat, plane = seats.find(contact.body, contact.placement), contact.plane
-    carrier = seats.find(plane.body)
-    normal = carrier.axes @ _floats(plane.normal, values)
+    seat, other = seats.find(contact.body, contact.placement), contact.other
+    carrier = seats.find(other.body)
+    place, plane, normal, sphere = _point(carrier.place(_floats(other.position, values))), None, None, None
+    if isinstance(other, Plane):
+        direction = carrier.axes @ _floats(other.normal, values)
+        plane, normal = place, _triple(direction / np.linalg.norm(direction))
+    else:
+        sphere = Ball(centre=place, radius=_float(other.radius, values))
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
         axes=tuple(seat.axes.T.ravel().tolist()),
         radius=_float(contact.radius, values),
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
-        plane=_point(carrier.place(_floats(plane.position, values))),
-        normal=_triple(normal / np.linalg.norm(normal)),
+        plane=plane,
+        normal=normal,
         law=Grip(
             stiffness=_float(contact.stiffness, values),
             exponent=_float(contact.exponent, values),
@@ -197,6 +203,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
             coefficient=0.0 if contact.friction is None else _float(contact.friction.coefficient, values),
             speed=1.0 if contact.friction is None else _float(contact.friction.speed, values),
         ),
+        sphere=sphere,
     )
 
 

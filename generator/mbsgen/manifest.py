@@ -198,17 +198,30 @@ class Element(_Entry):
     law: Tension | None = None  # None: it has a further tension, as an expression
 
 
+class Ball(_Entry):
+    """A sphere that another side touches."""
+
+    centre: Point
+    radius: float  # [m]
+
+
 class Touch(_Entry):
-    """A contact of a sphere, a box or a point with a plane."""
+    """A contact of a sphere, a box or a point with a plane, or of a sphere or a point with a sphere."""
 
     name: str
     centre: Point
     axes: tuple[float, ...]  # of the box in that frame, one after the other
     radius: float  # of the sphere [m]; 0: a point
     size: tuple[float, float, float] | None  # of the box [m]
-    plane: Point
-    normal: tuple[float, float, float]  # in the frame of that point, a unit vector
+    plane: Point | None = None
+    normal: tuple[float, float, float] | None = None  # of the plane, in the frame of its point, a unit vector
     law: Grip | None = None
+    sphere: Ball | None = None  # in place of a plane
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        absent = ("plane", "normal") if self.plane is None else ("sphere",)
+        return {k: x for k, x in write(self).items() if k not in absent}
 
 
 Shape = Literal["box", "ellipsoid", "sphere", "cylinder", "capsule", "mesh"]
@@ -268,7 +281,7 @@ class Loop(_Entry):
 
 
 TIME = "t"  # the signal that is the time
-FIRST_LENGTH = 100_000  # the status of the first force element; joints and loops have the numbers below
+FIRST_LENGTH = 100_000  # the status of the first force without a direction; joints and loops have the numbers below
 
 
 class Manifest(_Entry):
@@ -291,7 +304,7 @@ class Manifest(_Entry):
     wrenches: tuple[Wrench, ...] = ()
     signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
-    lengths: tuple[str, ...] = ()  # force elements that need a direction: FIRST_LENGTH + k is the status without one
+    lengths: tuple[str, ...] = ()  # forces that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
     independent: tuple[int, ...] = ()  # entries of qd that determine all others; empty without loops
     dependent: tuple[int, ...] = ()  # the other ones, as many as entries of h

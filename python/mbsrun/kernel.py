@@ -28,7 +28,7 @@ __all__ = ["ArgumentError", "Array", "KernelError", "Kernels", "Place", "find_pl
 
 
 class KernelError(MbsError):
-    """A kernel that returned a nonzero status: it failed at a joint, a loop, or a force element without a direction."""
+    """A kernel that returned a nonzero status: it failed at a joint, a loop, or a force without a direction."""
 
     def __init__(self, kernel: str, place: Place, state: int) -> None:
         self.kernel, self.joint, self.loop, self.state = kernel, place.joint, place.loop, state
@@ -37,16 +37,19 @@ class KernelError(MbsError):
 
 @dataclass(frozen=True)
 class Place:
-    """The joint, the loop, or the force element that a status names; none where it names none."""
+    """The joint, the loop, the force element or the contact that a status names; none where it names none."""
 
     joint: str | None
     loop: str | None
     status: int
     length: str | None = None  # a force element whose points meet
+    spheres: str | None = None  # a contact of two spheres whose centres coincide
 
     def __str__(self) -> str:
         if self.length is not None:
             return f"force element {self.length}, whose points meet: it has no direction there"
+        if self.spheres is not None:
+            return f"contact {self.spheres}, whose centres coincide: it has no direction there"
         named = (("joint", self.joint), ("loop", self.loop))
         return next((f"{kind} {name}" for kind, name in named if name is not None), f"number {self.status}")
 
@@ -54,11 +57,13 @@ class Place:
 def find_place(manifest: Manifest, status: int) -> Place:
     """Find the entry that a kernel's status names.
 
-    It is joint number k for k, loop number k for n + k, of n joints, from 1; and force element k for FIRST_LENGTH + k.
+    It is joint number k for k, loop number k for n + k, of n joints, from 1; and force element or contact k for
+    FIRST_LENGTH + k.
     """
     if status >= FIRST_LENGTH:
-        lengths = manifest.lengths[status - FIRST_LENGTH :]
-        return Place(None, None, status, lengths[0] if lengths else None)
+        name = next(iter(manifest.lengths[status - FIRST_LENGTH :]), None)
+        is_contact = name in manifest.contacts
+        return Place(None, None, status, None if is_contact else name, name if is_contact else None)
     joints, loops = ([x.name for x in entries] for entries in (manifest.coordinates, manifest.loops))
     n = len(joints)
     joint = joints[status - 1] if 0 < status <= n else None

@@ -98,15 +98,21 @@ class Forces:
         return [centre.carry(half * np.array(signs)) for signs in product((-1, 1), repeat=3)]
 
     def _contact(self, contact: Data, centre: Motion) -> Iterator[Applied]:
-        given = contact.get("plane", {})
+        given = contact.get("sphere", contact.get("plane", {}))
         carrier = given.get("body", "base")
         body = self.bodies[carrier]
         foot = body.carry(self.own.vector(given.get("position", [0, 0, 0])))
-        n = body.R @ self.own.direction(given.get("normal", "z"))
         radius, width = self.value(contact.get("radius", 0)), self.value(contact.get("width", 1e-4))
-        touch = centre.p - radius * n
+        if "sphere" in contact:
+            length, other = self.own.numbers.length(centre.p - foot.p), self.value(given["radius"])
+            n, gap = (centre.p - foot.p) / length, length - radius - other
+            touch = foot.p + length * other / (radius + other) * n
+        else:
+            n = body.R @ self.own.direction(given.get("normal", "z"))
+            touch = centre.p - radius * n
+            gap = n @ (touch - foot.p)
         v = centre.v + np.cross(centre.om, touch - centre.p) - foot.v - np.cross(foot.om, touch - foot.p)
-        gap, rate = n @ (touch - foot.p), n @ v
+        rate = n @ v
         depth = self._soften(-gap, width)
         exponent = self.value(contact.get("exponent", 1.5))
         power = depth ** int(exponent)

@@ -193,7 +193,12 @@ class _Draw:
         contact |= {} if pick.random() < 0.2 else {"plane": plane}
         contact |= {"stiffness": pick.choice([20.0, "10*k"]), "width": 0.3, "exponent": pick.choice([1, 1.5, 2, 2.5])}
         friction = {"friction": {"coefficient": 0.6, "speed": pick.choice([0.5, "l"])}, "dissipation": 0.4}
-        return contact | {key: x for key, x in friction.items() if pick.random() < 0.6}
+        contact |= {key: x for key, x in friction.items() if pick.random() < 0.6}
+        if "size" not in contact and pick.random() < 0.5:
+            given = contact.pop("plane", {"position": [0.3, 0, 0.4]})
+            place = {key: x for key, x in given.items() if key != "normal" and x != "base"}
+            contact["sphere"] = {**place, "radius": pick.choice([0.5, "l", "a/2"])}
+        return contact
 
     def number(self, low: float, high: float) -> float:
         return round(self.source.uniform(low, high), 3)

@@ -11,7 +11,7 @@ The inertia of body i is given by its moments about its own origin: mass m, firs
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -132,7 +132,7 @@ class Chain:
         """The external wrenches; what the model leaves open is taken from the input w."""
         given = iter(self.state.w)
 
-        self._guard_lengths()
+        self.guard_lengths({wrench.name for wrench in self.tree.wrenches})
 
         def components(wrench: Wrench, vector: Sequence[Expr] | None) -> Vector[Scalar]:
             written = Vector.of(islice(given, 3)) if vector is None else self.components(vector)
@@ -143,10 +143,9 @@ class Chain:
             for x in self.tree.wrenches
         )
 
-    def _guard_lengths(self) -> None:
-        """Make the kernel fail where the points of a force element meet: it has no direction there."""
+    def guard_lengths(self, present: Container[str]) -> None:
+        """Make the kernel fail where the points of these force elements or contacts meet: there is no direction."""
         lengths = [(x.symbol, x.length) for x in self.tree.definitions if x.length is not None]
-        present = {wrench.name for wrench in self.tree.wrenches}
         for number, (symbol, length) in enumerate(lengths, FIRST_LENGTH):
             if length.name not in present:
                 continue

@@ -50,6 +50,7 @@ from mbsgen.model.model import (
     Placement,
     Plane,
     Rotation,
+    Sphere,
     Triple,
     Wrench,
 )
@@ -268,6 +269,11 @@ def plane(body: str = BASE, *, position: Vector = _ORIGIN, normal: Direction = "
     return Plane(body, vector(position), _direct(normal))
 
 
+def sphere(radius: Quantity, body: str = BASE, *, position: Vector = _ORIGIN) -> Sphere:
+    """Make a sphere on a body, or on the base, that the sphere of a contact touches."""
+    return Sphere(number(radius), body, vector(position))
+
+
 def contact(
     name: str,
     body: str,
@@ -277,18 +283,21 @@ def contact(
     orientation: Turns = (),
     radius: Quantity = 0.0,
     size: Vector | None = None,
-    plane: Plane = GROUND,
+    other: Plane | Sphere = GROUND,
     exponent: float = 1.5,
     dissipation: Quantity = 0.0,
     width: Quantity | None = None,
     friction: tuple[Quantity, Quantity] | None = None,
 ) -> Contact:
-    """Make a contact of a sphere, or of the corners of a box, with a plane; friction is a coefficient and a speed."""
+    """Make a contact of a sphere with a plane or a sphere, or of the corners of a box with a plane.
+
+    `friction` is a coefficient and a speed [m/s].
+    """
     grip = None if friction is None else Grip(*map(number, friction))
     edges, placement = None if size is None else vector(size), _place(position, orientation)
     depth = WIDTH if width is None else number(width)
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
-    return Contact(*body_part, plane, number(exponent), number(dissipation), depth, grip)
+    return Contact(*body_part, other, number(exponent), number(dissipation), depth, grip)
 
 
 def loop(

@@ -16,15 +16,20 @@ phi(x) is 1 + x within 5e-6 of itself for x >= 0, and above 0 everywhere (1 + x 
 "Coefficient of restitution interpreted as damping in vibroimpact", J. Appl. Mech. 42, 1975). phi grows; phi(0) is 1.
 The tension T differs from the elastic one by a force against the rate, which takes energy out.
 
-A contact of a sphere of centre c and radius r with the plane through P of normal n, at the point p = c - r n,
+A contact of a sphere of centre c and radius r touches a plane or a sphere at the point p, along the normal n:
 
-    gap = n.(c - P) - r,    v: velocity of the sphere relative to the plane at p,    rate = n.v
+    plane through P of normal n:        gap = n.(c - P) - r,    p = c - r n
+    sphere of centre P and radius R:    gap = |c - P| - r - R,  p = (R c + r P)/(r + R),   n = (c - P)/|c - P|
+A sphere with R -> inf is the plane, and either of two spheres may be called the other one. With the velocity v of the
+first side relative to the other one, both at p, and rate = n.v, the force
+
     depth = softplus(-gap, width)
     N = stiffness depth^exponent phi(-dissipation rate)
     F = N n - coefficient N v_t / sqrt(v_t.v_t + speed^2),    v_t = v - rate n,
 
-acts on the sphere at p, and its opposite on the plane's body. A half power is depth^k sqrt(depth + 1e-6 width): a root
-has no derivative at 0. The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction
+acts on the sphere at p, and its opposite on the other side at p. Where the centres of two spheres coincide, there is no
+normal: kernels then fail, with a status of the contact. A half power is depth^k sqrt(depth + 1e-6 width): a root has no
+derivative at 0. The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction
 model", J. Comput. Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 """
 
@@ -37,7 +42,7 @@ from sympy import Expr, Symbol, sqrt
 
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
-from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement
+from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement, Sphere
 from mbsgen.model.tree import ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
@@ -59,6 +64,24 @@ class Anchor:
 
     body: int  # 0: the base
     point: Vector
+
+
+@dataclass(frozen=True)
+class Side:
+    """The side of a contact that is touched: a point of a plane, or the centre of a sphere."""
+
+    anchor: Anchor
+    normal: Vector | None  # of the plane, in the frame of that body, of length 1; None: of a sphere
+
+
+@dataclass(frozen=True)
+class _Meeting:
+    """The point at which two sides touch, or would touch."""
+
+    n: Vector  # out of the other side
+    gap: Expr
+    arm: Vector  # from the centre of the first side to the point
+    reach: Vector  # from the place of the other side to the point
 
 
 class Loads:
@@ -98,29 +121,22 @@ class Loads:
         own |= {key: self._read(getattr(element.cable, key), {}) for key in ("width", "dissipation")}
         return self._read(_CABLE, own)
 
-    def add_contact(
-        self, contact: Contact, points: Sequence[tuple[str, Anchor]], plane: Anchor, normal: Vector, exponent: float
-    ) -> None:
-        """Add the wrenches of a contact at some points of a body, by their names, with a plane of unit normal."""
+    def add_contact(self, contact: Contact, points: Sequence[tuple[str, Anchor]], side: Side, exponent: float) -> None:
+        """Add the wrenches of a contact at some points of a body, by their names, with the side that is touched."""
         assert exponent in POWERS, "exponents are checked"
         for name, point in points:
-            self._touch(contact, name, point, plane, normal, exponent)
+            self._touch(contact, name, point, side, exponent)
 
-    def _touch(
-        self, contact: Contact, name: str, centre: Anchor, plane: Anchor, normal: Vector, exponent: float
-    ) -> None:
-        radius = self._read(contact.radius, {})
-        n = self._probe(name, "n", Reading.DIRECTION, Anchor(plane.body, normal))
-        c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", plane)))
+    def _touch(self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float) -> None:
+        met = self._meet(contact, name, centre, side)
+        n, gap, arm, reach = met.n, met.gap, met.arm, met.reach
         (vc, wc), (vP, wP) = (
             [self._probe(name, k, reading, at) for reading in (Reading.VELOCITY, Reading.SPIN)]
-            for k, at in (("c", centre), ("P", plane))
+            for k, at in (("c", centre), ("P", side.anchor))
         )
-        arm = _scale(-radius, n)  # from the centre to the point of contact
-        reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))  # from the plane's point to it
         relative = _subtract(_add(vc, _cross(wc, arm)), _add(vP, _cross(wP, reach)))
         v = self._define_vector(name, "v", relative)
-        gap, rate = self._define(name, "gap", _dot(n, reach)), self._define(name, "rate", _dot(n, v))
+        rate = self._define(name, "rate", _dot(n, v))
         self.distances.append(Distance(name, gap))
         N = self._press(contact, name, gap, rate, exponent)
         F = _scale(N, n)
@@ -132,7 +148,27 @@ class Loads:
             F = _subtract(F, _scale(drag, slip))
         F = self._define_vector(name, "F", F)
         self._act(name, centre, F, _cross(arm, F))
-        self._act(name, plane, _scale(-1, F), _cross(F, reach))
+        self._act(name, side.anchor, _scale(-1, F), _cross(F, reach))
+
+    def _meet(self, contact: Contact, name: str, centre: Anchor, side: Side) -> _Meeting:
+        """Define the normal, the gap and the point of contact."""
+        r = self._read(contact.radius, {})
+        c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", side.anchor)))
+        if isinstance(contact.other, Sphere):
+            return self._meet_sphere(name, c, P, r, self._read(contact.other.radius, {}))
+        assert side.normal is not None, "a plane has a normal"
+        n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, side.normal))
+        arm = _scale(-r, n)
+        reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))
+        return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach)
+
+    def _meet_sphere(self, name: str, c: Vector, P: Vector, r: Expr, R: Expr) -> _Meeting:
+        d = self._define_vector(name, "d", _subtract(c, P))
+        square = self._define(name, "square", _dot(d, d), Length(name, _dot(c, c) + _dot(P, P)))
+        length = self._define(name, "length", sqrt(square))
+        n = self._define_vector(name, "n", _scale(1 / length, d))
+        gap = self._define(name, "gap", length - r - R)
+        return _Meeting(n, gap, _scale(-r / (r + R), d), _scale(R / (r + R), d))
 
     def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> Expr:
         """Define the normal force."""

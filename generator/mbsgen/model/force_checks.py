@@ -19,6 +19,7 @@ from mbsgen.model.model import (
     Contact,
     ForceElement,
     Model,
+    Sphere,
     Triple,
     Wrench,
 )
@@ -104,8 +105,7 @@ def _check_element(place: Place, element: ForceElement, valuation: Valuation, st
 
 def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
     valuation.placement(place, contact.placement)
-    valuation.triple((*place, "plane", "position"), contact.plane.position)
-    yield from _check_normal((*place, "plane", "normal"), contact.plane.normal, valuation)
+    yield from _check_other(place, contact, valuation)
     yield from _check_not_negative((*place, "radius"), contact.radius, valuation)
     if contact.size is not None:
         for k, edge in enumerate(contact.size):
@@ -122,6 +122,19 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
         at = (*place, "friction")
         yield from _check_not_negative((*at, "coefficient"), contact.friction.coefficient, valuation)
         yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+
+
+def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with the plane or the sphere that is touched."""
+    other, at = contact.other, (*place, contact.key)
+    valuation.triple((*at, "position"), other.position)
+    if not isinstance(other, Sphere):
+        yield from _check_normal((*at, "normal"), other.normal, valuation)
+        return
+    yield from _check_positive((*at, "radius"), other.radius, valuation)
+    if contact.size is not None:
+        finding = "a box and a sphere: its corners miss a sphere between them"
+        yield Finding((*place, "size"), finding, "give the contact a radius, one for each sphere that makes up the box")
 
 
 def _check_normal(place: Place, normal: Triple, valuation: Valuation) -> Iterator[Finding]:
@@ -148,7 +161,7 @@ def check_bodies(model: Model) -> Iterator[Finding]:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
     pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces)]
-    pairs += [(("contacts", i), x.body, x.plane.body) for i, x in enumerate(model.contacts)]
+    pairs += [(("contacts", i), x.body, x.other.body) for i, x in enumerate(model.contacts)]
     for place, first, second in pairs:
         if first in carriers and carriers[first] == carriers.get(second):  # a body that is missing has a finding
             finding = f"{abbreviate(first)} and {abbreviate(second)} do not move relative to each other"

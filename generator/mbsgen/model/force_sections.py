@@ -21,6 +21,7 @@ from mbsgen.model.model import (
     ForceElement,
     Grip,
     Plane,
+    Sphere,
 )
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
 
@@ -60,6 +61,14 @@ class PlaneSection(Section):
     normal: DirectionField = Field(UNITS["z"], examples=["z"], description="out of the solid, in that frame")
 
 
+class SphereSection(Section):
+    """A sphere on a body, or on the base, that a sphere touches."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    position: TripleField = Field(ORIGIN, examples=[[0.0, 0.0, 0.1]], description="of its centre, in that frame, m")
+    radius: NumberField = Field(examples=[0.05], description="m")
+
+
 class GripSection(Section):
     """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2)."""
 
@@ -68,13 +77,14 @@ class GripSection(Section):
 
 
 class ContactSection(PlacementSection):
-    """A compliant contact of a sphere, or of the corners of a box, with a plane."""
+    """A compliant contact of a sphere with a plane or a sphere, or of the corners of a box with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
     radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
     size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
+    sphere: SphereSection | None = Field(None, examples=[None], description="in place of a plane")
     stiffness: NumberField = Field(examples=[1e5], description="N/m**exponent")
     exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
     dissipation: NumberField = Field(
@@ -84,6 +94,13 @@ class ContactSection(PlacementSection):
         WIDTH, examples=[1e-4], description="of the transition from distance to depth, m; else 1e-4"
     )
     friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
+
+    @property
+    def other(self) -> Plane | Sphere:
+        """The side that is touched, as a part of a Model."""
+        if self.sphere is not None:
+            return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position)
+        return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)
 
     def make(self) -> Contact:
         """Make the part of a Model."""
@@ -95,7 +112,7 @@ class ContactSection(PlacementSection):
             self.placement,
             self.radius,
             self.size,
-            GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal),
+            self.other,
             self.exponent,
             self.dissipation,
             self.width,

@@ -283,6 +283,15 @@ class Plane:
     normal: Triple = UNITS["z"]  # out of the solid, in the body's frame
 
 
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere on a body, or on the base."""
+
+    radius: Expression  # [m]
+    body: str = BASE
+    position: Triple = ORIGIN  # of its centre, in the body's frame [m]
+
+
 GROUND = Plane()
 HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwise
 
@@ -297,7 +306,7 @@ class Grip:
 
 @dataclass(frozen=True)
 class Contact:
-    """A compliant contact of a sphere, or of the corners of a box, with a plane; see `contacts`."""
+    """A compliant contact of a sphere with a plane or a sphere, or of the corners of a box with a plane."""
 
     name: str
     body: str
@@ -305,11 +314,16 @@ class Contact:
     placement: Placement = HERE  # of the centre of the sphere or the box, in the body's frame
     radius: Expression = ZERO  # of the sphere [m]; 0: a point
     size: Triple | None = None  # of a box [m]
-    plane: Plane = GROUND
+    other: Plane | Sphere = GROUND  # the side that is touched
     exponent: Expression = HERTZ  # of the depth
     dissipation: Expression = ZERO  # by which part of itself the force grows with the rate of the depth [s/m]
     width: Expression = WIDTH  # of the transition from distance to depth [m]
     friction: Grip | None = None
+
+    @property
+    def key(self) -> str:
+        """The key of the touched side in a file."""
+        return "sphere" if isinstance(self.other, Sphere) else "plane"
 
 
 @dataclass(frozen=True)

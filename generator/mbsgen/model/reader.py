@@ -30,7 +30,7 @@ def read_model(path: Path) -> Model:
     if section is not None:
         model = _make_model(section)
         doubtful = examination.stand_ins | _follow_carriers(section, examination.stand_ins)
-        findings = [*_check_joints(section), *find_faults(model, doubtful)]
+        findings = [*_check_joints(section), *_check_contacts(section), *find_faults(model, doubtful)]
         faults += [document.fault(_locate(found.place, section), found.finding, found.remedy) for found in findings]
     if faults or section is None:
         raise refuse(faults)
@@ -139,6 +139,12 @@ def _check_joints(section: schema.ModelSection) -> Iterator[Finding]:
         if isinstance(body.joint, JointSection):
             for found in body.joint.find_faults():
                 yield replace(found, place=("bodies", i, "joint", *found.place))
+
+
+def _check_contacts(section: schema.ModelSection) -> Iterator[Finding]:
+    for i, contact in enumerate(section.contacts):
+        if contact.plane is not None and contact.sphere is not None:
+            yield Finding(("contacts", i, "sphere"), "a plane and a sphere", "give one of them, or make two contacts")
 
 
 def _follow_carriers(section: schema.ModelSection, doubtful: frozenset[Place]) -> frozenset[Place]:

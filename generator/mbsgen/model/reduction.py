@@ -18,7 +18,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
-from mbsgen.model.elements import Anchor, Loads
+from mbsgen.model.elements import Anchor, Loads, Side
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -466,11 +466,12 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
     for element in description.forces:
         loads.add_element(element, *(anchor(end.body, end.placement) for end in (element.first, element.second)))
     for contact in description.contacts:
-        at, plane = seats[contact.body].carry(contact.placement, reader), contact.plane
+        at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
-        foot, normal = anchor(plane.body, model.Placement(plane.position)), normalise(reader.direction(plane.normal))
-        exponent = reader.constant(contact.exponent)
-        loads.add_contact(contact, points, foot, seats[plane.body].vector(normal), exponent)
+        foot, normal = anchor(other.body, model.Placement(other.position)), None
+        if isinstance(other, model.Plane):
+            normal = seats[other.body].vector(normalise(reader.direction(other.normal)))
+        loads.add_contact(contact, points, Side(foot, normal), reader.constant(contact.exponent))
     return loads
 
 

@@ -38,7 +38,9 @@ from mbsgen.model.model import (
     Model,
     Parameter,
     Placement,
+    Plane,
     Row,
+    Sphere,
     Triple,
     Wrench,
 )
@@ -251,11 +253,17 @@ class _Release:
             placement=self._placement(path, contact.placement),
             radius=self._number(f"{path}.radius", contact.radius) if contact.size is None else contact.radius,
             size=contact.size and self._triple(f"{path}.size", contact.size),
-            plane=replace(contact.plane, position=self._triple(f"{path}.plane.position", contact.plane.position)),
+            other=self._other(f"{path}.{contact.key}", contact.other),
             dissipation=self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
             friction=grip,
         )
+
+    def _other(self, path: str, other: Plane | Sphere) -> Plane | Sphere:
+        position = self._triple(f"{path}.position", other.position)
+        if isinstance(other, Sphere):
+            return replace(other, position=position, radius=self._number(f"{path}.radius", other.radius))
+        return replace(other, position=position)
 
     def _loop(self, loop: Loop) -> Loop:
         path = f"loops.{loop.name}"
@@ -307,7 +315,7 @@ def _list_rules(joints: Mapping[str, Joint], name: str) -> Iterator[Expression]:
 def _list_axes(model: Model) -> Iterator[Triple]:
     yield from (joint.axis for body in model.bodies for joint in body.joints)
     yield from (axis for loop in model.loops for axis in (loop.axis, loop.axis2))
-    yield from (contact.plane.normal for contact in model.contacts)
+    yield from (x.other.normal for x in model.contacts if isinstance(x.other, Plane))
 
 
 def _is_quarter_turn(angle: Expression) -> bool:

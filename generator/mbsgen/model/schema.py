@@ -133,7 +133,7 @@ class ModelSection(Section):
     frames: tuple[FrameSection, ...] = Field((), examples=[[]], description="sensors")
     wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
     forces: tuple[ForceSection, ...] = Field((), examples=[[]], description="springs and cables between two frames")
-    contacts: tuple[ContactSection, ...] = Field((), examples=[[]], description="compliant contacts with planes")
+    contacts: tuple[ContactSection, ...] = Field((), examples=[[]], description="compliant contacts")
     signals: tuple[str, ...] = Field((), examples=[[]], description="numbers that forces read, as inputs of the code")
     loops: tuple[LoopSection, ...] = Field((), examples=[[]], description="joints that close loops of bodies")
     constraints: tuple[ConstraintSection, ...] = Field((), examples=[[]], description="equations of coordinates")

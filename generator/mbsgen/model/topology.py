@@ -60,7 +60,7 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     spans = [(i, key, end) for i, x in enumerate(model.forces) for key, end in (("from", x.first), ("to", x.second))]
     carriers += [(("forces", i, key, "body"), end.body) for i, key, end in spans]
     carriers += [(("contacts", i, "body"), contact.body) for i, contact in enumerate(model.contacts)]
-    carriers += [(("contacts", i, "plane", "body"), contact.plane.body) for i, contact in enumerate(model.contacts)]
+    carriers += [(("contacts", i, x.key, "body"), x.other.body) for i, x in enumerate(model.contacts)]
     for place, name in [*parents, *carriers]:
         if name not in (BASE, *names) and not lies_under(place, doubtful):
             meant = nearest(name, [BASE, *names])

@@ -197,9 +197,9 @@ class Probe:
 
 @dataclass(frozen=True)
 class Length:
-    """A length by which a force element is divided, so that it must not vanish."""
+    """A length by which a force element or a contact is divided, so that it must not vanish."""
 
-    name: str  # of the force element
+    name: str  # of the force element or the contact
     scale: Expr  # the squares of the places of both ends [m2]
 
 
@@ -209,14 +209,14 @@ class Definition:
 
     symbol: Symbol
     value: Expr  # over parameters, coordinates, velocities, probes and earlier definitions
-    length: Length | None = None  # it is the square of the length of this force element
+    length: Length | None = None  # it is the square of the length of this force
     owner: str = ""  # the force element, or the point of contact
     key: str = ""  # its name there
 
 
 @dataclass(frozen=True)
 class Distance:
-    """The distance of a point of contact from its plane; below 0 inside."""
+    """The distance of a point of contact from its plane, or of two spheres; below 0 inside."""
 
     name: str
     symbol: Symbol  # of its definition

@@ -38,6 +38,7 @@ from mbsgen.model.model import (
     Parameter,
     Placement,
     Plane,
+    Sphere,
     Triple,
     Visual,
     Wrench,
@@ -241,8 +242,8 @@ def _write_contact(contact: Contact) -> Mapped:
     content |= _write_placement(contact.placement) | _write_numbers(contact, ("radius",))
     if contact.size is not None:
         content["size"] = _write_triple(contact.size)
-    if contact.plane != GROUND:
-        content["plane"] = _write_plane(contact.plane)
+    if contact.other != GROUND:
+        content[contact.key] = _write_other(contact.other)
     content["stiffness"] = _write_number(contact.stiffness)
     if contact.exponent != HERTZ:
         content["exponent"] = _write_number(contact.exponent)
@@ -257,11 +258,13 @@ def _write_contact(contact: Contact) -> Mapped:
     return content
 
 
-def _write_plane(plane: Plane) -> Mapped:
-    content: Mapped = {} if plane.body == BASE else {"body": _quote(plane.body)}
-    if plane.position != ORIGIN:
-        content["position"] = _write_triple(plane.position)
-    return content if plane.normal == GROUND.normal else {**content, "normal": _write_axis(plane.normal)}
+def _write_other(other: Plane | Sphere) -> Mapped:
+    content: Mapped = {} if other.body == BASE else {"body": _quote(other.body)}
+    if other.position != ORIGIN:
+        content["position"] = _write_triple(other.position)
+    if isinstance(other, Sphere):
+        return {**content, "radius": _write_number(other.radius)}
+    return content if other.normal == GROUND.normal else {**content, "normal": _write_axis(other.normal)}
 
 
 def _write_numbers(part: object, keys: Sequence[str]) -> Mapped:

@@ -51,7 +51,7 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
         ),
         _group(
             "length",
-            f"Force elements: a function that finds no direction of entry k returns {FIRST_LENGTH} + k",
+            f"Forces between points: a function that finds no direction of entry k returns {FIRST_LENGTH} + k",
             (x.length.name for x in tree.definitions if x.length is not None),
         ),
         _group("w", _describe_open(tree), _list_components(tree)),

@@ -70,7 +70,7 @@ def make_actor(
         drawn = {x.body for x in visuals}
         solids += [*_draw_masses(appearance, size, look, drawn)]
         solids += _draw_joints(manifest, size, look) if not drawn else ()
-        solids += _draw_contacts(appearance, size)
+        solids += dict.fromkeys(_draw_contacts(appearance, size))  # a sphere may have many contacts
         kinds = {True: Course.CABLE, False: Course.SPRING}
         lines += [Line(kinds[x.cable], (x.first, x.second)) for x in appearance.elements]
     return Actor(name, look.edges, skeleton.frames, tuple(solids), tuple(lines), find_floating(manifest), size)
@@ -200,6 +200,9 @@ def _draw_contacts(appearance: Appearance, size: float) -> Iterator[Solid]:
             yield Solid(Layer.CONTACTS, frame, Kind.BOX, each.size, "#009e73", at, each.axes)
         else:
             diameter = max(2.0 * each.radius, 0.018 * size)
+            yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
+        if each.sphere is not None:
+            frame, at, diameter = each.sphere.centre.frame, each.sphere.centre.at, 2.0 * each.sphere.radius
             yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
 
 

@@ -5,7 +5,8 @@ its length |d|, and s(x, w) = w log(1 + exp(x/w)), a smooth max(x, 0),
 
     spring:   T = stiffness (length - rest) + damping rate
     cable:    T = stiffness s(length - rest, width) phi(dissipation rate)
-    contact:  N = stiffness s(-gap, width)^exponent phi(-dissipation rate)
+    contact:  gap = n.(p - P) of a plane, |c - P| - r - R of two spheres, n = (c - P)/|c - P|
+              N = stiffness s(-gap, width)^exponent phi(-dissipation rate)
               F = N n - coefficient N v_t / sqrt(v_t.v_t + speed^2)
 
 with phi(x) = s(1 + x, 1/10)/s(1, 1/10) (Hunt, Crossley, J. Appl. Mech. 42, 1975). A positive tension T pulls the ends
@@ -119,14 +120,26 @@ def _press(course: _Course, touch: Touch) -> Iterator[Load]:
         return
     C = np.array(touch.axes).reshape(3, 3)  # one a row
     corners = np.zeros((1, 3)) if touch.size is None else SIGNS * np.array(touch.size)
-    frame, normal = touch.plane.frame, np.array(touch.normal)
-    n = np.broadcast_to(normal, (len(course.now.p), 3)) if frame < 0 else _axes(course.now, frame) @ normal
     for corner in corners @ C:
         x, y, z = (np.array(touch.centre.at) + corner).tolist()
         foot = Point(frame=touch.centre.frame, at=(x, y, z))
-        p = course.find(foot) - touch.radius * n
+        frame, n, gap, p = _meet(course, touch, course.find(foot))
         v = course.move(foot.frame, p) - course.move(frame, p)
-        yield Load(foot, find_contact_force(touch.law, n, np.einsum("ki,ki->k", n, p - course.find(touch.plane)), v))
+        yield Load(foot, find_contact_force(touch.law, n, gap, v))
+
+
+def _meet(course: _Course, touch: Touch, c: Array) -> tuple[int, Array, Array, Array]:
+    """Return the frame of the side that is touched at points c (K, 3), normals, gaps, and points of contact."""
+    if touch.sphere is not None:
+        P, r, R = course.find(touch.sphere.centre), touch.radius, touch.sphere.radius
+        length = np.linalg.norm(c - P, axis=1)
+        n = (c - P) / np.maximum(length, 1e-12)[:, None]
+        return touch.sphere.centre.frame, n, length - r - R, (R * c + r * P) / (r + R)
+    assert touch.plane is not None, "a contact has another side"
+    frame, normal = touch.plane.frame, np.array(touch.normal)
+    n = np.broadcast_to(normal, (len(course.now.p), 3)) if frame < 0 else _axes(course.now, frame) @ normal
+    p = c - touch.radius * n
+    return frame, n, np.einsum("ki,ki->k", n, p - course.find(touch.plane)), p
 
 
 def find_contact_force(law: Grip, n: Array, gap: Array, v: Array) -> Array:

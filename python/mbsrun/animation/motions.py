@@ -340,7 +340,7 @@ def _list_planes(motions: Sequence[Motion], low: Triple, high: Triple, up: Tripl
     found: dict[tuple[float, ...], Plane] = {}
     for motion in motions:
         for x in motion.manifest.appearance.contacts if motion.manifest.appearance else ():
-            if x.plane.frame < 0:
+            if x.plane is not None and x.normal is not None and x.plane.frame < 0:
                 level = float(np.dot(x.normal, x.plane.at))
                 found.setdefault((*x.normal, level), Plane(x.plane.at, x.normal))
     planes = list(found.values())

@@ -294,7 +294,7 @@ def test_what_is_written_reads_as_the_same_model(tmp_path: Path) -> None:
 
 
 def test_python_makes_the_same_parts(tmp_path: Path) -> None:
-    ball = contact("ball", "mast", position=(0, 0, 0.4), radius=0.1, plane=plane(normal="-z"), stiffness="k")
+    ball = contact("ball", "mast", position=(0, 0, 0.4), radius=0.1, other=plane(normal="-z"), stiffness="k")
     box = contact(
         "box",
         "sled",
