@@ -164,6 +164,18 @@ def test_a_derivative_that_differences_cannot_see_is_no_fault(tmp_path: Path) ->
     assert max(product.report.verification.deviations.values()) <= TOLERANCE
 
 
+def test_the_slope_of_a_far_contact_is_no_fault(tmp_path: Path) -> None:
+    """Free bodies without weight, 40 widths apart: their residuals depend on q by some 1e-25 N alone."""
+    text = "name: far\ngravity: [0, 0, 0]\nbodies:\n"
+    text += "  - {name: a, joint: {type: free}, mass: 2, inertia: [0.01, 0.01, 0.01]}\n"
+    text += "  - {name: b, joint: {type: free}, mass: 3, inertia: [0.02, 0.02, 0.03]}\n"
+    text += "contacts:\n  - {name: hit, body: a, radius: 0.1, plane: {body: b, position: [0, 0, -0.4]}, "
+    text += "stiffness: 1e4, width: 1e-2, friction: {coefficient: 0.5, speed: 0.1}}\n"
+    (tmp_path / "far.yaml").write_text(text)
+    product = pipeline.make(read_model(tmp_path / "far.yaml"), replace(OPTIONS, functions=("impl",), derivatives=2))
+    assert max(product.report.verification.deviations.values()) <= TOLERANCE
+
+
 def test_the_report_says_what_was_compared() -> None:
     product = pipeline.make(kite(), replace(OPTIONS, functions=("energy", "sensors"), derivatives=1))
     checked = product.report.verification

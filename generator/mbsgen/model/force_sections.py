@@ -61,7 +61,7 @@ class PlaneSection(Section):
     normal: DirectionField = Field(UNITS["z"], examples=["z"], description="out of the solid, in that frame")
 
 
-class SphereSection(Section):
+class OtherSphereSection(Section):
     """A sphere on a body, or on the base, that a sphere touches."""
 
     body: str = Field(BASE, examples=[BASE], description="a body, or base")
@@ -84,7 +84,7 @@ class ContactSection(PlacementSection):
     radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
     size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
-    sphere: SphereSection | None = Field(None, examples=[None], description="in place of a plane")
+    sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     stiffness: NumberField = Field(examples=[1e5], description="N/m**exponent")
     exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
     dissipation: NumberField = Field(

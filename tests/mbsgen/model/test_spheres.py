@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from mbsgen.errors import InputError
 from mbsgen.formulations import catalogue
 from mbsgen.formulations.reductions import ALL
 from mbsgen.manifest import FIRST_LENGTH
-from mbsgen.model.construction import body, contact, free, make_model, plane, prismatic, sphere
+from mbsgen.model.construction import body, contact, free, make_model, number, plane, prismatic, sphere
 from mbsgen.model.model import Contact, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -31,6 +31,7 @@ from mbsgen.tape.interpreter import evaluate, find_failure
 from tests.fuzz import mechanisms
 
 Array = NDArray[np.float64]
+Data = dict[str, Any]
 
 r, R, k = 0.1, 0.25, 1e4
 LAW: dict[str, Any] = {"stiffness": k, "width": 1e-6}
@@ -191,19 +192,33 @@ def test_distances_are_those_of_mujoco() -> None:
 # --- the same in every function, and elsewhere ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [1110, 1136, 1171, 1206])
-def test_all_functions_agree_with_virtual_power(seed: int) -> None:
-    """Drawn mechanisms with a sphere on a body or on the base, numbers in the file or at run time; see tests/fuzz."""
-    drawn = mechanisms.draw(seed)
-    assert any("sphere" in touch for touch in drawn.model["contacts"])
-    assert mechanisms.examine(drawn, seed) == ""
+def find_drawn(folder: Path, accept: Callable[[Data], bool]) -> int:
+    """Return the first seed of a mechanism that is accepted, with at most 3 bodies and such a contact of spheres."""
+    for seed in range(1000, 3000):
+        drawn = mechanisms.draw(seed)
+        found = any("sphere" in touch and accept(touch) for touch in drawn.model.get("contacts", ()))
+        if not found or len(drawn.model["bodies"]) > 3 or drawn.scene:
+            continue
+        try:
+            build_tree(mechanisms.read(drawn, folder))
+        except InputError:
+            continue
+        return seed
+    raise AssertionError("no such mechanism is drawn")
 
 
-def test_derivatives_are_differences() -> None:
+@pytest.mark.parametrize("numbers", ["given", "runtime", "zeros"])
+@pytest.mark.parametrize("on_body", [False, True], ids=["base", "body"])
+def test_all_functions_agree_with_virtual_power(numbers: str, on_body: bool, tmp_path: Path) -> None:
+    """Drawn mechanisms, with the numbers of the file, and with others at run time; see tests/fuzz/forces.py."""
+    seed = find_drawn(tmp_path, lambda touch: ("body" in touch["sphere"]) == on_body)
+    assert mechanisms.examine(replace(mechanisms.draw(seed), numbers=numbers, tolerance=0.0), seed) == ""
+
+
+def test_derivatives_are_differences(tmp_path: Path) -> None:
     """First and second derivatives of all functions, in 50 digits."""
-    drawn = replace(mechanisms.draw(1239), reductions="all")
-    assert any("sphere" in touch for touch in drawn.model["contacts"])
-    assert mechanisms.examine(drawn, 1239, derivatives=True) == ""
+    seed = find_drawn(tmp_path, lambda touch: "friction" in touch)
+    assert mechanisms.examine(replace(mechanisms.draw(seed), reductions="all"), seed, derivatives=True) == ""
 
 
 def test_formulations_agree(tmp_path: Path) -> None:
