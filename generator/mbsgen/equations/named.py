@@ -1,6 +1,7 @@
 """Numbers of forces that equations name: a tree -> the tree whose forces read them as parameters, and their values.
 
-A contact names its gap, depth, normal force N, slip and drag, a force element its length and tension F. A smooth
+A contact names its gap, depth, normal force N, slip and drag, a force element its length and tension F. A contact of
+spheres also names the distance of their centres, its length. A smooth
 function of the state is such a number too, without a name: its value is the function of its arguments. Values may
 depend on the state, and on numbers before.
 """
@@ -43,7 +44,7 @@ _SHOWN: Mapping[str, str] = {  # by the keys of definitions; the name of the con
     "drag": "drag_{}",
     **{f"slip.{axis}": f"slip_{{}}_{axis}" for axis in "xyz"},
 }
-_DIRECT = ("slip.x", "slip.y", "slip.z")  # in them, the rate is written out: much of it cancels
+_DIRECT = ("slip.x", "slip.y", "slip.z")  # on planes, the rate is written out in them: much of it cancels
 _KEPT = (*SMOOTH, sp.Max, sp.Min)
 _VALUE = Port("value", Role.RESULT)
 
@@ -103,7 +104,8 @@ class _Collector:
                 tension = self._add(name, (value * lengths[definition.owner],))
                 yield replace(definition, value=tension / lengths[definition.owner])
             else:
-                self._add(name, (value,), symbol=definition.symbol, is_direct=definition.key in _DIRECT)
+                is_direct = definition.key in _DIRECT and definition.owner not in lengths
+                self._add(name, (value,), symbol=definition.symbol, is_direct=is_direct)
 
     def bind(self, body: Body) -> Body:
         """Take the functions out of the force law of a joint."""

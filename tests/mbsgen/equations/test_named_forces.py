@@ -102,7 +102,23 @@ contacts:
     width: 0.1
     friction: {coefficient: 0.5, speed: 0.1}
 """
-MODELS = {"ball": BALL, "arm": ARM, "gear": GEAR}
+SLEDS = """\
+name: sleds
+gravity: [0, 0, 0]
+parameters: {R: 0.2}
+bodies:
+  - {name: a, joint: {type: prismatic, axis: x}, mass: 1}
+  - {name: b, joint: {type: prismatic, axis: x, actuated: false}, mass: 2}
+contacts:
+  - name: bump
+    body: a
+    radius: 0.1
+    sphere: {body: b, radius: R, position: [0, 0, 0.05]}
+    stiffness: 1e3
+    dissipation: 0.2
+    friction: {coefficient: 0.3, speed: 0.01}
+"""
+MODELS = {"ball": BALL, "arm": ARM, "gear": GEAR, "sleds": SLEDS}
 
 
 def _load(page: Page, folder: Path) -> dict[str, sp.Matrix]:
@@ -176,6 +192,15 @@ def test_a_ball_on_the_ground_fits_on_a_page(tmp_path: Path) -> None:
     latex = FORMATS["latex"](show_motion(motion))
     assert r"\mathrm{depth}_{\mathrm{ball}} = \operatorname{softplus}" in latex
     assert latex == FORMATS["latex"](show_motion(derive(build_symbolic(read(file)))))
+
+
+def test_a_contact_of_spheres_names_the_distance_of_its_centres(tmp_path: Path) -> None:
+    file = tmp_path / "sleds.yaml"
+    file.write_text(SLEDS, encoding="utf-8")
+    text = FORMATS["text"](show_motion(derive(build_symbolic(read(file)))))
+    for line in ("gap_bump = -R + length_bump - 1/10", "slip_bump_z = rate_bump/(20*length_bump)"):
+        assert f"  {line}\n" in text
+    assert max(map(len, text.splitlines())) < 120
 
 
 def test_many_points_are_written_line_by_line(tmp_path: Path) -> None:
