@@ -254,18 +254,18 @@ class Closure:
             x[..., free] -= _solve(J[..., free], (J @ x[..., None])[..., 0] + bias)
         return x
 
-    def project(self, q: Array, qd: Array) -> tuple[Array, Array]:
-        """Return the nearest states that keep the loops closed, for states that nearly do."""
-        closed = self.close(q)
-        return closed, self.project_velocities(closed, qd)
+    def project(self, q: Array, qd: Array, held: Sequence[int] = ()) -> tuple[Array, Array]:
+        """Return the nearest states that keep the loops closed, for states that nearly do; joints of `held` stay."""
+        closed = self.close(q, list_entries(self.manifest, held))
+        return closed, self.project_velocities(closed, qd, held)
 
-    def project_velocities(self, q: Array, qd: Array) -> Array:
-        """Return the nearest velocities that keep the loops closed."""
-        return self._correct(q, qd, np.zeros((*q.shape[:-1], self.count)))
+    def project_velocities(self, q: Array, qd: Array, held: Collection[int] = ()) -> Array:
+        """Return the nearest velocities that keep the loops closed, with some entries held."""
+        return self._correct(q, qd, np.zeros((*q.shape[:-1], self.count)), held)
 
-    def project_accelerations(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the nearest accelerations that keep the loops closed."""
-        return self._correct(q, qdd, self.bias(q, qd))
+    def project_accelerations(self, q: Array, qd: Array, qdd: Array, held: Collection[int] = ()) -> Array:
+        """Return the nearest accelerations that keep the loops closed, with some entries held."""
+        return self._correct(q, qdd, self.bias(q, qd), held)
 
     def balance(self, q: Array, forces: Array) -> Array:
         """Return the multipliers (..., m) of joint forces that loops have to bear: J^T lam = forces."""

@@ -1,6 +1,7 @@
 """The names of a motion's quantities in expressions: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`.
 
-A problem of optimal control adds names: its own states and controls, and the components of open wrenches.
+A problem of optimal control adds names: its own states and controls, the components of open wrenches, and the forces
+of driven joints.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _AXES = ("x", "y", "z")
 class Quantity:
     """One number of a motion."""
 
-    kind: str  # t, T, q, qd, qdd, u, position or v; states, controls or w, where a problem adds them
+    kind: str  # t, T, q, qd, qdd, u, position or v; states, controls, w or tau, where a problem adds them
     index: int  # within its kind; positions and velocities of sensors follow each other
 
 
@@ -48,6 +49,8 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
     if added is not None:
         known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
+        driven = spell([coordinates[i] for i in manifest.driven])
+        known |= {f"tau_{name}": Quantity("tau", i) for i, name in enumerate(driven) if name is not None}
         for kind, own in (("states", added.states), ("controls", added.controls), ("unknowns", added.unknowns)):
             known |= {name: Quantity(kind, i) for i, name in enumerate(own)}
     return known

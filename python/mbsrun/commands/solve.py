@@ -67,8 +67,8 @@ method then integrates the motion under the inputs found, and the two are compar
 \b
 The output folder gets
   solution.json       the problem, the solver's run, every number of the trajectory
-  solution.csv        time, coordinates, velocities, accelerations, inputs, forces of loops, sensors;
-                      a row for each mesh and collocation point, names and units on top
+  solution.csv        time, coordinates, velocities, accelerations, inputs, forces of loops and of driven
+                      joints, sensors; a row for each mesh and collocation point, names and units on top
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
   animation.html      plays the motion in any browser

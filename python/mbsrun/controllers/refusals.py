@@ -98,6 +98,12 @@ _RULES = (
         lambda problem: len(problem.forces) > len(_list_lifted(problem)),
     ),
     _rule(
+        ("driven",),
+        "a controller plans from any time on, and driven joints move by the time of the problem",
+        "give these joints actuators in the model, and references or constraints that they follow",
+        lambda problem: problem.driven,
+    ),
+    _rule(
         ("contacts",),
         f"{_CHOOSES}, and contacts have unknown forces",
         "leave contacts out, or give the model compliant ones under its key contacts",

@@ -18,6 +18,7 @@ from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.closure import has_loops
+from mbsrun.ocp import driving
 from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
@@ -37,7 +38,7 @@ from mbsrun.ocp.problem import (
 )
 from mbsrun.ocp.quantities import list_quantities
 from mbsrun.ocp.schemes import DEGREES, Family
-from mbsrun.quantities import find_component
+from mbsrun.quantities import Added, find_component
 from mbsrun.quaternions import list_divided, list_quaternions
 from mbsrun.recordings import references
 
@@ -77,6 +78,7 @@ def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = Fals
     if not findings:
         conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest), *find_open_references(problem)]
         conflicts += find_unknown_conflicts(problem, manifest)
+        conflicts += find_phase_conflicts(manifest) if is_phase else driving.find_conflicts(problem, manifest)
         findings = [(c.key, c.finding, c.remedy) for c in conflicts]
         findings += _find_divided_quaternions(problem, manifest)
     if findings:
@@ -104,11 +106,6 @@ def list_open_inputs(manifest: Manifest) -> list[str]:
 def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
     """Find what a problem asks for that closed loops, or the form that they have, do not give."""
     loops, form, representation = problem.loops, problem.form, problem.representation
-    if manifest.driven:
-        names = ", ".join(manifest.coordinates[i].name for i in manifest.driven)
-        finding = f"the motion of {names} is given (driven), which no problem takes"
-        remedy = "give these joints actuators, and their motion as constraints along the path"
-        yield Conflict("model", finding, remedy)
     if not has_loops(manifest):
         if loops is not None:
             yield Conflict("loops", "the model has no closed loops", "leave this out")
@@ -137,6 +134,15 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
         if named := _find_dependent_accelerations(problem, manifest):
             finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
             yield Conflict(key, finding, f"take {other}")
+
+
+def find_phase_conflicts(manifest: Manifest) -> Iterator[Conflict]:
+    """Find models that no phase of a problem takes."""
+    if manifest.driven:
+        named = ", ".join(manifest.coordinates[i].name for i in manifest.driven)
+        finding = f"the model drives {named}, and a problem of phases takes no driven joints"
+        remedy = "give these joints actuators, and their motion as constraints along the path"
+        yield Conflict("model", finding, remedy)
 
 
 def find_open_references(problem: Problem) -> Iterator[Conflict]:
@@ -316,6 +322,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         ("bounds.qd", bounds.qd, n),
         ("bounds.u", bounds.u, m),
         ("bounds.rates", bounds.rates, m if bounds.rates else 0),
+        ("bounds.tau", bounds.tau, len(manifest.driven) if bounds.tau else 0),
     ):
         if len(values) != size:
             yield (place, f"found {len(values)} entries", f"give {size}, as the model {manifest.model} has")
@@ -338,6 +345,9 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     if not all(map(math.isfinite, (*ends, *points))):
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
+    known = [*(name for name, _ in problem.constants), *(unknown.name for unknown in problem.unknowns)]
+    for number, finding, remedy in driving.find_wrong_motions(problem.driven, known, manifest):
+        yield ("driven" if number is None else f"driven[{number}]", finding, remedy)
     yield from _find_wrong_rates(problem, m)
     yield from _find_wrong_additions(problem, manifest)
     yield from _find_wrong_wrenches(problem, manifest)
@@ -422,7 +432,7 @@ def _find_wrong_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Findi
 
 def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find states and controls with names that are taken, or numbers that do not fit each other."""
-    taken = {*list_quantities(manifest), *(name for name, _ in problem.constants)}
+    taken = {*list_quantities(manifest, Added()), *(name for name, _ in problem.constants)}
     named: list[tuple[str, State | Control | Unknown]] = [
         (f"states[{i}]", state) for i, state in enumerate(problem.states)
     ]

@@ -29,6 +29,8 @@ _IN_INTERVALS: Mapping[str, str] = {  # rows by interval, and their descriptions
     "states": "the states within interval {}",
     "dynamics": "the equations of motion in interval {}",
     "closure": "the loops in interval {}",
+    "driven": "the given motions in interval {}",
+    "driving": "the equations of motion in interval {}",
     "continuity": "the state after interval {}",
 }
 
@@ -82,7 +84,8 @@ def _shorten(texts: Sequence[str]) -> str:
 def name_parts(transcription: Transcription, manifest: Manifest) -> Names:
     """Describe all variables and rows of a program."""
     rows, extras = transcription.rows, transcription.rows.extras
-    inner = (rows.states, rows.dynamics, rows.closure, rows.continuity, extras.rates, extras.given, extras.contacts)
+    own = (rows.states, rows.dynamics, rows.closure, rows.driven, rows.driving, rows.continuity)
+    inner = (*own, extras.rates, extras.given, extras.contacts)
     known = frozenset(int(row) for part in inner for row in np.ravel(part))
     variables = {i: text for found, text in _list_variables(transcription, manifest) for i in np.ravel(found).tolist()}
     return Names(variables, name_rows(transcription, manifest), known)
@@ -112,6 +115,7 @@ def _list_variables(transcription: Transcription, manifest: Manifest) -> Iterato
         ((extras.states, extras.point_states), _name_states(shape)),
         ((extras.controls, extras.point_controls), shape.added.controls),
         ((extras.forces,), given),
+        ((layout.driving,), [f"the force of the driven joint {names[i]}" for i in manifest.driven]),
     ):
         for part in parts:
             for k, text in enumerate(texts if part.shape[-1] else ()):
@@ -151,6 +155,7 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
     yield from _name(rows.start, (f"start: {name}" for name in states))
     yield rows.lengths, "start: the lengths of quaternions"
     yield rows.start_closure, "start: the loops"
+    yield rows.driven_start, "start: the given motions"
     bounded = [*manifest.positions, *(f"the velocity of {name}" for name in names)]
     for i, state in enumerate(shape.bounded):
         yield rows.inner[:, :, i], f"the bounds of {bounded[state]}"

@@ -23,6 +23,10 @@ inner variables, found from h(q_kj) = 0 at every point and mesh point:
 
 Velocities of dependent coordinates are variables only where a problem reads them; J(q_kj) qd_kj = 0 gives them.
 
+Driven joints have given coordinates, velocities and accelerations: collocation carries neither on, corrections leave
+them alone, and independent coordinates are the others. The forces of driven joints are unknowns of the equations of
+motion.
+
 The integral form and shooting exist in the reduced form. Independent coordinates at the places of an interval are
 linear in accelerations; dependent ones are inner variables at all stages, at points that are no stages, and at the
 interval's end. There they are the ones at the mesh point before, plus shifts. Newton's method begins with shifts of 0,
@@ -58,17 +62,29 @@ FORCES = KernelResult("loop_forces", ("q", "lam"), "Q")
 def list_motions(shape: Structure, manifest: Manifest) -> Motions:
     """List the parts of a motion that are variables of a program."""
     nq, every, m = len(manifest.positions), tuple(range(len(manifest.coordinates))), len(manifest.dependent)
-    places = tuple(range(nq))
+    driven, driven_places = manifest.driven, tuple(list_entries(manifest, manifest.driven))
+    moved = manifest.independent if shape.loops is Loops.REDUCED else every
+    independent = tuple(i for i in moved if i not in driven)
+    motions = Motions(
+        nq,
+        tuple(i for i in range(nq) if i not in driven_places),
+        every,
+        independent,
+        moved=moved,
+        driven=driven,
+        driven_places=driven_places,
+    )
     if shape.loops is None:
-        return Motions(nq, places, every, every)
+        return motions
     if shape.loops is Loops.REDUCED:
-        places = tuple(list_entries(manifest, manifest.independent))
+        places = tuple(list_entries(manifest, independent))
         velocities = every if _reads_dependent_velocities(shape, manifest) else manifest.independent
         lengths = tuple(x.first for x in list_quaternions(manifest) if x.first not in places)
-        return Motions(nq, places, velocities, manifest.independent, lengths=lengths)
+        return replace(motions, places=places, velocities=velocities, lengths=lengths)
     equations = shape.representation.equations
     has_multipliers = equations.has_accelerations and not equations.is_explicit
-    return Motions(nq, places, every, every, m * has_multipliers, m * (2 if equations.is_explicit else 1))
+    corrections = m * (2 if equations.is_explicit else 1)
+    return replace(motions, multipliers=m * has_multipliers, corrections=corrections)
 
 
 def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
@@ -88,34 +104,39 @@ def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
     return any(x.kind == "v" or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
 
 
-def correct(q: Column, corrections: Indices, rows: Indices, interval: Indices) -> Block:
-    """Subtract J(q)' mu from some rows at every point."""
-    return Block(FORCES, (q, corrections), rows, interval, scale=-1.0)
+def correct(
+    q: Column, corrections: Indices, rows: Indices, interval: Indices, entries: tuple[int, ...] | None = None
+) -> Block:
+    """Subtract J(q)' mu, or some entries of it, from rows at every point."""
+    return Block(replace(FORCES, entries=entries), (q, corrections), rows, interval, scale=-1.0)
 
 
 def correct_places(
-    q: Column, corrections: Indices, rows: Indices, interval: Indices, manifest: Manifest
+    q: Column, corrections: Indices, rows: Indices, interval: Indices, manifest: Manifest, moved: Sequence[int]
 ) -> list[Block]:
-    """Subtract E(q) J(q)' mu from the rows (nq, places) of the coordinates at every point."""
+    """Subtract E(q) J(q)' mu from the rows of the coordinates at every point: (nq, places), without driven ones.
+
+    `moved` are the entries of q that have rows.
+    """
     if not manifest.configuration:
-        return [correct(q, corrections, rows, interval)]
+        return [correct(q, corrections, rows, interval, None if len(moved) == len(manifest.positions) else (*moved,))]
+    row_of = {entry: row for row, entry in enumerate(moved)}
     pairs = list_places(manifest)
-    slides = [(places[0], speeds[0]) for places, speeds in pairs if len(places) == 1]
+    slides = [(places[0], speeds[0]) for places, speeds in pairs if len(places) == 1 and places[0] in row_of]
     blocks = []
     if slides:
         own, speeds = zip(*slides, strict=True)
-        part = replace(FORCES, entries=speeds)
-        blocks.append(Block(part, (q, corrections), rows[list(own)], interval, scale=-1.0))
+        blocks.append(correct(q, corrections, rows[[row_of[i] for i in own]], interval, speeds))
     turns = list_quaternions(manifest)
-    moved = [(places, speeds) for places, speeds in pairs if len(places) == len(speeds) == 3]
+    floating = [(places, speeds) for places, speeds in pairs if len(places) == len(speeds) == 3]
     function = formulas.turn(
         [(x.entries, x.spins) for x in turns],
-        [(next(x.entries for x in turns if x.first == places[0] + 3), speeds) for places, speeds in moved],
+        [(next(x.entries for x in turns if x.first == places[0] + 3), speeds) for places, speeds in floating],
         (len(manifest.positions), len(manifest.dependent)),
         FORCES,
     )
-    entries = [*(i for x in turns for i in x.entries), *(i for places, _ in moved for i in places)]
-    return [*blocks, Block(function, (q, corrections), rows[entries], interval, scale=-1.0)]
+    entries = [*(i for x in turns for i in x.entries), *(i for places, _ in floating for i in places)]
+    return [*blocks, Block(function, (q, corrections), rows[[row_of[i] for i in entries]], interval, scale=-1.0)]
 
 
 def close(places: Places, rows: Sequence[Indices], stages: Indices, scale: Array | float = 1.0) -> list[Block]:

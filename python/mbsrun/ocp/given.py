@@ -52,10 +52,12 @@ def order_given(problem: Problem, manifest: Manifest) -> tuple[list[list[Given]]
 
 
 def find_faults(problem: Problem, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
-    """Find expressions that read accelerations, which depend on them, or each other in a circle."""
+    """Find expressions that read accelerations or forces of driven joints, which depend on them, or go in a circle."""
     for part in list_given(problem, manifest):
-        if any(kind == "qdd" for kind, _ in _read(part, problem, manifest)):
-            finding = "the expression reads accelerations, which depend on it"
+        kinds = {kind for kind, _ in _read(part, problem, manifest)}
+        if kinds & {"qdd", "tau"}:
+            named = "accelerations" if "qdd" in kinds else "forces of driven joints"
+            finding = f"the expression reads {named}, which depend on it"
             yield (f"{part.place}.expression", finding, "write it by coordinates, velocities and states")
     for part in order_given(problem, manifest)[1]:
         yield (f"{part.place}.expression", "expressions that read each other in a circle", "let one read states alone")

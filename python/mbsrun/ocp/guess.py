@@ -13,15 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from mbsrun.closure import Closure, find_closure, has_loops
+from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.contacts import list_held
+from mbsrun.ocp.driving import Guide, choose_rows, follow, give_nothing
 from mbsrun.ocp.given import place_unknown
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Inputs, Problem
@@ -33,6 +33,7 @@ from mbsrun.quaternions import (
     find_turn,
     find_velocities,
     list_divided,
+    list_entries,
     list_quaternions,
     measure_lengths,
     normalise,
@@ -159,6 +160,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
     t, point_t = problem.grid.times(T, scheme.points)
     u = np.zeros((problem.intervals, len(problem.bounds.u)))
     motion = Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
+    motion = motion if plant is None else follow(motion, problem, plant.manifest)
     closure = None if plant is None else find_closure(plant)
     return motion if closure is None else close_motion(motion, closure)
 
@@ -173,22 +175,24 @@ def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
     )
     found, closed = None, np.empty_like(q)
     is_whole = not list_divided(closure.manifest, closure.independent)
-    for held in (closure.places_independent, []) if is_whole else ([],):
+    driven = list(closure.manifest.driven)
+    least = list_entries(closure.manifest, driven)
+    for held in (closure.places_independent, least) if is_whole else (least,):
         path = closure.follow(q[order], q[0], held)
-        if path is not None and (held == [] or _ends_at(path[-1], motion.q[-1])):
+        if path is not None and (held == least or _ends_at(path[-1], motion.q[-1])):
             found = held
             closed[order] = path
             break
     if found is None:
         return replace(motion, point_q=np.full_like(motion.point_q, np.nan))
     qdd = motion.point_qdd.reshape(N * d, qd.shape[1])
-    if found:
+    if found != least:
         found = closure.independent
         qd = closure.complete_velocities(closed, found, qd[:, found])
         qdd = closure.complete_accelerations(closed[N + 1 :], qd[N + 1 :], found, qdd[:, found])
     else:
-        qd = closure.project_velocities(closed, qd)
-        qdd = closure.project_accelerations(closed[N + 1 :], qd[N + 1 :], qdd)
+        qd = closure.project_velocities(closed, qd, driven)
+        qdd = closure.project_accelerations(closed[N + 1 :], qd[N + 1 :], qdd, driven)
     (mesh_q, point_q), (mesh_qd, point_qd) = (np.split(x, [N + 1]) for x in (closed, qd))
     return replace(
         motion,
@@ -273,11 +277,9 @@ def find_inputs(
     """
     manifest = plant.manifest
     none = np.zeros((len(q), len(manifest.actuated)))
-    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": none}
+    state = give_nothing(manifest, {"q": q, "qd": qd, "qdd": qdd, "u": none})
     if w is not None and w.size:
         state["w"] = w
-    if has_loops(manifest):
-        state["lam"] = np.zeros((len(q), len(manifest.dependent)))
     Phi = plant("impl", **state)["Phi"]
     slopes = plant("jac_impl", **state)
     B = -slopes["jac_Phi_u"]
@@ -286,10 +288,11 @@ def find_inputs(
     if not np.isfinite(B).all():
         return np.zeros((len(q), B.shape[2]))
     right = Phi[..., None]
-    closure = find_closure(plant)
-    if closure is not None:
-        whole = np.linalg.svd(closure.jacobian(q))[2]  # its last rows are velocities that keep the loops closed
-        free = whole[:, len(manifest.dependent) :]
+    if manifest.dependent or manifest.driven:
+        rows = [choose_rows(manifest, len(q)), *([Closure(plant).jacobian(q)] if manifest.dependent else [])]
+        kept = np.concatenate(rows, axis=1)
+        whole = np.linalg.svd(kept)[2]  # its last rows are velocities that keep loops closed, and driven joints at rest
+        free = whole[:, kept.shape[1] :]
         B, right = free @ B, free @ right
     return np.asarray((np.linalg.pinv(B) @ right)[..., 0])
 
@@ -311,6 +314,13 @@ class _Kinematics:
         self.turning = list_quaternions(plant.manifest)
         self.start = np.array(problem.start_q)
         self.lower, self.upper = np.array(problem.bounds.q).reshape(-1, 2).T
+        self.held = list(self.coordinates)
+        if plant.manifest.driven:
+            guide, end = Guide.of(problem, plant.manifest), np.array([problem.horizon])
+            given = guide.read(end, problem.horizon)[0][0]
+            for part in (self.start, self.lower, self.upper):
+                part[guide.places] = given
+            self.held += guide.places
         self.free = self.lower < self.upper
         self.closure = find_closure(plant)
 
@@ -364,7 +374,7 @@ class _Kinematics:
             )
             q = normalise(complete(found.x), self.plant.manifest)
             if self.closure is not None:
-                q = self.closure.close(q, self.coordinates)
+                q = self.closure.close(q, self.held)
         m = 0 if self.closure is None else len(self.closure.dependent)
         places, coordinates, gaps, axes, _ = np.split(
             self.residual(q[None], frames)[0],

@@ -51,6 +51,9 @@ class Motions:
     places: tuple[int, ...]  # entries of q that collocation carries on
     velocities: tuple[int, ...]  # entries of qd that are variables
     independent: tuple[int, ...]  # entries of qd that collocation carries on, and that have accelerations
+    moved: tuple[int, ...]  # entries of qd whose velocities and accelerations kernels take: these and driven ones
+    driven: tuple[int, ...] = ()  # entries of qd whose motion is given
+    driven_places: tuple[int, ...] = ()  # the same of q
     multipliers: int = 0  # of loops, at a point
     corrections: int = 0  # of states, at a point
     lengths: tuple[int, ...] = ()  # first entries of quaternions that the loops give, and whose length is an equation
@@ -58,7 +61,7 @@ class Motions:
     @property
     def is_reduced(self) -> bool:
         """Return whether the loops give the dependent coordinates."""
-        return len(self.places) < self.nq
+        return len(self.places) + len(self.driven_places) < self.nq
 
     @property
     def carried(self) -> list[int]:
@@ -67,13 +70,23 @@ class Motions:
 
     @property
     def found(self) -> list[int]:
-        """List the other entries of a state, which the loops give."""
+        """List the other entries of a state, which the loops or given motions give."""
         return [i for i in range(self.nq + len(self.velocities)) if i not in set(self.carried)]
 
     @property
     def carried_velocities(self) -> list[int]:
         """List the places of `independent` among `velocities`."""
         return [self.velocities.index(i) for i in self.independent]
+
+    @property
+    def moved_velocities(self) -> list[int]:
+        """List the places of `moved` among `velocities`."""
+        return [self.velocities.index(i) for i in self.moved]
+
+    @property
+    def driven_states(self) -> list[int]:
+        """List the entries of a state whose motion is given: of q, then of velocities."""
+        return [*self.driven_places, *(self.nq + self.velocities.index(i) for i in self.driven)]
 
 
 @dataclass(frozen=True)
@@ -109,6 +122,8 @@ class Layout:
     accelerations: Indices  # (N, S, n): accelerations at the stages; (N, S, 0) for an ODE
     multipliers: Indices  # (N, S, ...): of loops, where they are variables
     corrections: Indices  # (N, S, ...): of coordinates, then of velocities
+    drives: Indices  # (N, S, d): accelerations of driven joints
+    driving: Indices  # (N, S, d): forces of driven joints
     shifts: Indices  # (N, P, ...): of entries that loops give, from the interval's start to each closed place; or P = 0
     inputs: Indices  # (N, m) without inputs that expressions give; (N, 0) where they are polynomials
     point_inputs: Indices  # (N, S, m) without these; (N, S, 0) where they are constant
@@ -132,6 +147,16 @@ class Layout:
         """Split carried states (..., carried), into coordinates and velocities."""
         count = len(self.motions.places)
         return states[..., :count], states[..., count:]
+
+    @property
+    def every_acceleration(self) -> Indices:
+        """List the accelerations that kernels take, (N, S, moved); (N, S, 0) where they are no variables."""
+        if not self.accelerations.size or not self.drives.size:
+            return self.accelerations
+        motions = self.motions
+        at = {i: self.accelerations[:, :, k] for k, i in enumerate(motions.independent)}
+        at |= {i: self.drives[:, :, k] for k, i in enumerate(motions.driven)}
+        return np.stack([at[i] for i in motions.moved], axis=2)
 
     @property
     def every_input(self) -> Indices:
@@ -178,6 +203,9 @@ class Rows:
     dynamics: Indices  # (N, S, n): for an ODE, the rows of the states that hold the equations of motion
     closure: Indices  # (N, S or P, ...): of loops, and of their rates where velocities are variables
     start_closure: Indices  # the same where the start is free, or empty: loops, then rates
+    driven: Indices  # (N, S or P, 2 d): coordinates, then velocities, of given motions
+    driven_start: Indices  # (2 d,)
+    driving: Indices  # (N, S, d): the equations of motion of driven joints
     continuity: Indices  # (N, nq + n)
     extras: ExtraRows
     inner: Indices  # (N, points, bounded states): where points have no states
@@ -227,6 +255,8 @@ def lay_out(
         motions.corrections,
         len(added.given),
         added.wrenches,
+        len(motions.driven),
+        len(motions.driven),
     )
     at_stage = sum(sizes)
     values = (free + controls) * (1 if has_constant_inputs else S)
@@ -235,7 +265,7 @@ def lay_out(
     first = np.arange(N + 1) * stride
     mesh = first[:, None] + np.arange(width + states)
     points = first[:N, None, None] + width + states + np.arange(S)[:, None] * at_stage + np.arange(at_stage)
-    moved, further, slopes, accelerations, multipliers, corrections, forces, wrenches = np.split(
+    moved, further, slopes, accelerations, multipliers, corrections, forces, wrenches, drives, driving = np.split(
         points, np.cumsum(sizes)[:-1], axis=2
     )
     shifts = first[:N, None] + np.arange(before, stride - values)
@@ -253,6 +283,8 @@ def lay_out(
         accelerations=accelerations,
         multipliers=multipliers,
         corrections=corrections,
+        drives=drives,
+        driving=driving,
         shifts=shifts.reshape(N, closed, len(motions.found)),
         inputs=inputs[:, :free],
         point_inputs=point_inputs[:, :, :free],
@@ -277,11 +309,13 @@ class Places:
     s: Array  # (places,): time over the horizon
     stage: Indices  # (places,): of the states
     interval: Indices  # (places,): of inputs and accelerations
-    yd: Column  # velocities that collocation carries on
+    yd: Column  # velocities that kernels of the reduced form take
     lam: Indices  # (..., places): multipliers; size 0 where they are no variables
     states: Indices  # (ns, places): the ones that a problem adds
     controls: Column  # size nc
     w: Column  # size nw: components of open wrenches
+    a: Column  # size d: accelerations of driven joints
+    tau: Column  # size d: forces of driven joints
 
     @property
     def parts(self) -> Mapping[str, Column]:
@@ -297,6 +331,8 @@ class Places:
             "states": self.states,
             "controls": self.controls,
             "w": self.w,
+            "a": self.a,
+            "tau": self.tau,
         }
 
 
@@ -320,12 +356,12 @@ def _at(layout: Layout, reading: Reading, h: Array, first: int = 0) -> Places:
     N, k = len(layout.inputs), len(reading.c)
     s = layout.grid.places(reading.c).ravel()
     interval = np.repeat(np.arange(N), k)
-    accelerations, multipliers = (_flatten(part) for part in (layout.accelerations, layout.multipliers))
-    u, controls, w = _read_inputs(layout, reading, np.tile(np.arange(k), N), interval)
-    added = (_flatten(layout.extras.point_states), controls, w)
+    accelerations, multipliers = (_flatten(part) for part in (layout.every_acceleration, layout.multipliers))
+    u, controls, w, a, tau = _read_inputs(layout, reading, np.tile(np.arange(k), N), interval)
+    added = (_flatten(layout.extras.point_states), controls, w, a, tau)
     if layout.points.size or not layout.mesh.shape[1]:
         q, qd = map(_flatten, layout.split(layout.points))
-        yd = qd[layout.motions.carried_velocities]
+        yd = qd[layout.motions.moved_velocities]
         return Places(q, qd, accelerations, u, s, interval, interval, yd, multipliers, *added)
     motion = read_slopes(layout, reading) if layout.slopes.size else read_motion(layout, reading, h)
     qdd = accelerations if reading.are_stages or not layout.accelerations.size else motion.qdd
@@ -430,7 +466,7 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
 
     Accelerations there, and inputs that are polynomials, are read off the stages of that interval.
     """
-    at, stages = np.array(k, dtype=np.int64), layout.accelerations
+    at, stages = np.array(k, dtype=np.int64), layout.every_acceleration
     interval = np.maximum(at - 1, 0)
     q, qd = (part.T for part in layout.split(layout.mesh[at]))
     s = layout.grid.mesh()[at] if layout.grid.fractions else at / layout.grid.intervals
@@ -439,15 +475,17 @@ def at_mesh(layout: Layout, integrator: Integrator, k: Sequence[int]) -> Places:
     if stages.size:
         matrices = spread(integrator.ends.W, stages.shape[2])
         qdd = Combination(matrices, which, stages[interval].reshape(at.size, matrices.shape[2]))
-    u, controls, w = _read_inputs(layout, integrator.ends, which, interval)
-    yd = qd[layout.motions.carried_velocities]
-    return Places(q, qd, qdd, u, s, at, interval, yd, none, layout.extras.states[at].T, controls, w)
+    u, controls, w, a, tau = _read_inputs(layout, integrator.ends, which, interval)
+    yd = qd[layout.motions.moved_velocities]
+    return Places(q, qd, qdd, u, s, at, interval, yd, none, layout.extras.states[at].T, controls, w, a, tau)
 
 
-def _read_inputs(layout: Layout, reading: Reading, which: Indices, interval: Indices) -> tuple[Column, Column, Column]:
-    """Return inputs, controls and components of wrenches at places: place k is reading.c[which[k]] of its interval.
+def _read_inputs(
+    layout: Layout, reading: Reading, which: Indices, interval: Indices
+) -> tuple[Column, Column, Column, Column, Column]:
+    """Return inputs, controls, components of wrenches, and accelerations and forces of driven joints at places.
 
-    What has values at the stages is read off the polynomials through these.
+    Place k is reading.c[which[k]] of its interval. Polynomials through the values at the stages give the others.
     """
     extras, one = layout.extras, np.ones((len(reading.c), 1))
 
@@ -456,13 +494,19 @@ def _read_inputs(layout: Layout, reading: Reading, which: Indices, interval: Ind
             return Group(tuple(entries), points[interval], reading.W)
         return Group(tuple(entries), constant[interval, None], one)
 
-    nc, nw = extras.controls.shape[1] + extras.point_controls.shape[2], extras.wrenches.shape[2]
+    def read(points: Indices) -> Column:
+        size = points.shape[2]
+        return mix(size, (Group(tuple(range(size)), points[interval], reading.W),), which)
+
+    nc = extras.controls.shape[1] + extras.point_controls.shape[2]
     own = group(extras.free, layout.inputs, layout.point_inputs)
     given = Group(extras.given, extras.forces[interval], reading.W)
     return (
         mix(extras.m, (own, given), which),
         mix(nc, (group(range(nc), extras.controls, extras.point_controls),), which),
-        mix(nw, (Group(tuple(range(nw)), extras.wrenches[interval], reading.W),), which),
+        read(extras.wrenches),
+        read(layout.drives),
+        read(layout.driving),
     )
 
 

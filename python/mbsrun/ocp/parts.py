@@ -15,11 +15,13 @@ from mbsgen.expressions import Expression, is_free_name, names, parse
 from mbsgen.manifest import TIME, Manifest
 from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
+from mbsrun.ocp.driving import find_wrong_motions
 from mbsrun.ocp.given import find_faults, list_open_components
 from mbsrun.ocp.problem import (
     Constraint,
     Contact,
     Control,
+    Drive,
     Force,
     Integral,
     Problem,
@@ -28,6 +30,7 @@ from mbsrun.ocp.problem import (
     State,
     Unknown,
     WrenchComponent,
+    list_names,
 )
 from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.referring import Referring
@@ -163,6 +166,19 @@ class PartReading(Reading):
             if i is not None:
                 found.append(Force(i, text))
         return tuple(found)
+
+    def driven(self, given: Mapping[str, str], unknowns: Sequence[Unknown]) -> tuple[Drive, ...]:
+        """Read the motions of driven joints."""
+        names, found = [c.name for c in self.manifest.coordinates], []
+        for name, text in given.items():
+            self.used |= self.constants.keys() & list_names(text, ())
+            i = self.find(("driven", name), name, names, "joint")
+            found += [] if i is None else [Drive(i, text)]
+        known = [*self.constants, *(unknown.name for unknown in unknowns)]
+        for number, finding, remedy in find_wrong_motions(found, known, self.manifest):
+            place: Place = ("driven",) if number is None else ("driven", names[found[number].joint])
+            self.fault(place, finding, remedy)
+        return tuple(sorted(found, key=lambda drive: drive.joint))
 
     def wrenches(self, given: Mapping[str, WrenchSection]) -> tuple[WrenchComponent, ...]:
         """Read the wrenches that the model leaves open."""

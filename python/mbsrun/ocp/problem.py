@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer
 
-from mbsgen.expressions import names, parse
+from mbsgen.expressions import Expression, names, parse
 from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER, IntegratorName
 from mbsrun.ocp.representations import Loops as Loops
@@ -111,6 +111,7 @@ class Bounds:
     qd: tuple[Range, ...]
     u: tuple[Range, ...]
     rates: tuple[Range, ...] = ()  # of each constant input: its differences over time; empty where none is bounded
+    tau: tuple[Range, ...] = ()  # of the force of each driven joint; empty where none is bounded
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,14 @@ class Force:
     """An input u of the mechanism that an expression gives at every point: no unknown of the solver's choice."""
 
     input: int  # index into u
+    expression: str
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The motion of a driven joint: its coordinate as an expression of t, T, constants and unknowns."""
+
+    joint: int  # index into qd
     expression: str
 
 
@@ -297,6 +306,7 @@ class Problem:
     controls: tuple[Control, ...] = ()
     forces: tuple[Force, ...] = ()
     wrenches: tuple[WrenchComponent, ...] = ()
+    driven: tuple[Drive, ...] = ()  # of every driven joint of the model
     contacts: tuple[Contact, ...] = ()
     touching: tuple[Contact, ...] = ()  # contacts whose times are not given; constraints hold their equations
     relaxation: Relaxation | None = None  # of the constraints of `touching`
@@ -376,10 +386,11 @@ class Problem:
         return replace(self, solver=replace(self.solver, method=method, options=()))
 
 
-def list_names(text: str, functions: Sequence[Symbolic]) -> frozenset[str]:
+def list_names(text: str | Expression, functions: Sequence[Symbolic]) -> frozenset[str]:
     """List the names that an expression reads, functions replaced by the names that they read."""
     reads = {function.name: frozenset(function.reads) for function in functions}
-    return frozenset().union(*(reads.get(name, frozenset((name,))) for name in names(parse(text))))
+    expression = parse(text) if isinstance(text, str) else text
+    return frozenset().union(*(reads.get(name, frozenset((name,))) for name in names(expression)))
 
 
 def count_delayed(delay: Delay, problem: Problem) -> int | None:

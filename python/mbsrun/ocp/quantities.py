@@ -5,6 +5,7 @@
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
     fx_NAME, ..., mx_NAME, ...                    of a wrench that the model leaves open: its components
+    tau_NAME                                      of a driven joint: the force that keeps it on its motion
     NAME                                          of a state or a control that the problem adds
     ref_NAME_COLUMN, known_NAME_COLUMN            of a reference: see `mbsrun.recordings.references`
 
@@ -44,7 +45,7 @@ __all__ = ["Added", "Quantity", "formulate", "list_quantities"]
 CONSTANTS = "constants"  # the kind of a problem's constants
 TIME = "s"  # the kind of numbers that are given at each place: the time over the horizon, then references
 _TIME_NAME = "@s"  # which no text can hold
-_ORDER = ("q", "qd", "yd", "qdd", "u", "w", "states", "controls", "T", "unknowns")  # of the inputs of a formula
+_ORDER = ("q", "qd", "yd", "qdd", "u", "w", "a", "tau", "states", "controls", "T", "unknowns")  # of a formula's inputs
 
 
 def _call(function: str, *arguments: Expression) -> Expression:
@@ -66,7 +67,7 @@ _TREES: Algebra[Expression] = Algebra(
 
 
 def formulate(
-    texts: Sequence[str],
+    texts: Sequence[str | Expression],
     constants: Sequence[str],
     manifest: Manifest,
     motions: Motions,
@@ -116,18 +117,18 @@ def formulate(
 
 
 def _read(
-    text: str, known: Mapping[str, tuple[str, int]], horizon: float | None, functions: Sequence[str] = ()
+    text: str | Expression, known: Mapping[str, tuple[str, int]], horizon: float | None, functions: Sequence[str] = ()
 ) -> Expression:
     """Parse an expression; write the time as the horizon times its part, and a horizon that is given as a number."""
     T: Expression = Name("T") if horizon is None else Number(horizon)
     values: dict[str, Expression] = {name: Name(name) for name in (*known, *functions) if name != _TIME_NAME}
     values |= {"T": T, "t": Operation("*", Name(_TIME_NAME), T)}
-    return evaluate(parse(text), values, _TREES)
+    return evaluate(parse(text) if isinstance(text, str) else text, values, _TREES)
 
 
 def _list_known(quantities: Mapping[str, Quantity], motions: Motions) -> dict[str, tuple[str, int]]:
     """List kind and index of each name; velocities and accelerations that are no variables have no name."""
-    places = {"qd": motions.velocities, "qdd": motions.independent}
+    places = {"qd": motions.velocities, "qdd": motions.moved}
     known = {}
     for name, quantity in quantities.items():
         among = places.get(quantity.kind)
@@ -143,10 +144,12 @@ def _count(manifest: Manifest, motions: Motions, added: Added) -> dict[str, int]
     return {
         "q": motions.nq,
         "qd": len(motions.velocities),
-        "yd": len(motions.independent),
-        "qdd": len(motions.independent),
+        "yd": len(motions.moved),
+        "qdd": len(motions.moved),
         "u": len(manifest.actuated),
         "w": len(name_components(manifest)),
+        "a": len(motions.driven),
+        "tau": len(motions.driven),
         "states": len(added.states),
         "controls": len(added.controls),
         "unknowns": len(added.unknowns),

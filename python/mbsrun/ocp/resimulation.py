@@ -9,19 +9,21 @@ limited; a check that does not finish within the limits calls no solution accura
 
 States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls.
 
-With closed loops and contacts, accelerations and the forces of both follow together,
+With closed loops, driven joints and contacts, accelerations and the forces of all follow together,
 
-    M qdd - J' lam - J_c' f = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,    J_c qdd = -dJ_c/dt qd,
+    M qdd - J' lam - D tau - J_c' f = -Phi(q, qd, 0, 0, u),    J qdd = -gamma,    D' qdd = a,    J_c qdd = -dJ_c/dt qd,
 
-with the velocities J_c qd of points in contact along the axes that are held. With loops, each step ends with the
+with the velocities J_c qd of points in contact along the axes that are held, and the unit columns D of driven joints.
+Coordinates and velocities of these are the given ones at all times. With loops, each step ends with the
 nearest state that keeps them closed. So they do not drift open; how far a step opens them is measured before. Points in
 contact start at rest and do not accelerate; how far they creep is the slip.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from mbsrun.closure import CLOSED, find_closure, has_loops
 from mbsrun.limits import Allowance, LimitError, Limits
 from mbsrun.ocp.contacts import Held, find_held, measure_slip
 from mbsrun.ocp.design import equip
+from mbsrun.ocp.driving import Guide, choose_rows, give_nothing
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
@@ -89,6 +92,9 @@ class Inputs(Protocol):
     def read(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
         """Return the parts of the motions at times (B, 1) since the start, of which u and w are the inputs."""
 
+    def place(self, time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return states (B, ...) at times (B, 1) with driven joints where they are then."""
+
     def rates(self, parts: dict[str, Array]) -> Array:
         """Return the rates (B, ns) of the further states, by parts of the motions and qdd."""
 
@@ -102,6 +108,10 @@ class Constant:
     def read(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> dict[str, Array]:
         """Return the inputs."""
         return {"u": self.u, "w": np.zeros((len(self.u), 0))}
+
+    def place(self, _time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return the states: no joint is driven."""
+        return q, qd
 
     def rates(self, parts: dict[str, Array]) -> Array:
         """Return no rates."""
@@ -130,7 +140,18 @@ class _Piece:
             "w": self._read(time, trajectory.point_w[:, 0], trajectory.point_w),
             "unknowns": np.tile(trajectory.unknowns, (len(k), 1)),
         }
+        if self.course.guide is not None:
+            parts["a"] = self.course.guide.read(t[:, 0], float(trajectory.t[-1]), trajectory.unknowns)[2]
         return self.course.given(parts)
+
+    def place(self, time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return the states with driven joints where they are then."""
+        guide, trajectory = self.course.guide, self.course.trajectory
+        if guide is None:
+            return q, qd
+        t = trajectory.t[self.intervals] + time[:, 0]
+        q, qd = guide.put(t, float(trajectory.t[-1]), trajectory.unknowns, q, qd)
+        return q, qd
 
     def _read(self, time: Array, values: Array, points: Array) -> Array:
         """Return inputs that are constant over the intervals, or polynomials through values at their points."""
@@ -152,6 +173,7 @@ class Course:
         self.trajectory, self.given = trajectory, GivenValues(problem, plant)
         self.lengths = np.diff(trajectory.t)
         self.nodes = (trajectory.point_t[0] - trajectory.t[0]) / self.lengths[0]  # the same in every interval
+        self.guide = Guide.of(problem, plant.manifest) if plant.manifest.driven else None
         self.rates = Values([state.rate for state in problem.every_state], problem, plant)
 
     def inputs(self, *intervals: int) -> Inputs:
@@ -198,22 +220,26 @@ def integrate(
 
     def rate(time: float, flat: Array) -> Array:
         q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
+        q, qd = inputs.place(pace * time, q, qd)
         parts = inputs.read(pace * time, q, qd, further)
-        qdd, w = _balance(plant, q, qd, parts["u"], parts["w"], held)
-        rates = inputs.rates(parts | {"qdd": qdd, "w": w})
+        qdd, forces = _balance(plant, q, qd, parts, held)
+        rates = inputs.rates(parts | {"qdd": qdd} | forces)
         return (pace * np.concatenate((find_rates(plant, q, qd), qdd, rates), axis=1)).ravel()
 
     places, closure = len(plant.manifest.positions), find_closure(plant)
     ends = [places, places + len(plant.manifest.coordinates)]
 
-    def close(flat: Array) -> Array:
-        """Return the nearest states that keep the loops closed."""
-        assert closure is not None, "only loops are closed"
+    def close(time: float, flat: Array) -> Array:
+        """Return the nearest states that keep the loops closed, with driven joints where they are then."""
         q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
-        return np.concatenate((*closure.project(q, qd), further), axis=1).ravel()
+        q, qd = inputs.place(pace * time, q, qd)
+        if closure is not None:
+            q, qd = closure.project(q, qd, plant.manifest.driven)
+        return np.concatenate((q, qd, further), axis=1).ravel()
 
+    is_kept = closure is not None or bool(plant.manifest.driven)
     try:
-        begin = states.ravel() if closure is None else close(states.ravel())
+        begin = close(0.0, states.ravel()) if is_kept else states.ravel()
         solver = DOP853(rate, 0.0, begin, longest, rtol=TOLERANCE, atol=TOLERANCE)
         if not np.isfinite(solver.h_abs):  # it would look for a first step without end
             return None
@@ -222,10 +248,10 @@ def integrate(
                 if allowance is not None:
                     allowance.spend()
                 solver.step()
-                if closure is not None:
-                    if gaps is not None:
-                        gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))
-                    solver.y = close(solver.y)
+                if closure is not None and gaps is not None:
+                    gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))
+                if is_kept:
+                    solver.y = close(solver.t, solver.y)
                     solver.f = solver.fun(solver.t, solver.y)  # with which the next step begins
     except LimitError:
         raise
@@ -236,36 +262,44 @@ def integrate(
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array, w: Array | None = None) -> Array:
     """Solve the equations of motion for qdd in several states: q (B, nq), qd (B, n), u (B, m), w (B, nw) if any."""
-    return _balance(plant, q, qd, u, np.zeros((len(q), 0)) if w is None else w, None)[0]
+    return _balance(plant, q, qd, {"u": u, "w": np.zeros((len(q), 0)) if w is None else w}, None)[0]
 
 
-def _balance(plant: Plant, q: Array, qd: Array, u: Array, w: Array, held: Held | None) -> tuple[Array, Array]:
-    """Solve for qdd, and for the components of w that hold contacts; return both, w complete."""
+def _balance(
+    plant: Plant, q: Array, qd: Array, parts: Mapping[str, Array], held: Held | None
+) -> tuple[Array, dict[str, Array]]:
+    """Solve for qdd under the inputs u and w, and accelerations a of driven joints, if any.
+
+    Return qdd, and w complete, with the components that hold contacts, and tau of driven joints.
+    """
+    manifest, w = plant.manifest, parts["w"]
     closure, (B, n) = find_closure(plant), qd.shape
     if not n:
-        return qd, w
-    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": u}
+        return qd, {"w": w}
+    state = give_nothing(manifest, {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": parts["u"]})
     if held is not None:
         w = w.copy()
         w[:, held.components] = 0
     if w.size:
         state["w"] = w
-    if closure is not None:
-        state["lam"] = np.zeros((B, len(closure.dependent)))
     slopes, c = plant("jac_impl", **state), plant("impl", **state)["Phi"]
     rows, forces, bias = [], [], []
     if closure is not None:
         J = closure.jacobian(q)
         rows, forces, bias = [J], [-J.swapaxes(1, 2)], [closure.bias(q, qd)]
+    if manifest.driven:
+        D = choose_rows(manifest, B)
+        rows, forces, bias = [*rows, D], [*forces, -D.swapaxes(1, 2)], [*bias, -parts["a"]]
     if held is not None:
         J, turning = held.differentiate(plant, q, qd)
         rows, forces, bias = [*rows, J], [*forces, slopes["jac_Phi_w"][:, :, held.components]], [*bias, turning]
     if not rows:
-        return np.asarray(np.linalg.solve(slopes["jac_Phi_qdd"], -c[..., None])[..., 0]), w
+        return np.asarray(np.linalg.solve(slopes["jac_Phi_qdd"], -c[..., None])[..., 0]), {"w": w}
     below = np.concatenate(rows, axis=1)
     none = np.zeros((B, below.shape[1], below.shape[1]))
     whole = np.block([[slopes["jac_Phi_qdd"], np.concatenate(forces, axis=2)], [below, none]])
     found = np.linalg.solve(whole, -np.concatenate((c, *bias), axis=1)[..., None])[..., 0]
     if held is not None:
         w[:, held.components] = found[:, -len(held.components) :]
-    return np.asarray(found[:, :n]), w
+    m = 0 if closure is None else len(closure.dependent)
+    return np.asarray(found[:, :n]), {"w": w, "tau": found[:, n + m : n + m + len(manifest.driven)]}

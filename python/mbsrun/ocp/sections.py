@@ -240,6 +240,7 @@ class BoundsSection(Section):
     velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
     inputs: RangesField = Field(default={}, examples=[[None, None]])
     input_rates: RangesField = Field(default={}, examples=[[None, None]])
+    tau: RangesField = Field(default={}, examples=[[None, None]])  # forces of driven joints
 
 
 class PositionSection(Section):
@@ -439,6 +440,7 @@ class ProblemSection(Section):
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     signals: Annotated[dict[str, ComponentField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    driven: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
     bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])

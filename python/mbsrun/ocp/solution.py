@@ -210,6 +210,8 @@ class Solution:
     equations: tuple[str, ...] = ()  # of closed loops
     sensitivities: tuple[tuple[str, float], ...] = ()  # of the cost, by differentiated parameters of the model
     multipliers: Array | None = None  # (N, d, m): the forces on these equations at the points of the trajectory
+    driven: tuple[str, ...] = ()  # joints whose motion the problem gives
+    driving: Array | None = None  # (N, d, joints): the forces that these take at the points of the trajectory
 
     @property
     def is_only_acceptable(self) -> bool:
@@ -242,6 +244,8 @@ def write_solution(solution: Solution, path: Path) -> None:
     trajectory = {k: x for k, x in parts.pop("trajectory").items() if k not in OPTIONAL or _has_numbers(x)}
     if not solution.equations:
         del parts["equations"], parts["multipliers"]
+    if not solution.driven:
+        del parts["driven"], parts["driving"]
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     arrays = [f'   "{key}": {json.dumps(value)}' for key, value in trajectory.items()]
     lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")

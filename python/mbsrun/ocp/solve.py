@@ -214,6 +214,8 @@ def make_solution(
         trajectory=trajectory,
         equations=manifest.equations,
         multipliers=transcription.read_multipliers(values.completed, trajectory),
+        driven=tuple(manifest.coordinates[i].name for i in manifest.driven),
+        driving=transcription.read_driving(values.completed),
     )
 
 
@@ -225,6 +227,7 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
         ("coordinate", bounds.q, manifest.positions),
         ("velocity", bounds.qd, names),
         ("input", bounds.u, [names[i] for i in manifest.actuated]),
+        ("force of driven joint", bounds.tau, [names[i] for i in manifest.driven][: len(bounds.tau)]),
         ("input rate", bounds.rates, [names[i] for i in manifest.actuated][: len(bounds.rates)]),
         ("control rate", [control.rates for control in problem.controls], problem.added.controls),
         ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from mbsrun.ocp.driving import find_point_forces, follow
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Range, State
 from mbsrun.ocp.trajectory import Trajectory
@@ -36,6 +37,7 @@ def complete(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
     is_new = motion.unknowns.size != len(problem.unknowns)
     if is_new:
         motion = replace(motion, unknowns=np.array([unknown.guess for unknown in problem.unknowns]))
+    motion = follow(motion, problem, plant.manifest)
     states, controls = problem.every_state, problem.controls
     if motion.controls.shape[1] != len(controls):
         values = np.array([np.clip(control.guess, *control.bounds) for control in controls])
@@ -73,6 +75,8 @@ def _list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:
     if motion.point_w.shape[2] == len(name_components(plant.manifest)):
         parts["w"] = motion.point_w.reshape(N * d, -1)
     parts["unknowns"] = np.tile(motion.unknowns, (N * d, 1))
+    if plant.manifest.driven:
+        parts["tau"] = find_point_forces(plant, motion)[1].reshape(N * d, -1)
     return parts
 
 
@@ -142,6 +146,8 @@ def _integrate(
     rates = Values([problem.every_state[i].rate for i in integrated], problem, plant)
     given = GivenValues(problem, plant)
     table = {"states": values, **_tabulate(motion, t)}
+    if plant.manifest.driven:
+        table["tau"] = _spread(find_point_forces(plant, motion)[1], motion, t)
     calls, unknowns = 0, motion.unknowns[None]
 
     def rate(time: float, own: Array) -> Array:
@@ -177,11 +183,16 @@ def _tabulate(motion: Trajectory, t: Array) -> dict[str, Array]:
     def join(mesh: Array, points: Array) -> Array:
         return np.concatenate((mesh, points.reshape(motion.point_t.size, points.shape[2])))[order]
 
-    flat = motion.point_qdd.reshape(motion.point_t.size, motion.point_qdd.shape[2])
+    qdd = _spread(motion.point_qdd, motion, t)
+    return {"q": join(motion.q, motion.point_q), "qd": join(motion.qd, motion.point_qd), "qdd": qdd}
+
+
+def _spread(points: Array, motion: Trajectory, t: Array) -> Array:
+    """Return values at the points, (N, d, size), at times t (K,) by linear interpolation: (K, size)."""
+    flat = points.reshape(motion.point_t.size, points.shape[2])
     times, kept = np.unique(motion.point_t.ravel(), return_index=True)
     columns = [np.interp(t, times, column[kept]) for column in flat.T]
-    qdd = np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
-    return {"q": join(motion.q, motion.point_q), "qd": join(motion.qd, motion.point_qd), "qdd": qdd}
+    return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
 
 def _interpolate(time: float, t: Array, values: Array) -> Array:

@@ -30,7 +30,7 @@ from mbsgen.documents import (
     refuse,
 )
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, is_free_name, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, parse
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import (
     LEAST_ACCURACY,
@@ -39,6 +39,7 @@ from mbsrun.ocp.checks import (
     ProblemError,
     find_loop_conflicts,
     find_open_references,
+    find_phase_conflicts,
     find_unknown_conflicts,
     list_open_inputs,
 )
@@ -52,6 +53,8 @@ from mbsrun.ocp.conditions import (
     find_surplus_places,
 )
 from mbsrun.ocp.design import equip
+from mbsrun.ocp.driving import SAME, Guide
+from mbsrun.ocp.driving import find_conflicts as find_driven_conflicts
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount
 from mbsrun.ocp.parts import PartReading
@@ -101,6 +104,8 @@ from mbsrun.reading import relate
 
 PHASED = ("phases", "links")  # keys of problems that `phases.statement` reads
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
+
+StartValues = tuple[Expression | None, ...] | dict[str, Expression | None]  # of a start: in order, or by name
 
 SomePlant = TypeVar("SomePlant", bound=Plant)
 SomeSection = TypeVar("SomeSection", bound=ProblemSection)
@@ -248,12 +253,18 @@ class _Reading(PartReading):
         if self.open_inputs:
             left = f"the model leaves {', '.join(self.open_inputs)} open, beside the inputs u"
             self.fault(("model",), left, "give them in the model: here they have no value")
+        drives = self.driven(section.driven, unknowns) if section.driven or not self.is_phase else ()
         self.referring.read(section.references)
         bounds = self.bounds(section.bounds)
         horizon, horizon_range = self.horizon(section.horizon)
         intervals, mesh = self.intervals(section.intervals)
         accuracy = self.number(("accuracy",), section.accuracy, least=math.ulp(0))
-        start_q, free_q, start_qd, free_qd = self.read_start(section.start, bounds)
+        start = section.start
+        if drives and start is not None and not self.faults:
+            guesses = {unknown.name: unknown.guess for unknown in unknowns}
+            guide = Guide(drives, self.manifest, self.constants, guesses)
+            start = self.start_driven(start, guide, horizon)
+        start_q, free_q, start_qd, free_qd = self.read_start(start, bounds)
         cost, end = self.cost(section.cost, horizon), self.end(section.end, bounds)
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
@@ -299,6 +310,7 @@ class _Reading(PartReading):
             controls=self.controls(section.controls),
             forces=self.given_forces(section.forces, self.inputs.known),
             wrenches=(*wrenches, *forces, *self.signals(section.signals, [*section.states, *section.controls])),
+            driven=drives,
             contacts=self.contacts(section.contacts),
             touching=touching,
             relaxation=relaxation if touching else None,
@@ -308,7 +320,10 @@ class _Reading(PartReading):
         problem = replace(problem, constants=used, references=self.referring.references())
         problem = self.rewriting.apply(problem)
         self.check_given(problem)
+        is_driven = bool(drives) and not self.faults
         for conflict in (
+            *(find_phase_conflicts(self.manifest) if self.is_phase else ()),
+            *(find_driven_conflicts(problem, self.manifest) if is_driven else ()),
             *find_conflicts(problem),
             *find_loop_conflicts(problem, self.manifest),
             *find_open_references(problem),
@@ -329,6 +344,38 @@ class _Reading(PartReading):
         start_q, free_q = self.start("pose", section.pose, self.coordinates, bounds.q)
         start_qd, free_qd = self.start("velocity", section.velocity, self.velocities, bounds.qd)
         return start_q, free_q, start_qd, free_qd
+
+    def start_driven(self, section: StartSection, guide: Guide, horizon: float) -> StartSection:
+        """Return a start in which driven joints are where their motions begin."""
+        q, qd = (part[0] for part in guide.read(np.zeros(1), horizon)[:2])
+        given = {
+            key: self.put_driven(key, getattr(section, key), among.known, entries, values.tolist())
+            for key, among, entries, values in (
+                ("pose", self.coordinates, guide.places, q),
+                ("velocity", self.velocities, guide.joints, qd),
+            )
+        }
+        return section.model_copy(update=given)
+
+    def put_driven(
+        self, key: str, given: StartValues, names: Sequence[str], entries: Sequence[int], values: Sequence[float]
+    ) -> StartValues:
+        """Put the first values of driven joints into a pose or a velocity, which gives no others."""
+        own = {names[i]: Number(value) for i, value in zip(entries, values, strict=True) if math.isfinite(value)}
+        if isinstance(given, dict):
+            for name in given.keys() & own.keys():
+                self.fault(("start", key, name), "its motion is given under driven", "leave it out")
+            return {**own, **{name: value for name, value in given.items() if name not in own}}
+        found = list(given)
+        for i, value in zip(entries, values, strict=True):
+            if i >= len(found):
+                continue
+            first = value if given[i] is None else self.number(("start", key, i), given[i] or Number(0.0))
+            if abs(first - value) > SAME * (1 + abs(value)):
+                finding = f"{names[i]} starts at {first:g}, and its motion under driven at {value:g}"
+                self.fault(("start", key, i), finding, "give null, or the same number")
+            found[i] = Number(value) if math.isfinite(value) else Number(0.0)
+        return tuple(found)
 
     def horizon(self, section: Expression | HorizonSection) -> tuple[float, Range | None]:
         """Return the horizon, or the guess of it and its range."""
@@ -544,6 +591,7 @@ class _Reading(PartReading):
             self.ranges("velocities", section.velocities, self.velocities, self.speeds),
             self.ranges("inputs", section.inputs, self.inputs, self.forces),
             self.rates(section),
+            self.driving(section),
         )
         for x in list_quaternions(self.manifest):
             lower, upper = np.array([bounds.q[i] for i in x.entries]).T
@@ -552,6 +600,12 @@ class _Reading(PartReading):
                 finding = f"no quaternion of {x.joint} has length 1 within these bounds"
                 self.fault(("bounds", "coordinates"), finding, "widen them; null is no bound")
         return bounds
+
+    def driving(self, section: BoundsSection) -> tuple[Range, ...]:
+        """Read the bounds of the forces of driven joints; none where no force has one."""
+        joints = _Names("driven joint", [self.velocities.known[i] for i in self.manifest.driven])
+        found = self.ranges("tau", section.tau, joints, [_both_ways(None)] * len(joints.known))
+        return found if any(limits != _both_ways(None) for limits in found) else ()
 
     def rates(self, section: BoundsSection) -> tuple[Range, ...]:
         """Read the bounds of rates; none where no input has one."""

@@ -50,6 +50,7 @@ class Structure:
     ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
     forces: tuple[tuple[int, str], ...] = ()  # inputs that expressions give, in order
     wrenches: tuple[tuple[str, int, str | None], ...] = ()  # components of open wrenches: name, number, expression
+    driven: tuple[str, ...] = ()  # the motions of driven joints, in the order of the joints
     contacts: tuple[Contact, ...] = ()
     contacts_hold_at_start: bool = True
     inputs: Course = "constant"
@@ -119,6 +120,7 @@ def structure(problem: Problem) -> Structure:
         contacts=problem.contacts,
         contacts_hold_at_start=problem.contacts_hold_at_start,
         forces=tuple(sorted((force.input, force.expression) for force in problem.forces)),
+        driven=tuple(drive.expression for drive in sorted(problem.driven, key=lambda drive: drive.joint)),
         wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.every_component),
         ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
     )

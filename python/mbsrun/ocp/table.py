@@ -1,8 +1,8 @@
 """A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
 
-Columns are time, coordinates, velocities, accelerations, inputs, multipliers of closed loops, and positions of sensors
-in the base frame; then states, integrals and controls of the problem. The header names each, with its unit where that
-is known. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
+Columns are time, coordinates, velocities, accelerations, inputs, multipliers of closed loops, forces of driven joints,
+and positions of sensors in the base frame; then states, integrals and controls of the problem. The header names each,
+with its unit where that is known. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
     plant = equip(plant, solution.problem, solution.trajectory.unknowns)
     columns = list_motion(solution.trajectory)
     if solution.multipliers is not None:
-        columns.append(_read_forces(solution.trajectory, solution.multipliers))
+        columns.append(list_forces(solution.trajectory, solution.multipliers))
+    if solution.driving is not None:
+        columns.append(list_forces(solution.trajectory, solution.driving))
     columns.append(_place_sensors(solution.trajectory, plant))
     columns += [*list_additions(solution.trajectory), list_wrenches(solution.trajectory)]
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -43,7 +45,7 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
 
 def _name_columns(manifest: Manifest) -> list[str]:
     units = {c.name: c.unit for c in manifest.coordinates}
-    actuated = [manifest.coordinates[i] for i in manifest.actuated]
+    actuated, driven = ([manifest.coordinates[i] for i in which] for which in (manifest.actuated, manifest.driven))
     return [
         "t [s]",
         *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions),  # entries of quaternions have no unit
@@ -51,6 +53,7 @@ def _name_columns(manifest: Manifest) -> list[str]:
         *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
         *(f"u[{c.name}] [{c.force_unit}]" for c in actuated),
         *(f"lam[{name}] [{unit}]" for name, unit in zip(manifest.equations, _list_units(manifest), strict=True)),
+        *(f"tau[{c.name}] [{c.force_unit}]" for c in driven),
         *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
     ]
 
@@ -96,7 +99,7 @@ def list_motion(trajectory: Trajectory) -> list[Array]:
         _join(trajectory, t[:-1, None], trajectory.point_t[..., None], t[-1:]),
         _join(trajectory, trajectory.q[:-1], trajectory.point_q, trajectory.q[-1]),
         _join(trajectory, trajectory.qd[:-1], trajectory.point_qd, trajectory.qd[-1]),
-        _read_forces(trajectory, trajectory.point_qdd),
+        list_forces(trajectory, trajectory.point_qdd),
         _read_inputs(trajectory, trajectory.u, trajectory.point_u),
     ]
 
@@ -104,16 +107,16 @@ def list_motion(trajectory: Trajectory) -> list[Array]:
 def _read_inputs(trajectory: Trajectory, u: Array, points: Array) -> Array:
     """Read inputs at all points in order: constant ones (N, m), at the end the last ones; or polynomials (N, d, m)."""
     if points.size:
-        return _read_forces(trajectory, points)
+        return list_forces(trajectory, points)
     return np.concatenate((np.repeat(u, 1 + int(_find_inner(trajectory).sum()), axis=0), u[-1:]))
 
 
 def list_wrenches(trajectory: Trajectory) -> Array:
     """List the components of open wrenches at all points in order, (rows, size)."""
-    return _read_forces(trajectory, trajectory.point_w)
+    return list_forces(trajectory, trajectory.point_w)
 
 
-def _read_forces(trajectory: Trajectory, points: Array) -> Array:
+def list_forces(trajectory: Trajectory, points: Array) -> Array:
     """Read accelerations, or forces, that are known at collocation points (N, d, m), at all points in order."""
     nodes = _place_nodes(trajectory)
     first, last = (read_basis(nodes, place) for place in (0.0, 1.0))

@@ -35,13 +35,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.design import list_fixed_values
+from mbsrun.ocp.driving import find_point_forces, varies
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.integrators import Integrator
 from mbsrun.ocp.layout import Layout, Rows, at_points, fill_in, read_slopes
@@ -71,6 +72,7 @@ class Transcription:
     layout: Layout
     rows: Rows
     program: Program
+    plant: Plant | None = None  # of a mechanism whose loops or driven joints take forces
     closure: Closure | None = None  # of a mechanism with closed loops
     fixed: tuple[float, ...] = ()  # values of the entries of theta that are no unknowns
     components: tuple[int, ...] = ()  # the entry of w of each component of a wrench that the problem has
@@ -85,7 +87,7 @@ class Transcription:
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
         """Bound the variables that a solver sees: states at mesh and collocation points, inputs, and the horizon."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
-        states = np.array(problem.bounds.q + self._pick(problem.bounds.qd)).reshape(-1, 2)
+        states = self._bound_states(problem)
         extras, added = self.layout.extras, np.array([state.bounds for state in problem.every_state]).reshape(-1, 2)
         for index, bounds in (
             (self.layout.mesh, states),
@@ -97,6 +99,7 @@ class Transcription:
                 extras.wrenches[:, :, list(self.components)],
                 np.array([x.bounds for x in problem.every_component]).reshape(-1, 2),
             ),
+            *([(self.layout.driving, np.array(problem.bounds.tau).reshape(-1, 2))] if problem.bounds.tau else []),
         ):
             lower[index], upper[index] = bounds.T
         given = self._list_given_states(problem)
@@ -111,6 +114,17 @@ class Transcription:
                 known = self._find_delayed(delay, problem)
                 lower[known] = upper[known] = delay.history
         return lower[self.program.kept], upper[self.program.kept]
+
+    def _bound_states(self, problem: Problem) -> Array:
+        """Return the bounds (nq + n, 2) of states; a driven joint has none where nothing that is chosen moves it.
+
+        It keeps within them then, which is checked before. A value on a bound would leave no interior to methods of
+        interior points.
+        """
+        states, motions = np.array(problem.bounds.q + self._pick(problem.bounds.qd)).reshape(-1, 2), self.layout.motions
+        fixed = [not varies(text, problem) for text in self.structure.driven]
+        states[[i for i, is_known in zip(motions.driven_states, 2 * fixed, strict=True) if is_known]] = -np.inf, np.inf
+        return states
 
     def _list_given_states(self, problem: Problem) -> Indices:
         """List the states that the problem adds where it gives their values, at the start and at the end.
@@ -170,7 +184,7 @@ class Transcription:
         lower[free], upper[free] = -np.inf, np.inf
         nq, velocities = self.layout.nq, self.layout.motions.velocities
         given = [i not in problem.free_start for i in (*range(nq), *(nq + i for i in velocities))]
-        free = rows.start[~np.array(given, dtype=bool)]
+        free = np.append(rows.start[~np.array(given, dtype=bool)], rows.start[self.layout.motions.driven_states])
         lower[free], upper[free] = -np.inf, np.inf
         # a start that is given whole is closed: its loops would be conditions too many
         for row, part in zip(self._split_start_closure(), (given[:nq], given[nq:]), strict=False):
@@ -231,8 +245,12 @@ class Transcription:
         x[self._fixed] = self.fixed
         if layout.accelerations.size and not self.program.solves_inner:
             x[layout.accelerations] = trajectory.point_qdd[:, :, independent]
-        if layout.multipliers.size and self.closure is not None:
-            x[layout.multipliers] = find_multipliers(self.closure, trajectory)
+        if layout.drives.size:
+            x[layout.drives] = trajectory.point_qdd[:, :, list(layout.motions.driven)]
+        if layout.multipliers.size or layout.driving.size:
+            multipliers, x[layout.driving] = self._find_forces(trajectory)
+            if layout.multipliers.size:
+                x[layout.multipliers] = multipliers
         return np.asarray(x[self.program.kept])
 
     def unpack(self, x: Array) -> Trajectory:
@@ -243,11 +261,8 @@ class Transcription:
         mesh, h = x[layout.mesh], layout.grid.lengths(horizon)
         if layout.points.size or not layout.mesh.shape[1]:
             points = x[layout.points]
-            nodes = np.concatenate((mesh[:-1, None], points), axis=1)
-            has_accelerations = layout.accelerations.size > 0
             q, qd = layout.split(points)
-            rates = layout.split(nodes)[1][:, :, layout.motions.carried_velocities]
-            qdd = x[layout.accelerations] if has_accelerations else self.scheme.D @ rates / h[:, None, None]
+            qdd = self._read_accelerations(x, mesh, h)
         elif layout.slopes.size:
             motion = fill_in(read_slopes(layout, self.integrator.points), layout, self.integrator.first_point)
             q, qd = (part.evaluate(x).reshape(*point_t.shape, part.size) for part in motion)
@@ -281,6 +296,17 @@ class Transcription:
             point_controls=x[layout.extras.point_controls],
             point_w=x[layout.extras.wrenches].reshape(*point_t.shape, layout.extras.wrenches.shape[2]),
         )
+
+    def _read_accelerations(self, x: Array, mesh: Array, h: Array) -> Array:
+        """Return the accelerations (N, d, moved) at the points, or the derivatives of velocities there."""
+        layout, motions = self.layout, self.layout.motions
+        if layout.accelerations.size:
+            return np.asarray(x[layout.every_acceleration])
+        nodes = np.concatenate((mesh[:-1, None], x[layout.points]), axis=1)
+        rates = layout.split(nodes)[1][:, :, motions.moved_velocities]
+        qdd = self.scheme.D @ rates / h[:, None, None]
+        qdd[:, :, [motions.moved.index(i) for i in motions.driven]] = x[layout.drives]
+        return np.asarray(qdd)
 
     def _find_shifts(self, mesh: Array, trajectory: Trajectory) -> Array:
         """Return how far entries of states that loops give move from an interval's start, where loops are closed."""
@@ -331,27 +357,22 @@ class Transcription:
         """Read the multipliers of loops, (N, d, m), off all variables, or find them where they are none."""
         if self.closure is None:
             return None
-        return (
-            x[self.layout.multipliers] if self.layout.multipliers.size else find_multipliers(self.closure, trajectory)
-        )
+        return x[self.layout.multipliers] if self.layout.multipliers.size else self._find_forces(trajectory)[0]
+
+    def read_driving(self, x: Array) -> Array | None:
+        """Read the forces of driven joints, (N, S, d), off all variables."""
+        return x[self.layout.driving] if self.layout.driving.size else None
+
+    def _find_forces(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        """Find multipliers (N, d, m) and forces of driven joints (N, d, ...) at the points of a motion."""
+        assert self.plant is not None, "loops and driven joints belong to kernels"
+        return find_point_forces(self.plant, trajectory)
 
     def _complete(self, q: Array, velocities: Array) -> Array:
         """Return all velocities from the ones that are variables: (..., n) both."""
         assert self.closure is not None, "without loops all velocities are variables"
-        yd = velocities[..., self.layout.motions.carried_velocities]
+        yd = velocities[..., self.layout.motions.moved_velocities]
         return self.closure.complete_velocities(q, self.closure.independent, yd)
-
-
-def find_multipliers(closure: Closure, trajectory: Trajectory) -> Array:
-    """Find the multipliers of loops at the points of a motion, (N, d, m), by least squares."""
-    N, d, _ = trajectory.point_q.shape
-    q, qd, qdd = (x.reshape(N * d, -1) for x in (trajectory.point_q, trajectory.point_qd, trajectory.point_qdd))
-    u = trajectory.spread_inputs()[0].reshape(N * d, trajectory.u.shape[1])
-    state: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "u": u, "lam": np.zeros((N * d, len(closure.dependent)))}
-    if trajectory.point_w.size:
-        state["w"] = trajectory.point_w.reshape(N * d, -1)
-    Phi = closure.plant("impl", **state)["Phi"]
-    return np.nan_to_num(closure.balance(q, Phi)).reshape(N, d, -1)
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:
@@ -379,6 +400,7 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
         writer.layout,
         rows,
         program,
+        plant,
         closure,
         list_fixed_values(shape.added.unknowns, plant),
         writer.list_components(),

@@ -11,8 +11,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
+from mbsgen.expressions import Expression
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import closing, contacts, design, formulas
+from mbsrun.ocp.driving import derive
 from mbsrun.ocp.functions import Array, Fixed, Function, Indices, KernelResult
 from mbsrun.ocp.integrators import SECOND_ORDER, Integrator
 from mbsrun.ocp.layout import (
@@ -56,7 +58,7 @@ class Writer:
         self.motions = closing.list_motions(shape, plant.manifest)
         self.components = order_components(shape, plant.manifest)
         self.held = contacts.list_held(shape.contacts, plant.manifest)
-        self.kernel = _read_wrenches(self.equations.write(shape.loops), plant)
+        self.kernel = _read_forces(self.equations.write(shape.loops), plant)
         has_slopes = shape.takes_slopes or (shape.form is not Form.STANDARD and bool(self.quaternions))
         is_ode = shape.form is Form.STANDARD or has_slopes  # accelerations follow from the state, and are no variables
         self.layout = lay_out(
@@ -102,16 +104,20 @@ class Writer:
         extra_start = self.write_states(extras.states[0], 0)
         lengths = self.write_lengths()
         start_closure = self.write_start_closure()
+        driven_start = self.write_driven_start()
         inner, equations, continuity = self.write_collocation()
-        states, dynamics, closure, rates, given, held = self.split_equations(equations)
+        states, dynamics, closure, rates, given, held, driving = self.split_equations(equations)
         extra_end = self.write_states(extras.states[N, list(shape.ending)], N)
         rows = Rows(
             start=start,
             lengths=lengths,
             states=states,
             dynamics=dynamics,
-            closure=closure,
+            closure=closure[:, :, : self.loop_rows],
             start_closure=start_closure,
+            driven=closure[:, :, self.loop_rows :],
+            driven_start=driven_start,
+            driving=driving,
             continuity=continuity,
             extras=ExtraRows(
                 extra_start, rates, given, held, self.write_contacts_at_start(), self.write_friction(), extra_end
@@ -183,17 +189,19 @@ class Writer:
     # --- the motion ---
 
     def list_independent(self) -> tuple[int, ...]:
-        """List the entries of qd that determine all others."""
-        return self.motions.independent if self.shape.loops is None else self.manifest.independent
+        """List the entries of qd that determine all others, without driven ones."""
+        every = self.motions.independent if self.shape.loops is None else self.manifest.independent
+        return tuple(i for i in every if i not in self.motions.driven)
 
     def find_velocities(self, which: Sequence[int]) -> list[int]:
         """Find entries of qd among the velocities that are variables."""
         return [self.motions.velocities.index(i) for i in which]
 
-    def split_equations(self, equations: Indices) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
+    def split_equations(self, equations: Indices) -> tuple[Indices, ...]:
         """Split the equations of stages (N, S, ...) into groups; where there are shifts, of intervals (N, 1, ...).
 
-        They are of states, of motion, of loops, of states added, of results of expressions, and of contacts.
+        They are of states, of motion, of loops and given motions, of states added, of results of expressions, of
+        contacts, and of motion of driven joints.
 
         For an ODE, the equations of motion are the last ones of states. Equations of shifts follow all others.
         """
@@ -207,17 +215,24 @@ class Writer:
         n = len(self.motions.independent)
         states = len(self.motions.carried) if self.layout.points.size or self.layout.slopes.size else 0
         end = states + (n if self.layout.accelerations.size else 0)
-        rates = end + (0 if P * found else self.loop_rows)
+        rates = end + (0 if P * found else self.found_rows)
         given = rates + len(self.shape.rates)
         held = given + len(self.list_given())
+        driving = held + len(self.held)
         return (
             equations[:, :, :states],
             equations[:, :, end - n : end],
             at_places if P * found else equations[:, :, end:rates],
             equations[:, :, rates:given],
             equations[:, :, given:held],
-            equations[:, :, held:],
+            equations[:, :, held:driving],
+            equations[:, :, driving:],
         )
+
+    @property
+    def found_rows(self) -> int:
+        """Count the rows of loops and of given motions at a point."""
+        return self.loop_rows + len(self.motions.driven_states)
 
     @property
     def loop_rows(self) -> int:
@@ -241,13 +256,13 @@ class Writer:
         N, S, width = layout.points.shape
         at_stage = len(self.motions.carried) if width or layout.slopes.size else 0
         at_stage += n if layout.accelerations.size else 0
-        at_stage += len(self.shape.rates) + len(self.list_given()) + len(self.held)
-        at_stage += 0 if layout.shifts.size else self.loop_rows
+        at_stage += len(self.shape.rates) + len(self.list_given()) + len(self.held) + len(self.motions.driven)
+        at_stage += 0 if layout.shifts.size else self.found_rows
         carried, count = layout.mesh.shape[1], S * at_stage + layout.shifts[0].size
         interval = self.take(np.arange(N), N, count + carried + len(self.shape.rates))
         equations, continuity = interval[:, :count], interval[:, count:]
         equations = equations.reshape(N, 1 if layout.shifts.size else S, -1)
-        states, dynamics, closure, rates, given, held = self.split_equations(equations)
+        states, dynamics, closure, rates, given, held, driving = self.split_equations(equations)
         if self.shape.form is Form.STANDARD:
             self.write_states_at_points(states, continuity[:, :carried])
         elif layout.slopes.size:
@@ -258,7 +273,7 @@ class Writer:
         self.write_added_states(rates, continuity[:, carried:])
         self.write_given(given)
         self.hold_contacts(held)
-        self.write_dynamics(dynamics.reshape(N * S, n).T)
+        self.write_dynamics(dynamics.reshape(N * S, n).T, driving.reshape(N * S, -1).T)
         places = at_closed(layout, self.integrator, self.h) if layout.shifts.size else self.points
         self.write_closure(places, closure.reshape(places.s.size, -1).T, places.interval)
         self.write_corrections(states)
@@ -269,6 +284,7 @@ class Writer:
             layout.accelerations,
             layout.multipliers,
             layout.corrections,
+            layout.driving,
             self.place_given(),
             layout.extras.wrenches[:, :, list(self.held)],
         )
@@ -277,11 +293,15 @@ class Writer:
         return np.concatenate(inner, axis=2), equations, continuity
 
     def write_closure(self, places: Places, rows: Indices, stages: Indices) -> None:
-        """Close the loops at some places: rows are (equations, places); the last ones are lengths of quaternions."""
+        """Close the loops at some places, and move driven joints there: rows are (equations, places).
+
+        Lengths of quaternions follow the loops; coordinates and velocities of driven joints are the last.
+        """
         if not rows.size:
             return
+        self.write_motions(places, rows[self.loop_rows :], stages)
         m, count = len(self.manifest.dependent), self.closing_rows
-        self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, count, m)], stages)
+        self.blocks += closing.close(places, [rows[i : i + m] for i in range(0, count, m or 1)], stages)
         for row, first in zip(rows[count:], self.motions.lengths, strict=False):  # a start has other rows for these
             entries = range(first, first + 4)
             q = places.q[list(entries)] if isinstance(places.q, np.ndarray) else places.q.pick(entries)
@@ -293,19 +313,38 @@ class Writer:
         self.write_closure(self.first, rows[:, None], np.zeros(1, dtype=np.int64))
         return rows
 
+    def write_driven_start(self) -> Indices:
+        """Start driven joints as their motions do."""
+        rows = self.take(0, len(self.motions.driven_states))
+        self.write_motions(self.first, rows[:, None], np.zeros(1, dtype=np.int64))
+        return rows
+
+    def write_motions(self, places: Places, rows: Indices, stages: Indices) -> None:
+        """Set coordinates and velocities of driven joints at some places: rows are (2 d, places)."""
+        if not rows.size:
+            return
+        motions, (q, qd) = self.motions, (places.q, places.qd)
+        assert isinstance(q, np.ndarray), "states at all places are variables"
+        assert isinstance(qd, np.ndarray), "states at all places are variables"
+        velocities = [motions.velocities.index(i) for i in motions.driven]
+        self.A.put(rows, np.concatenate((q[list(motions.driven_places)], qd[velocities])), 1.0)
+        orders = list(zip(*map(derive, self.shape.driven), strict=True))
+        self.blocks.append(self.apply([*orders[0], *orders[1]], places, rows, stages, -1.0))
+
     def write_corrections(self, states: Indices) -> None:
         """Correct the derivatives of coordinates, and of velocities where the equations of motion are explicit."""
-        corrections, nq, m = self.layout.corrections, self.motions.nq, len(self.manifest.dependent)
+        corrections, motions, m = self.layout.corrections, self.motions, len(self.manifest.dependent)
         if not corrections.size:
             return
         q, interval = self.points.q, self.points.interval
         places, velocities, first, second = (
             part.reshape(interval.size, part.shape[2]).T
-            for part in (*np.split(states, [nq], axis=2), *np.split(corrections, [m], axis=2))
+            for part in (*np.split(states, [len(motions.places)], axis=2), *np.split(corrections, [m], axis=2))
         )
-        self.blocks += closing.correct_places(q, first, places, interval, self.manifest)
+        self.blocks += closing.correct_places(q, first, places, interval, self.manifest, motions.places)
         if second.size:
-            self.blocks.append(closing.correct(q, second, velocities, interval))
+            entries = motions.independent if motions.driven else None
+            self.blocks.append(closing.correct(q, second, velocities, interval, entries))
 
     def write_inner_bounds(self) -> Indices:
         """Write the states at the points that have bounds, where they are no variables and no mesh points."""
@@ -392,15 +431,16 @@ class Writer:
         found = (find_component(self.manifest, name, component) for name, component, _ in self.shape.wrenches)
         return tuple(i for i in found if i is not None)
 
-    def list_given(self) -> list[str]:
-        """List the expressions that give inputs, then components of wrenches."""
-        return [*(text for _, text in self.shape.forces), *(text for text in self.components if text is not None)]
+    def list_given(self) -> list[str | Expression]:
+        """List the expressions that give inputs, components of wrenches, and accelerations of driven joints."""
+        forces, components = (text for _, text in self.shape.forces), (x for x in self.components if x is not None)
+        return [*forces, *components, *(derive(text)[2] for text in self.shape.driven)]
 
     def place_given(self) -> Indices:
         """Return the variables (N, S, ...) that expressions give."""
         extras = self.layout.extras
         chosen = [i for i, text in enumerate(self.components) if text is not None]
-        return np.concatenate((extras.forces, extras.wrenches[:, :, chosen]), axis=2)
+        return np.concatenate((extras.forces, extras.wrenches[:, :, chosen], self.layout.drives), axis=2)
 
     def hold_contacts(self, rows: Indices) -> None:
         """Hold contacts at the points of all intervals, rows (N, S, held axes): by velocities, and at the end by place.
@@ -530,11 +570,20 @@ class Writer:
         columns, placed = (part.reshape(-1, rates.shape[2]).T for part in (rates, rows))
         self.write_copies(columns, placed, self.points.interval)
 
-    def write_dynamics(self, rows: Indices) -> None:
-        """Apply the equations of motion at every stage, as the representation writes them."""
+    def write_dynamics(self, rows: Indices, driving: Indices) -> None:
+        """Apply the equations of motion at every stage, as the representation writes them; `driving`: of driven joints.
+
+        Residuals have both sorts of rows; the force of a driven joint is a separate result of explicit kernels.
+        """
+        motions = self.motions
+        if not self.equations.is_explicit and driving.size:
+            at = dict(zip((*motions.independent, *motions.driven), (*rows, *driving), strict=True))
+            rows = np.stack([at[i] for i in motions.moved])
+        elif driving.size:
+            self.write_driving(driving)
         if not rows.size:
             return
-        layout, kernel = self.layout, self.kernel
+        layout, kernel = self.layout, self.choose_accelerations(motions.independent)
         places = at_stages(layout, self.integrator, self.h)
         scale, factor = np.ones(places.s.size), None
         if self.equations.is_explicit and layout.accelerations.size:
@@ -544,6 +593,20 @@ class Writer:
             scale, factor = -self.h[places.interval], layout.horizon
         columns = _pick(places, kernel)
         self.blocks.append(Block(kernel, columns, rows, places.interval, scale=scale, factor=factor))
+
+    def choose_accelerations(self, which: Sequence[int]) -> KernelResult:
+        """Return the kernel with the rows, or accelerations, of some entries of qd."""
+        moved = self.motions.moved
+        if not self.equations.is_explicit or tuple(which) == moved:
+            return self.kernel
+        return replace(self.kernel, entries=tuple(moved.index(i) for i in which))
+
+    def write_driving(self, rows: Indices) -> None:
+        """Set the forces of driven joints to a result of the explicit kernel at every stage."""
+        places = at_stages(self.layout, self.integrator, self.h)
+        kernel = replace(self.kernel, result="tau")
+        self.A.put(rows, self.layout.driving.reshape(rows.T.shape).T, 1.0)
+        self.blocks.append(Block(kernel, _pick(places, kernel), rows, places.interval, scale=-1.0))
 
     # --- start, end, constraints ---
 
@@ -612,16 +675,13 @@ class Writer:
 
     def write_accelerations(self, which: Sequence[int]) -> Indices:
         """Write some accelerations at the end, which is read off the last interval."""
-        which = [self.motions.independent.index(i) for i in which]
         rows, end = self.take(self.shape.intervals - 1, len(which)), self.last
         if which and not self.equations.has_accelerations:
-            kernel = self.kernel
-            if len(which) < len(self.motions.independent):
-                kernel = replace(kernel, entries=tuple(which))
+            kernel = self.choose_accelerations(which)
             self.blocks.append(Block(kernel, _pick(end, kernel), rows[:, None], end.interval))
         elif which:
             assert isinstance(end.qdd, Combination), "accelerations at mesh points are read off others"
-            self.A.put_part(rows[None], end.qdd, which)
+            self.A.put_part(rows[None], end.qdd, [self.motions.moved.index(i) for i in which])
         return rows
 
     def write_constraints(self) -> tuple[Indices, ...]:
@@ -672,7 +732,12 @@ class Writer:
         return at_mesh(self.layout, self.integrator, [0])
 
     def apply(
-        self, texts: Sequence[str], places: Places, rows: Indices, stages: Indices, scale: Array | float = 1.0
+        self,
+        texts: Sequence[str | Expression],
+        places: Places,
+        rows: Indices,
+        stages: Indices,
+        scale: Array | float = 1.0,
     ) -> Block:
         """Apply expressions at some places."""
         shape, layout = self.shape, self.layout
@@ -746,16 +811,16 @@ def order_components(shape: Structure, manifest: Manifest) -> tuple[str | None, 
     return tuple(found[i] for i in sorted(found))
 
 
-def _read_wrenches(kernel: KernelResult, plant: Plant) -> KernelResult:
-    """Return a kernel that reads the components of open wrenches, if there are any, in the order of its inputs."""
-    if not plant.manifest.open_entries:
+def _read_forces(kernel: KernelResult, plant: Plant) -> KernelResult:
+    """Return a kernel that reads components of open wrenches, and accelerations or forces of driven joints, if any."""
+    if not plant.manifest.open_entries and not plant.manifest.driven:
         return kernel
     order = [a.name for a in plant.describe(kernel.kernel).inputs]
-    inputs = {*kernel.inputs, *({"w"} & set(order))}
+    inputs = {*kernel.inputs, *({"w", "a", "tau"} & set(order))}
     return replace(kernel, inputs=tuple(sorted(inputs, key=order.index)))
 
 
-def find_references(texts: Sequence[str], shape: Structure) -> list[str]:
+def find_references(texts: Sequence[str | Expression], shape: Structure) -> list[str]:
     """List the names of references that expressions read."""
     named = references.list_names(shape.references)
     read = frozenset[str]().union(*(list_names(text, shape.functions) for text in texts)) if named else frozenset()
@@ -769,7 +834,7 @@ def _pick(places: Places, kernel: KernelResult) -> tuple[Column, ...]:
 
 def _reads_jumps(read: Set[str], known: Mapping[str, Quantity]) -> bool:
     """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
-    return any(known[name].kind in ("u", "qdd", "w", "controls") for name in read if name in known)
+    return any(known[name].kind in ("u", "qdd", "w", "tau", "controls") for name in read if name in known)
 
 
 def _input_cost(layout: Layout, h: Array, weights: Array) -> Matrix:

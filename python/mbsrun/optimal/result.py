@@ -22,7 +22,7 @@ from mbsrun.ocp.phases.solution import PhasedFailure
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Failure, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
-from mbsrun.ocp.table import list_additions, list_motion, list_wrenches, write_table
+from mbsrun.ocp.table import list_additions, list_forces, list_motion, list_wrenches, write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.display import Page, Picture
@@ -208,6 +208,8 @@ class Solved:
             return self._motion["t"][:, None]
         if kind == "w":
             return list_wrenches(self.trajectory)
+        if kind == "tau" and self.solution.driving is not None:
+            return list_forces(self.trajectory, self.solution.driving)
         if kind in _ADDED:
             return list_additions(self.trajectory)[_ADDED.index(kind)]
         return self._motion[kind] if kind in self._motion else self._of_sensors[kind]

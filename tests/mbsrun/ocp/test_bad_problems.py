@@ -1,7 +1,8 @@
 """Bad problem files, by the command: each is refused with exactly these lines, paths, findings and remedies.
 
 The table is bad_problems.yaml: faults of phases, links, impacts, contacts, given forces, states, soft constraints,
-delays, recorded motions, unknowns, closed loops and quaternions. No file leaves a traceback, or an output folder.
+delays, recorded motions, unknowns, closed loops, driven joints and quaternions. No file leaves a traceback, or an
+output folder.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def folder(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFact
     found = tmp_path_factory.mktemp("bad")
     (found / "leg.yaml").write_text(LEG, "utf-8")
     (found / "walk.csv").write_text(CSV, "utf-8")
-    for name in ("five_bar.yaml", "satellite.yaml"):
-        (found / name).write_text((MODELS / name).read_text("utf-8"), "utf-8")
+    for name in ("five_bar.yaml", "satellite.yaml", "driven/turntable_arm.yaml"):
+        (found / Path(name).name).write_text((MODELS / name).read_text("utf-8"), "utf-8")
     return found
 
 

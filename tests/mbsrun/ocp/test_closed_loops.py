@@ -20,7 +20,7 @@ from mbsrun.closure import CLOSED, Closure
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
-from mbsrun.ocp.checks import ProblemError, find_loop_conflicts
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.phases.problem import Plants
@@ -470,12 +470,6 @@ def test_what_loops_contradict_is_refused(name: str) -> None:
     make, finding = CONFLICTS[name]
     with pytest.raises(ProblemError, match=finding):
         solve(make(), arms())
-
-
-def test_mechanisms_without_an_optimal_control_problem_are_refused() -> None:
-    manifest = arms().manifest.model_copy(update={"driven": (1,)})
-    findings = [conflict.finding for conflict in find_loop_conflicts(reach(), manifest)]
-    assert any("the motion of left_elbow is given" in finding for finding in findings)
 
 
 def test_a_motion_through_singular_poses_is_refused_where_it_needs_multipliers() -> None:

@@ -27,7 +27,7 @@ def formulate_of(
     """Formulate expressions of a motion without loops."""
     every = tuple(range(6))
     computed = {"qdd": representation.equations.write()} if representation.is_ode else {}
-    return formulate(texts, constants, arm.manifest, Motions(6, every, every, every), computed, horizon)
+    return formulate(texts, constants, arm.manifest, Motions(6, every, every, every, every), computed, horizon)
 
 
 def evaluate(text: str, arm: Peer, representation: Representation, horizon: float | None) -> tuple[float, set[str]]:
