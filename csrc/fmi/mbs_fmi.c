@@ -71,6 +71,21 @@ static void change(instance *c)
     c->is_known = 0;
 }
 
+/* Put the time where forces read it. */
+static void show_time(instance *c, double time)
+{
+    if (MODEL.clock >= 0) {
+        c->numbers[MODEL.clock] = (mbs_real)time;
+        change(c);
+    }
+}
+
+void mbs_fmi_set_time(instance *c, double time)
+{
+    c->time = time;
+    show_time(c, time);
+}
+
 /* Return the number of a value reference, or NULL. */
 static mbs_real *find(instance *c, mbs_fmi_reference r)
 {
@@ -390,6 +405,7 @@ static int step(instance *c, double since, double h)
         for (k = 0; k < n; ++k)
             c->numbers[MODEL.state[k]] = before[k] + (mbs_real)(h * when[i]) * (i ? c->work[(i - 1) * n + k] : 0);
         guide(c, given, since + h * when[i]);
+        show_time(c, c->time + h * when[i]);
         change(c);
         if (evaluate(c))
             return 1;
@@ -414,7 +430,7 @@ int mbs_fmi_advance(instance *c, double time, double size)
     const double steps = size / c->step;
     mbs_real *const before = c->work + 4 * STATES, *const given = before + STATES;
     long count, k;
-    c->time = time;
+    mbs_fmi_set_time(c, time);
     if (!(size >= 0) || !(steps < 1e9))
         return mbs_fmi_fail(c, "the communication step is negative, or holds too many steps");
     if (MODEL.driven && mbs_fmi_project(c)) /* new inputs open loops */
@@ -427,9 +443,10 @@ int mbs_fmi_advance(instance *c, double time, double size)
         if (step(c, since, size / (double)count)) {
             guide(c, given, since);
             restore_states(c, before);
+            show_time(c, c->time);
             return 1;
         }
-        c->time = time + size * (double)(k + 1) / (double)count;
+        mbs_fmi_set_time(c, time + size * (double)(k + 1) / (double)count);
     }
     return evaluate(c);
 }

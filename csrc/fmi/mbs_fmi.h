@@ -35,6 +35,7 @@ typedef struct {
     int results;           /* where rates begin; accelerations and outputs follow */
     int parameter;         /* where parameters begin */
     int closed;            /* where closed coordinates begin; closed velocities, then independent ones follow */
+    int clock;             /* where the time is, of forces that read it; -1: none does */
     const int *state, *input; /* their places among the numbers */
     const mbs_real *start; /* of the numbers up to the set-up */
     int given;             /* how many they are */
@@ -70,6 +71,9 @@ void mbs_fmi_close(mbs_fmi_instance *c);
 void mbs_fmi_begin(mbs_fmi_instance *c);
 /* Report a failure; return 1. */
 int mbs_fmi_fail(mbs_fmi_instance *c, const char *message);
+
+/* Set the time, for messages and for forces that read it. */
+void mbs_fmi_set_time(mbs_fmi_instance *c, double time);
 
 int mbs_fmi_get(mbs_fmi_instance *c, const mbs_fmi_reference references[], size_t count, double values[]);
 int mbs_fmi_set(mbs_fmi_instance *c, const mbs_fmi_reference references[], size_t count, const double values[]);

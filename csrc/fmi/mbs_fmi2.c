@@ -110,7 +110,7 @@ MBS_FMI_API fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean h
                                            fmi2Real start, fmi2Boolean has_stop, fmi2Real stop)
 {
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-    ((mbs_fmi_instance *)instance)->time = start;
+    mbs_fmi_set_time(instance, start);
     return fmi2OK;
 }
 
@@ -144,7 +144,7 @@ MBS_FMI_API fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, cons
 
 MBS_FMI_API fmi2Status fmi2SetTime(fmi2Component instance, fmi2Real time)
 {
-    ((mbs_fmi_instance *)instance)->time = time;
+    mbs_fmi_set_time(instance, time);
     return fmi2OK;
 }
 

@@ -116,7 +116,7 @@ MBS_FMI_API fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Bo
                                                    fmi3Float64 stop)
 {
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-    ((mbs_fmi_instance *)instance)->time = start;
+    mbs_fmi_set_time(instance, start);
     return fmi3OK;
 }
 
@@ -167,7 +167,7 @@ MBS_FMI_API fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi
 
 MBS_FMI_API fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time)
 {
-    ((mbs_fmi_instance *)instance)->time = time;
+    mbs_fmi_set_time(instance, time);
     return fmi3OK;
 }
 

@@ -68,6 +68,20 @@ bodies:
 driven: [swing]
 """
 
+SHAKEN = """\
+name: shaken
+gravity: [0, 0, -9.81]
+bodies:
+  - name: rod
+    joint: {name: pin, type: revolute, axis: y, actuated: true}
+    mass: 0.5
+    com: [0, 0, -0.5]
+    inertia: [0.05, 0.05, 0]
+signals: [act]
+wrenches:
+  - {name: shake, body: rod, position: [0, 0, -1], force: [3*sin(20*t) + 2*act*q_pin, 0, t**2]}
+"""
+
 
 def _write(model: Path, out: Path, **options: Any) -> tuple[Mechanism, Path]:
     needed, optional = list_functions()
@@ -101,6 +115,14 @@ def hull(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Path]:
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Path]:
     return _write(FOLDER / "double_pendulum.yaml", tmp_path_factory.mktemp("pendulum"))
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def shaken(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Path]:
+    """A unit whose forces read the time and a signal."""
+    folder = tmp_path_factory.mktemp("shaken")
+    (folder / "shaken.yaml").write_text(SHAKEN, encoding="utf-8")
+    return _write(folder / "shaken.yaml", folder, fmi=request.param)
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +160,54 @@ def test_co_simulation_is_the_simulators_motion(case: Case, tmp_path: Path) -> N
     assert CliRunner().invoke(cli, command, catch_exceptions=False).exit_code == 0
     last = (tmp_path / "out" / "trajectory.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")
     assert list(found[-1]) == pytest.approx([float(x) for x in last[: 1 + len(names)]], rel=1e-12, abs=1e-12)
+
+
+def test_forces_read_the_time_and_signals(shaken: tuple[Mechanism, Path], tmp_path: Path) -> None:
+    """By co-simulation as by the simulator, with the same steps; by model exchange the same motion."""
+    unit = str(shaken[1])
+    variables = {v.name: v for v in fmpy.read_model_description(unit).modelVariables}
+    assert variables["u_act"].unit is None
+    assert "u_t" not in variables
+    assert validate_fmu(unit) == []
+    start, names = {"q_pin": 0.3, "u_act": 0.7}, ["q_pin", "qd_pin"]
+    for stop, size in ((0.5, 0.1), (0.4, 0.4)):
+        ends = {"start_values": start, "output": names, "stop_time": stop, "output_interval": size}
+        found = fmpy.simulate_fmu(unit, fmi_type="CoSimulation", **ends)
+        settings = f"duration: {stop}\nmethod: rk4\nstart: {{pose: {{pin: 0.3}}}}\nsignals: {{act: 0.7}}\n"
+        (tmp_path / "settings.yaml").write_text(settings)
+        command = ["simulate", str(shaken[1].parent / "shaken.yaml"), "--settings", str(tmp_path / "settings.yaml")]
+        command += ["-o", str(tmp_path / "out")]
+        assert CliRunner().invoke(cli, command, catch_exceptions=False).exit_code == 0
+        last = (tmp_path / "out" / "trajectory.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")
+        assert list(found[-1]) == pytest.approx([float(x) for x in last[:3]], rel=1e-12, abs=1e-12)
+        exchanged = fmpy.simulate_fmu(unit, fmi_type="ModelExchange", relative_tolerance=1e-10, **ends)
+        assert list(exchanged[-1]) == pytest.approx(list(found[-1]), abs=1e-6)
+
+
+def test_a_kept_state_has_its_time(shaken: tuple[Mechanism, Path], tmp_path: Path) -> None:
+    """Back at the state, two steps lead where they led before; the acceleration is the kernel's at that time."""
+    kernels, unit = shaken
+    with _open(unit, tmp_path) as (slave, places):
+        is_old = fmpy.read_model_description(unit).fmiVersion == "2.0"
+        get = slave.getReal if is_old else slave.getFloat64
+        if is_old:
+            slave.setupExperiment(startTime=1.0)
+            slave.enterInitializationMode()
+        else:
+            slave.enterInitializationMode(startTime=1.0)
+        slave.exitInitializationMode()
+        slave.doStep(1.0, 0.2)
+        q, qd, qdd = get([places[x] for x in ("q_pin", "qd_pin", "der(qd_pin)")])
+        expected = kernels("exp2", q=[q], qd=[qd], u=[0.0], w=[0.0, 1.2])["qdd"]
+        assert [qdd] == pytest.approx(expected, rel=1e-12)
+        state = slave.getFMUState() if not is_old else slave.getFMUstate()
+        slave.doStep(1.2, 0.2)
+        first = get([places["q_pin"]])
+        (slave.setFMUState if not is_old else slave.setFMUstate)(state)
+        assert get([places["der(qd_pin)"]]) == [qdd]
+        slave.doStep(1.2, 0.2)
+        assert get([places["q_pin"]]) == first
+        (slave.freeFMUState if not is_old else slave.freeFMUstate)(state)
 
 
 def test_model_exchange_returns_to_closed_loops(linkage: Path) -> None:

@@ -55,7 +55,8 @@ class Layout:
         """Number them. Raises FmuError for a mechanism without joints, and where functions are missing."""
         self.manifest = manifest
         _check(manifest)
-        inputs = len(manifest.inputs)
+        self.named = manifest.inputs[:-1] if manifest.reads_time else manifest.inputs
+        inputs = len(self.named)
         velocities, positions = len(manifest.coordinates), len(manifest.positions)
         names = [c.name for c in manifest.coordinates]
         self.driven = tuple(names[i] for i in manifest.driven)
@@ -63,7 +64,7 @@ class Layout:
             Role.COORDINATE: positions,
             Role.VELOCITY: velocities,
             Role.FORCE: len(manifest.actuated),
-            Role.WRENCH: inputs - len(manifest.actuated),
+            Role.WRENCH: manifest.open_entries,
             Role.DRIVE: len(self.driven),
             Role.PARAMETER: len(manifest.parameters),
             Role.DESIGN: len(manifest.design),
@@ -79,6 +80,9 @@ class Layout:
         self.states = tuple(k for k in range(positions + velocities) if k not in given)
         forces, drives = self.first[Role.FORCE], self.first[Role.DRIVE]
         self.inputs = (*range(forces, forces + inputs), *given, *range(drives, drives + len(self.driven)))
+        self.clock = (
+            forces + inputs if manifest.reads_time else -1
+        )  # the time, the last entry of w; -1: nothing reads it
         self.outputs = tuple(f"{f.name}.{axis}" for f in manifest.frames if f.sensor for axis in "xyz")
         self.results = place
         self.places = place + positions + velocities
@@ -192,11 +196,6 @@ class Layout:
 
 
 def _check(manifest: Manifest) -> None:
-    if manifest.reads_time:
-        raise FmuError(
-            f"forces of {manifest.model} depend on the time t, which an FMU does not pass on; replace t in the "
-            "model by a signal, and connect this input to the time"
-        )
     if not manifest.coordinates:
         raise FmuError(f"{manifest.model} has no joint, and nothing to simulate; give a body a joint")
 

@@ -89,6 +89,7 @@ def _write_tables(layout: Layout, step: float) -> str:
         results=layout.results,
         parameter=layout.given - len(manifest.parameters) - len(manifest.design),
         closed=layout.closed,
+        clock=layout.clock,
         start=[repr(x) for x in layout.start],
         step=repr(step),
         calls={**layout.calls, **{f"slope{k}": call for k, call in enumerate(slopes, 1)}},

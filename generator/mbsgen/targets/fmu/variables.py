@@ -49,8 +49,9 @@ def list_variables(layout: Layout, step: float) -> list[Variable]:
     manifest = layout.manifest
     found = [Variable(0, "time", "independent", "continuous", "s", description="time"), *_list_states(layout)]
     forces = [manifest.coordinates[i].force_unit for i in manifest.actuated]
-    for k, name in enumerate(manifest.inputs):
+    for k, name in enumerate(layout.named):
         unit = forces[k] if k < len(forces) else "N" if ".force." in name else "N m"
+        unit = None if name in manifest.signals and k >= len(forces) else unit
         found.append(Variable(0, f"u_{name}", "input", "continuous", unit, 0.0, description=f"input {name}"))
     found += _list_drives(layout)
     text = "place in the base frame"
