@@ -51,8 +51,8 @@ def list_variables(layout: Layout, step: float) -> list[Variable]:
     forces = [manifest.coordinates[i].force_unit for i in manifest.actuated]
     for k, name in enumerate(layout.named):
         unit = forces[k] if k < len(forces) else "N" if ".force." in name else "N m"
-        unit = None if name in manifest.signals and k >= len(forces) else unit
-        found.append(Variable(0, f"u_{name}", "input", "continuous", unit, 0.0, description=f"input {name}"))
+        own = None if k >= len(forces) and name in manifest.signals else unit
+        found.append(Variable(0, f"u_{name}", "input", "continuous", own, 0.0, description=f"input {name}"))
     found += _list_drives(layout)
     text = "place in the base frame"
     found += [Variable(0, name, "output", "continuous", "m", description=text) for name in layout.outputs]
