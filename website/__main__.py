@@ -35,6 +35,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
         raise click.UsageError(f"no example {', '.join(sorted(unknown))}")
     chosen = [example for example in EXAMPLES if not only or example.name in only]
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    out = out.resolve()  # MkDocs counts from its own file
     source = out.parent / f"{out.name}-pages"
     shutil.rmtree(source, ignore_errors=True)
     shown = {} if quick else pages.list_examples(ROOT)

@@ -28,6 +28,7 @@ RATIOS = tuple(10.0**k for k in range(0, 13, 2))
 FLOOR, TOP = 1e-17, 10.0  # the range of drawn errors
 WORST = 1e22  # the largest distinguished condition
 COLORS = {"EXP1": BAD, "EXP2": PALETTE[0]}
+DARK = 1e-6  # an error whose field is too dark for black letters
 NOWHERE = 1e-14  # rad: the place of the lock itself
 _COLUMNS = tuple(field.name for field in fields(Loss))
 
@@ -169,7 +170,8 @@ def _draw_ratios(losses: Sequence[Loss]) -> Figure:
             if loss.error is not None:
                 field[r, c] = max(loss.error, FLOOR)
             estimate = f"status\n({estimate})" if loss.error is None else f"{loss.error:.0e}\n({estimate})"
-            axes.text(c, r, estimate, ha="center", va="center", fontsize=7)
+            ink = "white" if loss.error is not None and loss.error > DARK else "black"
+            axes.text(c, r, estimate, ha="center", va="center", fontsize=7, color=ink)
         image = axes.imshow(field, norm=LogNorm(1e-16, 1e-2), cmap="YlOrRd", origin="lower", aspect="auto")
         axes.set_xticks(range(len(ratios)), [f"{x:.0e}" for x in ratios])
         axes.set_yticks(range(len(lengths)), [str(x) for x in lengths])

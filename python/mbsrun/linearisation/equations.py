@@ -70,7 +70,7 @@ class Mode:
     @property
     def damping(self) -> float:
         """Damping ratio: 1 and more where nothing swings, below 0 where it grows."""
-        return -self.pole.real / abs(self.pole) if self.pole else 0.0
+        return (0.0 - self.pole.real) / abs(self.pole) if self.pole else 0.0  # never -0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,8 @@ class Linearisation:
             rest = self.A - pole * np.eye(2 * d)
             reach = linalg.svdvals(np.hstack((rest, self.B)))[-1]
             sight = linalg.svdvals(np.vstack((rest, self.G)))[-1]
-            found.append(Mode(complex(pole), shape, float(reach / size), float(sight / size)))
+            whole = complex(pole.real + 0.0, pole.imag + 0.0)  # 0 instead of -0
+            found.append(Mode(whole, shape, float(reach / size), float(sight / size)))
         return tuple(sorted(found, key=lambda mode: (abs(mode.pole), mode.pole.real)))
 
     @property

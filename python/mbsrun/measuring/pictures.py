@@ -69,7 +69,7 @@ def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
 @styled
 def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
     """Draw simulation.png: error of place and drift of energy against processor time; return its path."""
-    figure = Figure(figsize=(20, 11), layout="constrained")
+    figure = Figure(figsize=(14, 7.5), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True)
     for axes, number in ((left, "error"), (right, "drift")):
         marks = [
@@ -83,7 +83,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
             for p in points
         ]
         sentence = _draw_marks(axes, marks, "s", lines=True)
-        axes.set_xlabel(f"processor time [s]\n{sentence}", fontsize=8)
+        axes.set_xlabel(f"processor time [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
     left.set_ylabel("largest error at the end [rad, m; rad/s, m/s]")
     left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
     left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
@@ -93,7 +93,7 @@ def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
     path = in_format(folder / "simulation.png")
-    save_picture(figure, path, 110)
+    save_picture(figure, path, 150)
     return [path]
 
 
@@ -233,7 +233,8 @@ def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Pat
                 if any(p.precision == precision for p in own):
                     grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
             joints = own[0].joints if own else 0
-            grid[r, c].set_title(f"{plain(mechanism)}, {joints} joints: {task}", fontsize=9)
+            count = "1 joint" if joints == 1 else f"{joints} joints"
+            grid[r, c].set_title(f"{plain(mechanism)}, {count}: {task}", fontsize=9)
             grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
             grid[r, c].legend(fontsize=7, loc="best")
         grid[r, 0].set_ylabel(axis, fontsize=8)
@@ -270,7 +271,9 @@ def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = F
     for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
         own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
         style = ("-", "--", ":")[i // len(COLORS) % 3]
-        axes.plot([], [], color=color, marker="o", linestyle=style if lines else "", markersize=4, label=series)
+        markers = {m.marker for m in own}
+        marker = markers.pop() if len(markers) == 1 else "o"
+        axes.plot([], [], color=color, marker=marker, linestyle=style if lines else "", markersize=4, label=series)
         if lines:
             whole = [place(m) for m in own if m.error is not None]
             axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None

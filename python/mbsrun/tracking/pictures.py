@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from mbsgen.style import BAD, PALETTE, save_plot, styled
@@ -68,6 +69,9 @@ def draw_times(track: Track, times: Times) -> Figure:
     spread = np.geomspace(max(milliseconds.min(), 1e-4), max(milliseconds.max(), 2e-4) * 1.001, BINS)
     axes.hist(milliseconds.tolist(), spread.tolist(), color=COLORS[0])
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter("{x:g}")
     for name, value, line in (("median", times.median, "-"), (f"{TAIL} %", times.tail, "--")):
         axes.axvline(1e3 * value, color="black", linestyle=line, linewidth=1, label=f"{name}: {1e3 * value:.3g} ms")
     axes.axvline(1e3 * track.trial.period, color=BAD, linewidth=1, label="sampling period")

@@ -50,6 +50,7 @@ def test_a_double_pendulum_swings_at_the_frequencies_of_its_matrices() -> None:
     expected = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, K)))) / (2 * np.pi)
     assert [mode.frequency for mode in found.modes] == pytest.approx(expected, rel=1e-9)
     assert [mode.damping for mode in found.modes] == [0, 0]
+    assert all(np.copysign(1, x) == 1 for mode in found.modes for x in (mode.damping, mode.pole.real))  # no -0
     assert not found.is_stable  # they swing for ever
 
 
