@@ -45,6 +45,7 @@ def _describe_additions(problem: Problem, manifest: Manifest) -> dict[str, str]:
         "states": _list(f"{x.name}' = {_name(x.rate, problem)}" for x in problem.states),
         "controls": _list(_write_range(x.name, x.bounds) for x in problem.controls),
         "delays": _list(_describe_delay(x, inputs, problem) for x in problem.delays),
+        "driven": _list(f"{manifest.coordinates[x.joint].name} = {x.expression}" for x in problem.driven),
         "forces": _list(f"{inputs[x.input]} = {x.expression}" for x in problem.forces),
         "wrenches": _list(map(_describe_component, problem.wrenches)),
         "contacts": _list(x.sensor for x in problem.contacts),

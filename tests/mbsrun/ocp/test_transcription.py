@@ -554,3 +554,17 @@ def test_a_system_without_sensors_at_the_end_has_no_sensor_block() -> None:
     problem = Problem("rest", 1.0, 4, Family.RADAU, 2, Cost(1.0, 0.0), (0.0,), (0.0,), Bounds(free, free, free), End())
     transcription = transcribe(problem, double_integrator())
     assert len(transcription.program.blocks) == 1
+
+
+def test_accelerations_at_the_end_keep_their_order(arm: Peer, reach: Problem) -> None:
+    """All joints have a condition, named from the last to the first: an ODE reads them off its kernel."""
+    wanted = tuple((i, float(i)) for i in reversed(range(6)))
+    problem = replace(
+        small(reach, Family.RADAU, 2), representation=Representation.EXP1_O, end=End(accelerations=wanted)
+    )
+    transcription = transcribe(problem, arm)
+    x = np.random.default_rng(0).uniform(0.5, 1, transcription.program.variables)
+    found = evaluate_rows(transcription, arm, problem, x)[transcription.rows.accelerations]
+    q, qd = transcription.layout.split(x[transcription.layout.mesh[-1]])
+    qdd = arm("exp1", q=q, qd=qd, u=x[transcription.layout.inputs[-1]])["qdd"]
+    assert found == pytest.approx(qdd[::-1], rel=1e-12)
