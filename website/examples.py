@@ -28,14 +28,14 @@ def _write_cells(problem: str, *shown: str) -> tuple[str, ...]:
     )
 
 
-def _simulate(name: str, title: str, text: str, model: str, options: str) -> Example:
-    """Return the simulation of a model."""
+def _simulate(name: str, title: str, text: str, model: str, options: str, at: float = 0.5) -> Example:
+    """Return the simulation of a model, with a picture of it at a time [s]."""
     return Example(
         name,
         title,
         text,
         f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n"
-        f"mbsgen show models/{model}.yaml -o build/{name}.png\n",
+        f"mbsrun animate models/{model}.yaml build/{name} --at {at} --size 640x400 -o build/{name}.png\n",
         f"build/{name}.png",
         (
             f"build/{name}/animation.html",
@@ -140,6 +140,7 @@ _MECHANISMS = (
         "The motion of the crank is given; the table holds its torque.",
         "compressor",
         "--driven 'crank=40 deg + 150*t' --duration 0.1",
+        at=0.05,
     ),
 )
 _OPTIMA = (
