@@ -84,7 +84,7 @@ def list_variants(problem: Problem) -> Iterator[tuple[str, Problem]]:
         words = [OURS, *([f"{form.value} form"] * (form is not Form.STANDARD))]
         for options in ({**algebra, **barrier} for algebra in list_algebras() for barrier in BARRIERS):
             name = ", ".join([*words, *options.values()])
-            yield name, replace(chosen, solver=replace(problem.solver, options=tuple(options.items())))
+            yield name, replace(chosen, solver=replace(problem.solver, method="ipopt", options=tuple(options.items())))
         yield ", ".join([*words, STAGES]), replace(chosen, solver=replace(problem.solver, method="mbs", options=()))
 
 

@@ -37,6 +37,7 @@ from mbsgen.pipeline import read_tree
 from mbsrun.closure import Closure
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import schemes
+from mbsrun.ocp.driving import find_point_forces
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem
@@ -44,7 +45,6 @@ from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import find_multipliers
 
 Array = NDArray[np.float64]
 MODELS = Path(__file__).parents[2] / "models"
@@ -258,7 +258,8 @@ def make_ways(mechanism: Mechanism, shelf: Shelf | None) -> Mapping[str, Callabl
         ):
             chosen = replace(problem, loops=loops, solver=solver)
             ways[f"{OURS}, {loops.value}{words}"] = partial(solve_ours, Solver(chosen, plant), chosen, guess)
-    residual, multipliers = write_residual(read_tree(MODELS / mechanism.model)), find_multipliers(Closure(plant), guess)
+    residual = write_residual(read_tree(MODELS / mechanism.model))
+    multipliers, _ = find_point_forces(plant, guess)
     check(mechanism, residual, plant)
     settings = {name: replace(s, ipopt={**s.ipopt, **EXACT}) for name, s in list_settings(problem).items()}
     for name, setting in settings.items():

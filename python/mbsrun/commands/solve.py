@@ -60,9 +60,9 @@ MAX_STARTS = 100_000
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
 
-It is put on a grid by direct collocation or multiple shooting, and solved by IPOPT with the exact derivatives of the
-generated kernels, from the guess that the problem describes, or from another solution. Another
-method then integrates the motion under the inputs found, and the two are compared.
+It is put on a grid by direct collocation or multiple shooting, and solved with the exact derivatives of the generated
+kernels, from the guess that the problem describes, or from another solution: by the project's own interior-point
+method, or by IPOPT. Another method then integrates the motion under the inputs found, and the two are compared.
 
 \b
 The output folder gets
@@ -133,7 +133,7 @@ Exit codes
 )
 @click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
-@click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default ipopt. mbs is the project's own.")
+@click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default mbs, the project's own.")
 @click.option(
     "--refine",
     type=NumberType(),

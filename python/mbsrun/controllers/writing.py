@@ -16,6 +16,7 @@ from mbsgen.roles import Role
 from mbsrun.controllers.arrays import Arrays, Wrap, repeat, split, write_kinds, write_real
 from mbsrun.controllers.fields import DESIGN, MASSES, NUMBERS, Sources
 from mbsrun.ocp.functions import Array
+from mbsrun.ocp.methods import choose
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
@@ -163,7 +164,7 @@ def _list_options(problem: Problem) -> Iterator[_Option]:
         "acceptable_tolerance": max(solver.tolerance, 1e-6),
         "iterations": solver.max_iterations,
     }
-    if solver.method == METHOD:
+    if choose(solver) == METHOD:
         given |= {name: value for name, value in solver.options if name != "seconds"}
     switches = {"yes": "1", "no": "0"}
     for name, value in given.items():

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from mbsrun.measuring.points import Cost, SolvePoint
 from mbsrun.measuring.solves import Case, measure_solve
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
+from mbsrun.ocp.problem import Form, Problem, Representation
 from mbsrun.ocp.schemes import Family
 
 EXACT = 9  # degree of the reference
@@ -122,7 +122,7 @@ def _describe(problem: Problem) -> str:
 
 
 def _refine(problem: Problem, family: Family, intervals: int) -> Problem:
-    solver = SolverOptions(TIGHT, problem.solver.max_iterations, problem.solver.objective_scaling)
+    solver = replace(problem.solver, tolerance=TIGHT)
     exact = replace(problem, family=family, degree=EXACT, intervals=intervals, mesh=None, solver=solver)
     return _represent(exact, problem.representation)
 

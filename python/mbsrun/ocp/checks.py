@@ -24,6 +24,7 @@ from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
 from mbsrun.ocp.methods import METHODS
+from mbsrun.ocp.methods import choose as choose_method
 from mbsrun.ocp.problem import (
     Conflict,
     Control,
@@ -232,7 +233,7 @@ def _find_unknown_names(problem: Problem) -> Iterator[Finding]:
         ("integrator", problem.integrator, INTEGRATORS),
         ("solver.method", problem.solver.method, METHODS),
     ):
-        if name not in known:
+        if name is not None and name not in known:
             yield (place, f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
 
 
@@ -273,10 +274,11 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         )
     elif not any(cost.weights):
         yield _FREE_OF_COST
-    known = METHODS[solver.method].options
+    method = choose_method(solver, calls_casadi=bool(problem.functions))
+    known = METHODS[method].options
     for name, option in solver.options:
         if name not in known:
-            yield ("solver.options", f"{solver.method} takes no option {abbreviate(name)} here", "leave it out")
+            yield ("solver.options", f"{method} takes no option {abbreviate(name)} here", "leave it out")
         elif not known[name].admits(option):
             yield (f"solver.options.{name}", f"found {abbreviate(option)}", f"give {known[name].wanted}")
 
@@ -480,8 +482,9 @@ def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Finding
         if not function.code:
             finding = f"{abbreviate(function.name)} has no code, which files do not hold"
             yield (f"functions[{i}].code", finding, "make the problem anew, with its expressions")
-    if problem.functions and not METHODS[problem.solver.method].calls_casadi:
-        finding = f"{problem.solver.method} writes a problem in C, and an expression of CasADi has no C here"
+    method = choose_method(problem.solver, calls_casadi=True)
+    if problem.functions and not METHODS[method].calls_casadi:
+        finding = f"{method} writes a problem in C, and an expression of CasADi has no C here"
         yield ("solver.method", finding, "take ipopt, or write the expression as text")
 
 

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mbsrun.ocp import schemes, solution
+from mbsrun.ocp import methods, schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.linear import MUMPS, OWN, choose
 from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
@@ -44,22 +44,25 @@ SOLVERS = 12  # kept for the next trial: the representations, with the standard 
 def choose_options(problem: Problem, trial: Trial, study: Study) -> Problem:
     """Choose the method of a trial, and add the options that it requires and the problem does not state.
 
-    The robust protocol takes the method of the study, unless the problem states options of IPOPT. Searches for optima
-    take the fastest linear solver. The other protocols compare times with the paper's, so they take the study's linear
-    solver. A problem that states an option of MUMPS takes MUMPS.
+    The robust protocol takes the method of the study, unless the problem states options of IPOPT; searches from many
+    starts take the method of a single solve. The other protocols compare times with the paper's, so they take IPOPT
+    with the study's linear solver. A problem that states an option of MUMPS takes MUMPS.
     """
     solver = problem.solver
     is_held = isinstance(trial.start, Found) and trial.start.is_held
-    if solver.method != "ipopt":
+    if solver.method not in (None, "ipopt"):
         return problem
-    if trial.protocol == "robust" and study.method == "mbs" and not solver.options:
+    by_stages = methods.choose(solver) == "mbs" if trial.protocol == MULTISTART else study.method == "mbs"
+    if trial.protocol in ("robust", MULTISTART) and by_stages and not solver.options:
         return replace(problem, solver=replace(solver, method="mbs", options=HOLD_STAGES if is_held else ()))
     wanted = OWN if trial.protocol in ("robust", MULTISTART) else study.linear_solver
     is_bound = any(name.startswith(MUMPS) for name, _ in solver.options)
     told: dict[str, float | int | str] = {LINEAR_SOLVER: MUMPS if is_bound else choose(wanted)}
     if is_held:
         told |= HOLD
-    return replace(problem, solver=replace(solver, options=tuple((told | dict(solver.options)).items())))
+    return replace(
+        problem, solver=replace(solver, method="ipopt", options=tuple((told | dict(solver.options)).items()))
+    )
 
 
 def state(order: Order) -> Problem:

@@ -271,7 +271,7 @@ class SolverOptions:
     tolerance: float = 1e-8
     max_iterations: int = 500
     objective_scaling: float | None = None  # None: one over the largest weight of the cost
-    method: SolverName = "ipopt"
+    method: SolverName | None = None  # None: see `methods.choose`
     options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
 
 

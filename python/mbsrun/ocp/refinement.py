@@ -22,13 +22,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbsrun.ocp import schemes
+from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.checks import LEAST_FRACTION, MAX_INTERVALS, MAX_STEPS
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.grid import divide, split
 from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
-from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem
 from mbsrun.ocp.resimulation import resimulate
@@ -100,9 +99,8 @@ def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | No
     scheme = schemes.build(problem.family, problem.degree)
     begin = resample(motion, *problem.grid.times(float(motion.t[-1]), scheme.points))
     solver = Solver(problem, plant)
-    options = dict(METHODS[problem.solver.method].warm) | dict(problem.solver.options)
-    warm = replace(problem, solver=replace(problem.solver, options=tuple(options.items())))
-    outcome = solver.solve(warm, begin, watch)
+    near = replace(problem, solver=methods.warm(solver.choose_method(problem)))
+    outcome = solver.solve(near, begin, watch)
     if isinstance(outcome, Failure):
         guess = make_guess(problem, plant, scheme)
         if not isinstance(guess, Pose):

@@ -296,7 +296,7 @@ class SolverSection(Section):
     tolerance: NumberField = Field(default=Number(SolverOptions.tolerance), examples=[1e-8])
     max_iterations: int = Field(default=SolverOptions.max_iterations, ge=1, examples=[500])
     objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
-    method: Annotated[str, AfterValidator(_check_solver)] = Field(default=SolverOptions.method, examples=["ipopt"])
+    method: Annotated[str, AfterValidator(_check_solver)] | None = Field(default=None, examples=["ipopt"])
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
 
 

@@ -29,10 +29,11 @@ class Run:
 
     status: str  # the solver's word; UNREACHABLE, BAD_BOUNDS or BAD_GUESS where it was not asked
     iterations: int
-    seconds: float  # from the call to the answer
+    seconds: float  # from the call to the answer, without compiling and laying out what later solves have as well
     seconds_evaluating: float  # of them, for functions and derivatives; the rest is linear algebra and the solver's own
     cpu_seconds: float = 0.0  # the same, of processor time, which other programs do not lengthen
     cpu_seconds_evaluating: float = 0.0
+    method: str = ""  # of the solver, where it was asked
 
     @property
     def cpu_seconds_solving(self) -> float:

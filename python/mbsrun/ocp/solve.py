@@ -28,6 +28,7 @@ from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
+from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
@@ -100,6 +101,11 @@ class Solver:
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         return solution
 
+    def choose_method(self, problem: Problem) -> SolverOptions:
+        """Return the solver's options with their method, by default `mbs` where everything is in C."""
+        is_in_c = is_compiled(self.plant, problem.representation.kernel) and not problem.functions
+        return methods.settle(problem.solver, calls_casadi=not is_in_c)
+
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
         """Describe what clashes: the violated rows and what is at its limits, or rows that cross before any search."""
         own = self.transcription
@@ -116,7 +122,8 @@ class Solver:
         parameters = self.transcription.parameters(problem)
 
         start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else report(watch))
-        return call(self._solver(problem), start)
+        run, found, clash = call(self._solver(problem), start)
+        return replace(run, method=methods.choose(self.choose_method(problem))), found, clash
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         transcription = self.transcription
@@ -138,11 +145,11 @@ class Solver:
     def _solver(self, problem: Problem) -> methods.Solver:
         """Make the solver with the options of a problem, once for all that have the same."""
         weight = max(map(abs, problem.cost.weights))
-        options = replace(problem.solver, objective_scaling=problem.solver.objective_scaling or 1 / weight)
+        options = replace(self.choose_method(problem), objective_scaling=problem.solver.objective_scaling or 1 / weight)
         if options not in self._solvers:
             scaling = options.objective_scaling or 1.0
             order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
-            self._solvers[options] = METHODS[options.method].make(order)
+            self._solvers[options] = METHODS[methods.choose(options)].make(order)
         return self._solvers[options]
 
 
@@ -171,10 +178,11 @@ def search(x: Array, call: Callable[[Array], Outcome]) -> Outcome:
 
 
 def call(solver: methods.Solver, start: Start) -> Outcome:
-    """Call a solver once, and measure its times."""
+    """Call a solver once, and measure its times, without the time to prepare it."""
     begin, cpu_begin = time.perf_counter(), time.process_time()
     answer = solver(start)
-    seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
+    seconds = time.perf_counter() - begin - answer.preparing
+    cpu_seconds = time.process_time() - cpu_begin - answer.cpu_preparing
     run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
     return run, answer.x, answer.clash
 

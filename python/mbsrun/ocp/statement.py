@@ -56,7 +56,7 @@ from mbsrun.ocp.design import equip
 from mbsrun.ocp.driving import SAME, Guide
 from mbsrun.ocp.driving import find_conflicts as find_driven_conflicts
 from mbsrun.ocp.grid import divide
-from mbsrun.ocp.methods import METHODS, Amount
+from mbsrun.ocp.methods import METHODS, Amount, choose
 from mbsrun.ocp.parts import PartReading
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
@@ -742,13 +742,14 @@ class _Reading(PartReading):
 
     def options(self, section: SolverSection) -> Iterator[tuple[str, float | int | str]]:
         """Check options of the solver against its table."""
-        known = METHODS[section.method].options
+        method = choose(SolverOptions(method=section.method, options=tuple(section.options.items())))
+        known = METHODS[method].options
         for name, given in section.options.items():
             place: Place = ("solver", "options", name)
             if name not in known:
-                meant = nearest(name, list(known))
+                meant = nearest(name, [*known, *(() if section.method else METHODS["ipopt"].options)])
                 remedy = f"did you mean {abbreviate(meant)}?" if meant else f"there are {', '.join(known)}"
-                self.fault(place, f"{section.method} takes no option {abbreviate(name)} here", remedy)
+                self.fault(place, f"{method} takes no option {abbreviate(name)} here", remedy)
                 continue
             option, value = known[name], given
             if isinstance(value, bool):  # YAML reads yes and no so

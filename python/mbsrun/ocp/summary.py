@@ -9,7 +9,7 @@ import numpy as np
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.problem import Loops, Unknown
-from mbsrun.ocp.solution import Resimulation, Solution
+from mbsrun.ocp.solution import Resimulation, Run, Solution
 
 UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
 LOOPS: Mapping[Loops, str] = {
@@ -18,13 +18,18 @@ LOOPS: Mapping[Loops, str] = {
 }
 
 
+def describe_run(run: Run) -> str:
+    """Return the solver's word, its iterations and its name."""
+    return f"{run.status}, {run.iterations} iterations" + (f" of {run.method}" if run.method else "")
+
+
 def summarise(solution: Solution) -> dict[str, str]:
     """Return the lines of a summary by their names; a solution that was not re-simulated has no line on accuracy."""
     run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
     violation = solution.violation
     rows = {
         "problem": f"{solution.problem.name}, model {solution.model}",
-        "status": f"{run.status}, {run.iterations} iterations",
+        "status": describe_run(run),
         "time": f"{run.seconds:.2f} s",
         "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
         f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
@@ -60,7 +65,7 @@ def list_shortcomings(solution: Solution) -> list[str]:
     """List the shortcomings of a solution: tolerance, accuracy, an unfinished check."""
     check, found = solution.resimulation, []
     if solution.is_only_acceptable:
-        found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
+        found.append("the solver stopped at an acceptable level, short of the tolerance; try another guess or scaling")
     if check is not None and check.unfinished:
         found.append(
             f"the re-simulation did not finish, {check.unfinished}, so the accuracy is unknown; "

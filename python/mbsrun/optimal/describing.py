@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.methods import choose
 from mbsrun.ocp.problem import Delay, Form, Problem, Range, Target, WrenchComponent
 from mbsrun.quantities import SIGNAL
 
@@ -15,6 +16,7 @@ LONGEST = 12  # parts of one line; more are counted
 def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
     """Return the parts of a problem by their names; parts that it does not have are left out."""
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
+    method = choose(problem.solver, calls_casadi=bool(problem.functions))
     rows = {
         "model": f"{manifest.model}: coordinates {_list(manifest.positions)}; "
         f"inputs {_list(manifest.coordinates[i].name for i in manifest.actuated)}; sensors {_list(sensors)}",
@@ -30,7 +32,7 @@ def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
         ),
         **_describe_additions(problem, manifest),
         "constants": _list(f"{name} = {value:g}" for name, value in problem.constants),
-        "solver": f"{problem.solver.method}, tolerance {problem.solver.tolerance:g}",
+        "solver": f"{method}, tolerance {problem.solver.tolerance:g}",
     }
     return {name: value for name, value in rows.items() if value != NOTHING}
 

@@ -17,6 +17,7 @@ import numpy as np
 from mbsgen.documents import Data
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.methods import choose
 from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
@@ -298,7 +299,8 @@ class PhasedControl:
         for link in self.value.links:
             rows[f"{link.source} to {link.target}"] = _describe_link(link)
         solver = self.value.solver
-        return rows | {"solver": f"{solver.method}, tolerance {solver.tolerance:g}"}
+        called = any(phase.problem.functions for phase in self.value.phases)
+        return rows | {"solver": f"{choose(solver, calls_casadi=called)}, tolerance {solver.tolerance:g}"}
 
     def __repr__(self) -> str:
         return display.write_text(f"problem {self.name}", self.describe())

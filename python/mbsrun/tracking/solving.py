@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp import schemes
+from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import Pose, make_guess
-from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Failure
@@ -75,7 +74,7 @@ class SolvingController:
         if isinstance(outcome, Failure):
             return Decision(self.planned(self._time), run.status, False, run.iterations, run.cpu_seconds, math.nan)
         if self._plan is None:
-            self._problem = _warm(self._problem)
+            self._problem = replace(self._problem, solver=methods.warm(self._solver.choose_method(self._problem)))
         self._plan, self._begun = outcome.trajectory, self._time
         return Decision(
             self.planned(self._time), run.status, True, run.iterations, run.cpu_seconds, outcome.violation.constraints
@@ -101,9 +100,3 @@ class SolvingController:
             return problem
         length = self.horizon.length(time)
         return replace(problem, horizon=length, horizon_range=(length, length))
-
-
-def _warm(problem: Problem) -> Problem:
-    """Return the problem with options for starts near a solution, where the file does not give them."""
-    given = dict(METHODS[problem.solver.method].warm) | dict(problem.solver.options)
-    return replace(problem, solver=replace(problem.solver, options=tuple(given.items())))

@@ -10,14 +10,16 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.external import OnDemand
+from mbsrun.ocp import methods
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.methods import METHODS, Amount, Order, Start
+from mbsrun.ocp.methods import METHODS, Amount, Answer, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
 from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.solve import Progress, call, solve
 from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.status import SOLVED
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
@@ -53,6 +55,41 @@ def test_every_solver_finds_the_optimum(method: str, mass: OnDemand) -> None:
     assert isinstance(outcome, Solution)
     assert outcome.cost.total == pytest.approx(12 / (1 - 1 / 64), rel=1e-6)
     assert all(p.cost == pytest.approx(outcome.cost.total, rel=1e-3) for p in seen[-1:])
+
+
+CHOSEN = {
+    "kernels in C": (True, (), "mbs"),
+    "kernels in Python": (False, (), "ipopt"),
+    "an option that IPOPT alone has": (True, (("mu_strategy", "adaptive"),), "ipopt"),
+    "an option of the project's own": (True, (("barrier", 0.01),), "mbs"),
+}
+
+
+@pytest.mark.parametrize(("in_c", "options", "method"), CHOSEN.values(), ids=CHOSEN.keys())
+def test_a_method_is_chosen_where_none_is_given(
+    in_c: bool, options: tuple[tuple[str, float | str], ...], method: str, mass: OnDemand
+) -> None:
+    """The run names it; the problem stays as it was asked."""
+    problem = replace(push(8), solver=SolverOptions(options=options))
+    outcome = solve(problem, mass if in_c else double_integrator())
+    assert isinstance(outcome, Solution)
+    assert outcome.run.method == method
+    assert outcome.problem == problem
+    assert outcome.cost.total == pytest.approx(12 / (1 - 1 / 64), rel=1e-6)
+
+
+def test_expressions_of_casadi_need_ipopt() -> None:
+    assert methods.choose(SolverOptions(), calls_casadi=True) == "ipopt"
+    assert methods.choose(SolverOptions(method="mbs"), calls_casadi=True) == "mbs"  # which is then refused
+    assert dict(methods.warm(SolverOptions(options=(("push", 0.1),))).options) == {"barrier": 1e-5, "push": 0.1}
+
+
+def test_what_later_solves_share_is_no_time_of_a_search() -> None:
+    """Such as the tables of stages."""
+    answer = Answer(np.zeros(1), SOLVED, 3, preparing=1000.0, cpu_preparing=500.0)
+    run, *_ = call(lambda _: answer, Start(np.zeros(1), *[np.zeros(0)] * 5))
+    assert -1000.0 <= run.seconds < -900.0
+    assert -500.0 <= run.cpu_seconds < -400.0
 
 
 def test_solvers_agree_on_an_arm(arm: Peer, reach: Problem) -> None:
@@ -108,8 +145,8 @@ def test_options_of_the_solver(arm: Peer, tmp_path: Path, text: str, expected: t
 
 WRONG_OPTIONS = {
     "unknown": ("options: {mu_strateg: adaptive}", 'did you mean "mu_strategy"?'),
-    "a file to write": ("options: {output_file: /tmp/x}", "ipopt takes no option"),
-    "a library to load": ("options: {hsllib: evil.so}", "ipopt takes no option"),
+    "a file to write": ("options: {output_file: /tmp/x}", "mbs takes no option"),
+    "a library to load": ("options: {hsllib: evil.so, mu_init: 1}", "ipopt takes no option"),
     "another solver's": ("method: sqpmethod, options: {mu_init: 1}", "sqpmethod takes no option"),
     "a word that is none": ("options: {mu_strategy: 3}", "one of monotone, adaptive"),
     "a number out of range": ("options: {mumps_pivtol: 2}", "a number from 0 to 1"),

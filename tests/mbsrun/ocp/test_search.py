@@ -148,8 +148,10 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
     assert tell(own, is_held=True)["linear_solver"] == "mbs"
     assert tell(study.problem, is_held=True) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
     assert tell(study.problem, is_held=False) == {"method": "mbs"}
-    assert tell(study.problem, is_held=True, protocol=MULTISTART)["mu_init"] == 1e-6
-    assert "mu_init" not in tell(study.problem, is_held=False, protocol=MULTISTART)
+    assert tell(study.problem, is_held=True, protocol=MULTISTART) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
+    by_ipopt = study.problem.with_solver("ipopt")
+    assert tell(by_ipopt, is_held=True, protocol=MULTISTART)["mu_init"] == 1e-6
+    assert "mu_init" not in tell(by_ipopt, is_held=False, protocol=MULTISTART)
     assert tell(own, is_held=True)["mu_init"] == 0.5
     pivots = replace(own, solver=replace(own.solver, options=(("mumps_pivtol", 0.1),)))
     assert tell(pivots, is_held=False) == {"method": "ipopt", "linear_solver": "mumps", "mumps_pivtol": 0.1}

@@ -92,7 +92,7 @@ def test_both_backends_make_the_same_functions(written: OptimalControl, rng: np.
 
 def test_expressions_in_casadi_and_texts_have_one_optimum(swing: OptimalControl, written: OptimalControl) -> None:
     """The steps of the solver are the same, so costs agree to rounding."""
-    found, expected = written.solve(check=False), swing.with_changes(**TEXTS).solve(check=False)
+    found, expected = written.solve(check=False), swing.with_changes(**TEXTS).with_solver("ipopt").solve(check=False)
     assert isinstance(found, Solved)
     assert abs(found.cost - expected.cost) <= 1e-9 * abs(expected.cost)
     assert len(found.terms) == 4
@@ -219,7 +219,7 @@ def transcribe_checked(problem: Problem, control: OptimalControl) -> None:
 
 
 def test_controllers_take_no_expressions_in_casadi(written: OptimalControl) -> None:
-    with pytest.raises(ProblemError, match="a controller is C, and cost_1 is an expression of CasADi"):
+    with pytest.raises(ProblemError, match="a controller is C, and the problem has expressions of CasADi"):
         make(written.value, written.plant, MODEL)  # type: ignore[arg-type]
 
 
@@ -253,6 +253,6 @@ def test_unknowns_are_quantities() -> None:
     arm = mbsrun.read_problem(MODEL.parent / "design" / "lifting_arm.ocp.yaml")
     (unknown, *_) = arm.value.unknowns
     priced = arm.with_cost(arm.quantities()[unknown.name], 0.5, at="end").solve(check=False)
-    written = arm.with_cost(unknown.name, 0.5, at="end").solve(check=False)
+    written = arm.with_cost(unknown.name, 0.5, at="end").with_solver("ipopt").solve(check=False)
     assert priced.unknowns == written.unknowns
     assert priced.cost == pytest.approx(written.cost, rel=1e-12)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from mbsrun.ocp.methods.ipopt import IPOPT
 from mbsrun.ocp.methods.method import Answer, Iterate, Method, Order, Solver, Start
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
 from mbsrun.ocp.methods.stages import STAGES
+from mbsrun.ocp.problem import SolverName, SolverOptions
 
 __all__ = [
     "METHODS",
@@ -21,6 +23,31 @@ __all__ = [
     "Order",
     "Solver",
     "Start",
+    "choose",
+    "settle",
+    "warm",
 ]
 
 METHODS: Mapping[str, Method] = {"ipopt": IPOPT, "sqpmethod": SQP, "mbs": STAGES}
+
+
+def choose(solver: SolverOptions, *, calls_casadi: bool = False) -> SolverName:
+    """Return the method of a problem: the given one, else `mbs`.
+
+    Where none is given, options that IPOPT alone has ask for IPOPT; so does what CasADi alone can call.
+    """
+    if solver.method is not None:
+        return solver.method
+    of_ipopt = any(name in IPOPT.options and name not in STAGES.options for name, _ in solver.options)
+    return "ipopt" if calls_casadi or of_ipopt else "mbs"
+
+
+def settle(solver: SolverOptions, *, calls_casadi: bool = False) -> SolverOptions:
+    """Return options with their method chosen."""
+    return replace(solver, method=choose(solver, calls_casadi=calls_casadi))
+
+
+def warm(solver: SolverOptions) -> SolverOptions:
+    """Return options for starts near a solution; what is given stays."""
+    method = choose(solver)
+    return replace(solver, method=method, options=tuple((dict(METHODS[method].warm) | dict(solver.options)).items()))

@@ -63,6 +63,8 @@ class Answer:
     cpu_evaluating: float = 0.0
     multipliers: Array | None = None  # of the constraints, where the method returns them: L = f + multipliers' g
     clash: tuple[int, ...] = ()  # of a failure: rows of the program that stay violated, the worst first
+    preparing: float = 0.0  # s before the first iterate that serve later solves too, such as a structure laid in memory
+    cpu_preparing: float = 0.0
 
 
 Solver = Callable[[Start], Answer]

@@ -6,7 +6,9 @@ The program is written as tables of stages, once for all solves whose bounds and
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,7 +70,9 @@ def make_stages(order: Order) -> Solver:
 
     def solve(start: Start) -> Answer:
         numbers = _expand(program, start, order.scaling)
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         key = lay(numbers)
+        preparing = time.perf_counter() - begin, time.process_time() - cpu_begin
         crossed = binding.find_crossed(tables[key].data, numbers)
         if crossed:
             return Answer(start.x, INFEASIBLE, 0, clash=crossed)
@@ -85,7 +89,8 @@ def make_stages(order: Order) -> Solver:
         finally:
             with lock:
                 free[key].append(solver)
-        return _answer(program, tables[key].data, outcome)
+        answer = _answer(program, tables[key].data, outcome)
+        return replace(answer, preparing=preparing[0], cpu_preparing=preparing[1])
 
     return solve
 

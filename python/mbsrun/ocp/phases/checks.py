@@ -17,7 +17,7 @@ from mbsgen.documents import Place, abbreviate, nearest, write_path
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
-from mbsrun.ocp.methods import METHODS
+from mbsrun.ocp.methods import METHODS, choose
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.rates import differentiate
@@ -100,8 +100,9 @@ def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
         if phase.problem.form is Form.SHOOTING:
             finding = "the shooting form takes no phases"
             yield PhaseFault((*place, "form"), finding, "take standard or integral")
-    method = problem.solver.method
-    if not METHODS[method].calls_casadi and any(phase.problem.functions for phase in problem.phases):
+    calls_casadi = any(phase.problem.functions for phase in problem.phases)
+    method = choose(problem.solver, calls_casadi=calls_casadi)
+    if calls_casadi and not METHODS[method].calls_casadi:
         finding = f"{method} takes no expressions of CasADi, which a phase has"
         yield PhaseFault(("solver", "method"), finding, "take ipopt")
 

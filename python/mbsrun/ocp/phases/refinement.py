@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from mbsrun.ocp import schemes
-from mbsrun.ocp.methods import METHODS
+from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.phases.guess import Unreached, guess_phases
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
@@ -105,9 +104,8 @@ def _solve(
         scheme, T = schemes.build(phase.problem.family, phase.problem.degree), float(own.trajectory.t[-1])
         motions.append(resample(own.trajectory, *phase.problem.grid.times(T, scheme.points)))
     known = zip((unknown.name for unknown in before.unknowns), before.unknown_values, strict=True)
-    options = dict(METHODS[problem.solver.method].warm) | dict(problem.solver.options)
-    warm = replace(problem, solver=replace(problem.solver, options=tuple(options.items())))
-    outcome = PhasedSolver(warm, plants).solve(Guess(tuple(motions), tuple(known)), watch)
+    near = replace(problem, solver=methods.warm(replace(problem.solver, method=before.run.method)))
+    outcome = PhasedSolver(near, plants).solve(Guess(tuple(motions), tuple(known)), watch)
     if isinstance(outcome, PhasedFailure):
         guess = guess_phases(problem, plants)
         if not isinstance(guess, Unreached):

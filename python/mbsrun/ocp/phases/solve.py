@@ -26,6 +26,7 @@ from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import Guess, Impulse, LinkValues, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
+from mbsrun.ocp.problem import SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Run, Size
@@ -45,6 +46,7 @@ from mbsrun.ocp.solve import (
     search,
     settle,
 )
+from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete, guess_largest
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
 
@@ -59,15 +61,23 @@ class PhasedSolver:
         check_phases(problem, plants)
         self.problem, self.plants = problem, equip_phases(problem, plants)
         self.transcription: PhasedTranscription = transcribe_phases(problem, self.plants)
-        self._check_stages()
+        self._options = self._choose_method()
         first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
 
-    def _check_stages(self) -> None:
-        """Raise ProblemError where a method takes stages alone, and links read what no stage has."""
-        own, method = self.transcription, self.problem.solver.method
+    def _choose_method(self) -> SolverOptions:
+        """Choose the method, where none is given: IPOPT where links read what no stage has, or something is not in C.
+
+        Raises ProblemError where the given method takes stages alone.
+        """
+        own, solver = self.transcription, self.problem.solver
+        calls_casadi = own.unstaged.size > 0 or any(
+            phase.problem.functions or not is_compiled(plant, phase.problem.representation.kernel)
+            for phase, plant in zip(self.problem.phases, self.plants.phases, strict=True)
+        )
+        method = methods.choose(solver, calls_casadi=calls_casadi)
         if METHODS[method].calls_casadi or not own.unstaged.size:
-            return
+            return replace(solver, method=method)
         finding = f"{method} cannot read inputs at a start, accelerations or forces here"
         found = list(_list_unstaged(own)) or [("links", "")]
         findings = [(place, f"{finding}{text}", "take solver.method: ipopt") for place, text in found]
@@ -139,15 +149,17 @@ class PhasedSolver:
 
     @cached_property
     def _method(self) -> methods.Solver:
-        options = self.problem.solver
+        options = self._options
         scaling = options.objective_scaling or 1 / self.problem.weight
         order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
-        return METHODS[options.method].make(order)
+        return METHODS[methods.choose(options)].make(order)
 
     def _call(self, solver: methods.Solver, x: Array, watch: Watch | None) -> Outcome:
         own, problem = self.transcription, self.problem
         bounds = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
-        return call(solver, Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch)))
+        start = Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch))
+        run, found, clash = call(solver, start)
+        return replace(run, method=methods.choose(self._options)), found, clash
 
     def _name_violated(self, x: Array) -> str:
         """Describe the rows that stay violated, the worst first, and the bounds and ranges at their limits."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.phases.solution import LinkValues, PhasedSolution
 from mbsrun.ocp.status import SOLVED
-from mbsrun.ocp.summary import list_shortcomings, summarise
+from mbsrun.ocp.summary import describe_run, list_shortcomings, summarise
 
 
 def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
@@ -15,7 +15,7 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     run, size = solution.run, solution.size
     rows = {
         "problem": f"{solution.name}, {_count(len(solution.phases), 'phase')}",
-        "status": f"{run.status}, {run.iterations} iterations",
+        "status": describe_run(run),
         "time": f"{run.seconds:.2f} s",
         "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
         f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",

@@ -200,6 +200,11 @@ class Tables:
         return {name: int(ffi.cast("intptr_t", ffi.addressof(lib, name))) for name in texts}
 
 
+def is_compiled(plant: Plant, name: str) -> bool:
+    """Return whether a kernel is in C; a plant without coordinates needs none."""
+    return not plant.manifest.coordinates or isinstance(plant.find_family(name), Kernels)
+
+
 def _find_kernels(plant: Plant, name: str) -> Kernels:
     family = plant.find_family(name)
     if not isinstance(family, Kernels):
