@@ -400,7 +400,7 @@ def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: 
 
 
 def _open(tree: Tree) -> Tree:
-    """Turn gravity, wrenches and the forces of all joints into inputs."""
+    """Turn gravity, wrenches and the forces of all joints into inputs; the lengths of forces are guarded with these."""
     gravity = [
         Parameter(f"gravity {axis}", Symbol(f"gravity {axis}"), 0.0, Kind.RUNTIME) if number != 0 else None
         for axis, number in zip("xyz", tree.gravity, strict=True)
@@ -413,6 +413,8 @@ def _open(tree: Tree) -> Tree:
         parameters=(*tree.parameters, *(p for p in gravity if p)),
         bodies=tuple(replace(body, joint=joint) for body, joint in zip(tree.bodies, joints, strict=True)),
         wrenches=tuple(replace(wrench, force=None, moment=None) for wrench in tree.wrenches),
+        definitions=(),
+        probes=(),
         signals=(),
     )
 

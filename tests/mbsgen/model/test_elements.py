@@ -252,6 +252,34 @@ def test_all_functions_and_derivatives_agree_with_virtual_power(forced: int) -> 
     assert mechanisms.examine(mechanisms.draw(forced), forced) == ""
 
 
+PULLED = """
+name: pulled
+gravity: [0, 0, -9.81]
+signals: [pull]
+bodies:
+  - {name: s, joint: {type: prismatic, axis: x}, mass: 1}
+  - {name: m, parent: s, joint: {type: revolute, axis: y}, mass: 2, com: [0, 0, 0.3], inertia: [0.1, 0.1, 0.1]}
+  - name: wheel
+    joint: {type: revolute, axis: y, follows: {joint: s, ratio: 3}}
+    mass: 1
+    inertia: [0.1, 0.1, 0.1]
+forces:
+  - {name: own, from: {body: m, position: [0, 0, 0.5]}, to: {body: base, position: [1, 0, 0]}, force: 2*pull*length - t}
+"""
+
+
+@pytest.mark.parametrize("signal", [0.0, 0.7])
+def test_a_law_of_a_signal_pulls_where_joints_follow_others(signal: float, tmp_path: Path) -> None:
+    """At the accelerations of EXP1 and EXP2, the residuals of IMPL and SEMI vanish."""
+    tree = build_tree(read(PULLED, tmp_path))
+    at = {"q": [0.2, 0.4], "qd": [0.5, -0.3], "u": [1.0, 0.2], "w": [signal, 0.6]}
+    for fast in ("exp1", "exp2"):
+        qdd = evaluate(catalogue.FUNCTIONS[fast].build(tree, ALL), at)["qdd"]  # type: ignore[arg-type]
+        for residual in ("impl", "semi_res"):
+            left = evaluate(catalogue.FUNCTIONS[residual].build(tree, ALL), {**at, "qdd": qdd})["Phi"]  # type: ignore[arg-type]
+            assert left == pytest.approx([0, 0], abs=1e-11)
+
+
 def test_formulations_agree(tmp_path: Path) -> None:
     """At the accelerations of EXP1 and EXP2, the residuals of IMPL and SEMI vanish."""
     tree = build_tree(read(WHOLE, tmp_path))
