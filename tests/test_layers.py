@@ -70,6 +70,7 @@ MBSGEN = Package(
         "equations.lines",
         "equations.printing",
         "equations",
+        "arrows",
         "report drawing appearance output scaling oracle interpreted comparison formulas",
         "pipeline",
         "cli",

@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from sympy import ImmutableMatrix, eye
 
+from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
 from mbsgen.manifest import Appearance, Axle, Ball, Drawing, Element, Grip, Mass, Point, Seat, Tension, Touch
 from mbsgen.model.model import (
     BASE,
     HERE,
     WIDTH,
-    ZERO,
     Body,
     Contact,
     ForceElement,
@@ -31,9 +32,10 @@ from mbsgen.model.model import (
     Visual,
 )
 from mbsgen.model.placements import centre_inertia
+from mbsgen.model.quantities import find_read_frames
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
-from mbsgen.model.tree import Matrix, Sensor, Tree, Vector
+from mbsgen.model.tree import IDENTITY, Kind, Matrix, Sensor, Tree, Vector
 
 Array = NDArray[np.float64]
 
@@ -41,9 +43,10 @@ Array = NDArray[np.float64]
 def describe_appearance(model: Model, tree: Tree) -> Appearance:
     """Describe a model for pictures; `tree` is its tree, in the order of the manifest's frames."""
     values = _read_parameters(model)
-    seats = _Seats(model)
+    texts = Texts(model, values)
+    seats = _Seats(model, texts)
     gravity = _floats(model.gravity, values)
-    return Appearance(
+    found = Appearance(
         gravity=_triple(gravity),
         masses=tuple(x for body in model.bodies if (x := _weigh(body, seats.find(body.name), values)) is not None),
         axles=tuple(_describe_axle(tree, i) for i in range(1, len(tree.bodies) + 1)),
@@ -56,9 +59,12 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
             if x.force is None or x.moment is None
         ),
         drawings=tuple(
-            _describe_visual(body.name, x, seats.find(body.name), values) for body in model.bodies for x in body.visuals
+            _describe_visual(body.name, x, seats.find(body.name), texts, values)
+            for body in model.bodies
+            for x in body.visuals
         ),
     )
+    return add_forces(found, model, tree.coordinates, texts, seats)
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,8 @@ class _Seat:
     frame: int
     position: Array
     axes: Array  # columns
+    place_symbols: ImmutableMatrix  # the position, (3, 1), over symbols of run-time parameters
+    axes_symbols: ImmutableMatrix
 
     def place(self, point: Array) -> tuple[int, Array]:
         """Find the place of a point."""
@@ -77,27 +85,32 @@ class _Seat:
 class _Seats:
     """The seats of bodies and of placements on bodies, found by one reduction of the model."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, texts: Texts) -> None:
         ends = [end for x in model.forces for end in (x.first, x.second)]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
         ends += [LoopEnd(body.name) for body in model.bodies]
+        ends += [LoopEnd(x.body, x.placement) for x in model.frames if x.name in find_read_frames(model)]
         wanted = list(dict.fromkeys((end.body, end.placement) for end in ends if end.body != BASE))
         added = tuple(Frame(f"appearance.{k}", body, placement) for k, (body, placement) in enumerate(wanted))
         tree = build_tree(replace(model, frames=(*model.frames, *added)))
         sensors = tree.sensors[len(tree.sensors) - len(added) :]
         values = {p.symbol: exact(p.value) for p in tree.parameters}
+        constants = {p.symbol: values[p.symbol] for p in tree.parameters if p.kind is Kind.CONSTANT}
 
         def number(matrix: tuple[Vector, ...]) -> Array:
             return np.array([[to_double(x.xreplace(values)) for x in row] for row in matrix])
 
         def seat(sensor: Sensor) -> _Seat:
-            own: Matrix = tree.bodies[sensor.body - 1].axes if sensor.body else sensor.orientation
-            axes = number(own) if sensor.body else np.eye(3)
+            own: Matrix = tree.bodies[sensor.body - 1].axes if sensor.body else IDENTITY
+            axes = number(own)
             position, turned = number((sensor.position,))[0], number(sensor.orientation)
-            return _Seat(sensor.body - 1, axes.T @ position, axes.T @ turned)
+            back = ImmutableMatrix(own).T.xreplace(constants)
+            symbolic = (x.xreplace(constants) for x in map(ImmutableMatrix, (sensor.position, sensor.orientation)))
+            place, orientation = (back * x for x in symbolic)
+            return _Seat(sensor.body - 1, axes.T @ position, axes.T @ turned, place, orientation)
 
         self._found = dict(zip(wanted, map(seat, sensors), strict=True))
-        self._base = _Base(_read_parameters(model))
+        self._base = _Base(_read_parameters(model), texts)
 
     def find(self, body: str, placement: Placement = HERE) -> _Seat:
         """Find the seat of a body, or of a placement on it."""
@@ -109,18 +122,21 @@ class _Base:
     """Places frames on the base."""
 
     values: Mapping[str, float]
+    texts: Texts
 
     def seat(self, placement: Placement) -> _Seat:
         """Return the seat of a placement on the base."""
-        axes = np.eye(3)
+        axes, symbols = np.eye(3), eye(3)
         for step in placement.orientation:
+            symbols *= rotate(step.axis, self.texts.symbolize(step.angle))
             c, s = (f(_float(step.angle, self.values)) for f in (np.cos, np.sin))
             turn = np.eye(3)
             j, k = (step.axis + 1) % 3, (step.axis + 2) % 3
             turn[j, j] = turn[k, k] = c
             turn[j, k], turn[k, j] = -s, s
             axes = axes @ turn
-        return _Seat(-1, _floats(placement.position, self.values), axes)
+        place = ImmutableMatrix([self.texts.symbolize(x) for x in placement.position])
+        return _Seat(-1, _floats(placement.position, self.values), axes, place, ImmutableMatrix(symbols))
 
 
 def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
@@ -139,8 +155,8 @@ def _describe_body(name: str, seat: _Seat) -> Seat:
     return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=tuple(seat.axes.T.ravel().tolist()))
 
 
-def _describe_visual(name: str, visual: Visual, seat: _Seat, values: Mapping[str, float]) -> Drawing:
-    own = _Base(values).seat(visual.placement)
+def _describe_visual(name: str, visual: Visual, seat: _Seat, texts: Texts, values: Mapping[str, float]) -> Drawing:
+    own = _Base(values, texts).seat(visual.placement)
     frame, at = seat.place(own.position)
     return Drawing(
         body=name,
@@ -174,8 +190,7 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
         dissipation=0.0 if cable is None else _float(cable.dissipation, values),
         width=_float(WIDTH if cable is None else cable.width, values),
     )
-    law = tension if element.force == ZERO else None
-    return Element(name=element.name, cable=element.cable is not None, first=first, second=second, law=law)
+    return Element(name=element.name, cable=element.cable is not None, first=first, second=second, law=tension)
 
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:

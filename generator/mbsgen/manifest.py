@@ -195,7 +195,12 @@ class Element(_Entry):
     cable: bool
     first: Point
     second: Point
-    law: Tension | None = None  # None: it has a further tension, as an expression
+    law: Tension | None = None  # None: no text can hold its numbers
+    force: str = ""  # further tension, over its length and rate, run-time parameters and numbers of the state
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if k != "force" or x}
 
 
 class Ball(_Entry):
@@ -240,6 +245,33 @@ class Drawing(_Entry):
     file: str = ""  # of a mesh, below the model's folder
 
 
+class Given(_Entry):
+    """A wrench on a body, by expressions over run-time parameters and numbers of the state; "" is 0."""
+
+    name: str
+    at: Point
+    in_base: bool  # components in the base frame; else along these axes
+    axes: tuple[float, ...]  # of the body, in the frame of the point, one after the other
+    force: tuple[str, str, str]  # [N]
+    moment: tuple[str, str, str]  # [N m]
+
+
+class Reading(_Entry):
+    """A number of the state that expressions of forces read: a coordinate, or a component of a point of a frame."""
+
+    name: str
+    rate: bool  # its time derivative
+    entry: int  # of q; of a point: 0, 1, 2 for x, y, z in the base frame
+    point: Point | None = None
+
+
+class Formula(_Entry):
+    """A number of the appearance that depends on run-time parameters, as an expression."""
+
+    place: tuple[str | int, ...]  # keys and indices that lead to it
+    text: str
+
+
 class Appearance(_Entry):
     """The content of a picture beside frames, at the model's numbers; nothing computes with it."""
 
@@ -251,10 +283,13 @@ class Appearance(_Entry):
     contacts: tuple[Touch, ...] = ()
     wrenches: tuple[Point, ...] = ()  # where the open wrenches act, in the manifest's order
     drawings: tuple[Drawing, ...] = ()
+    given: tuple[Given, ...] = ()  # wrenches that the model gives
+    readings: tuple[Reading, ...] = ()
+    formulas: tuple[Formula, ...] = ()  # numbers of elements, contacts and wrenches
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {k: x for k, x in write(self).items() if k != "drawings" or x}
+        return {k: x for k, x in write(self).items() if k not in ("drawings", "given", "readings", "formulas") or x}
 
 
 class Wrench(_Entry):

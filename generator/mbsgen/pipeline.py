@@ -81,7 +81,8 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     tell("C")
     unit = _make_unit(trees, functions, verification, request)
     sources = write_c(unit)
-    described = _describe(trees.generated, unit, sources, staged)
+    shown = release(whole, request.scene, zeros=request.zeros) if request.runtime else staged
+    described = _describe(trees.generated, unit, sources, staged, shown)
     evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
     tell("the report")
     report = make_report(
@@ -192,9 +193,14 @@ def _find_place(place: Place, data: Any) -> Place:
     return place
 
 
+def release(model: Model, scene: Scene, *, zeros: bool = False) -> Model:
+    """Return the part of a model that a scene needs, with its numbers as run-time parameters."""
+    return stage(with_runtime_numbers(apply_kinds(model, scene), zeros=zeros), scene)
+
+
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:
     """Build the tree of a model whose numbers are run-time parameters, as far as a scene needs them."""
-    tree = build_tree(stage(with_runtime_numbers(apply_kinds(model, scene), zeros=zeros), scene))
+    tree = build_tree(release(model, scene, zeros=zeros))
     own, used = {p.name for p in model.parameters if p.kind is Kind.RUNTIME}, tree.symbols
     needed = (p for p in tree.parameters if p.kind is not Kind.RUNTIME or p.name in own or p.symbol in used)
     return replace(tree, parameters=tuple(needed))
@@ -290,7 +296,7 @@ def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
     return tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is kind)
 
 
-def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model) -> Manifest:
+def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Model) -> Manifest:
     joints = tree.joints
     return Manifest(
         format=manifest.FORMAT,
@@ -332,7 +338,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model) -> Manife
         dependent=tree.closure.dependent if tree.closure else (),
         pose=tree.closure.pose if tree.closure else (),
         driven=tuple(joints.index(tree.bodies[number - 1].joint) for number in tree.driven),
-        appearance=describe_appearance(staged, tree),
+        appearance=describe_appearance(shown, tree),
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )

@@ -1,27 +1,34 @@
-"""Forces of springs, cables and compliant contacts along a motion, for arrows: poses and velocities -> newtons.
+"""Forces of springs, cables, contacts and given wrenches along a motion, for arrows: poses and velocities -> newtons.
 
-The laws are the kernels' laws, with the numbers of the model's file. With d = b - a from the first end to the second,
-its length |d|, and s(x, w) = w log(1 + exp(x/w)), a smooth max(x, 0),
+The laws are the kernels' laws, with the run-time parameters of the kernels. With d = b - a from the first end to the
+second, its length |d|, and s(x, w) = w log(1 + exp(x/w)), a smooth max(x, 0),
 
-    spring:   T = stiffness (length - rest) + damping rate
-    cable:    T = stiffness s(length - rest, width) phi(dissipation rate)
+    spring:   T = stiffness (length - rest) + damping rate + force
+    cable:    T = stiffness s(length - rest, width) phi(dissipation rate) + force
     contact:  gap = n.(p - P) of a plane, |c - P| - r - R of two spheres, n = (c - P)/|c - P|
               N = stiffness s(-gap, width)^exponent phi(-dissipation rate)
               F = N n - coefficient N v_t / sqrt(v_t.v_t + speed^2)
 
 with phi(x) = s(1 + x, 1/10)/s(1, 1/10) (Hunt, Crossley, J. Appl. Mech. 42, 1975). A positive tension T pulls the ends
-together; F acts on the body that touches. Velocities of points are central differences along the coordinates' rates.
+together; F acts on the body that touches. `force` and the components of wrenches are expressions over numbers of the
+state. Velocities of points are central differences along the coordinates' rates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import operator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
-from mbsgen.manifest import Appearance, Element, Grip, Point, Tension, Touch
+from mbsgen.expressions import FLOATS, Algebra, ExpressionError, evaluate, names, parse, spell
+from mbsgen.manifest import Appearance, Element, Given, Grip, Manifest, Point, Reading, Tension, Touch
+from mbsrun.animation.film import Force
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 
@@ -31,31 +38,89 @@ STEP = 1e-6  # s, of the differences
 SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
+_FUNCTIONS: Mapping[str, Any] = {
+    name: getattr(np, name) for name in ("sin", "cos", "tan", "sqrt", "exp", "log", "tanh")
+}
+_INVERSE: Mapping[str, Any] = {"asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2}
+ARRAYS: Algebra[Array] = Algebra(
+    number=np.float64,  # type: ignore[arg-type]  # it is broadcast
+    constants={"pi": np.float64(np.pi)},  # type: ignore[dict-item]
+    negate=operator.neg,
+    operations={"+": operator.add, "-": operator.sub, "*": operator.mul, "/": np.divide},
+    power=lambda base, exponent: base ** float(exponent),
+    functions={**_FUNCTIONS, **_INVERSE, "abs": np.abs, "max": np.maximum},
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Load:
-    """A force over time at a point that is fixed in a frame; components in the base frame."""
+    """A force or a moment over time at a point that is fixed in a frame; components in the base frame."""
 
     foot: Point
-    values: Array  # (K, 3) [N]
+    values: Array  # (K, 3) [N or N m]
+    kind: Force = Force.FORCE
 
 
-def find_loads(plant: Plant, q: Array, dq: Array) -> list[Load]:
-    """Compute the forces of all springs, cables and contacts at coordinates q (K, n) with time derivatives dq.
+def name_parameters(plant: Plant) -> dict[str, float]:
+    """Return the parameters by their words in expressions; a path has _ for its dots."""
+    present = plant.parameters
+    return {new or old: present[old] for old, new in zip(present, spell([*present]), strict=True)}
 
-    Their list depends on the model alone.
+
+def complete_appearance(plant: Plant) -> Appearance | None:
+    """Return the appearance with the numbers of the present parameters."""
+    found = plant.manifest.appearance
+    if found is None or not found.formulas:
+        return found
+    values = name_parameters(plant)
+    for formula in found.formulas:
+        expression = parse(formula.text)
+        if names(expression) <= values.keys():  # others are no parameters of these kernels, so they cannot change
+            try:
+                found = _replace(found, formula.place, evaluate(expression, values, FLOATS))
+            except ExpressionError:
+                found = _replace(found, formula.place, np.nan)  # it has no value there, and its force no arrow
+    return found
+
+
+def complete_manifest(plant: Plant) -> Manifest:
+    """Return the manifest with the appearance of the present parameters."""
+    return plant.manifest.model_copy(update={"appearance": complete_appearance(plant)})
+
+
+def _replace(entry: Any, place: Sequence[str | int], value: float) -> Any:
+    """Return an entry of a manifest, or a tuple in it, with another number at a place."""
+    if not place:
+        return value
+    key, *rest = place
+    if isinstance(entry, BaseModel):
+        return entry.model_copy(update={str(key): _replace(getattr(entry, str(key)), rest, value)})
+    return tuple(_replace(x, rest, value) if k == key else x for k, x in enumerate(entry))
+
+
+def find_loads(plant: Plant, q: Array, dq: Array, signals: Mapping[str, Array] = MappingProxyType({})) -> list[Load]:
+    """Compute the forces of springs, cables, contacts and given wrenches at coordinates q (K, n) with derivatives dq.
+
+    `signals` holds the signals that forces read, and the time, (K,) each; a missing one is 0. The list of forces
+    depends on the model alone.
     """
-    appearance = plant.manifest.appearance
+    appearance = complete_appearance(plant)
     if appearance is None or not has_loads(appearance):
         return []
     course = _Course(*(place(plant, q + step * dq) for step in (0.0, STEP, -STEP)))
-    found = [load for element in appearance.elements for load in _pull(course, element)]
-    return found + [load for touch in appearance.contacts for load in _press(course, touch)]
+    given = {name: np.zeros(len(q)) for name in plant.manifest.signals} | dict(signals)
+    state = given | {x.name: _read(course, x, q, dq) for x in appearance.readings}
+    known: dict[str, Array] = {**state, **{name: np.full(len(q), x) for name, x in name_parameters(plant).items()}}
+    with np.errstate(all="ignore"):
+        found = [load for element in appearance.elements for load in _pull(course, element, known)]
+        found += [load for touch in appearance.contacts for load in _press(course, touch)]
+        return found + [load for wrench in appearance.given for load in _apply(course, wrench, known)]
 
 
 def has_loads(appearance: Appearance) -> bool:
-    """Return whether a model has springs, cables or contacts whose laws are known."""
+    """Return whether a model has springs, cables, contacts or given wrenches whose laws are known."""
     laws = [*(x.law for x in appearance.elements), *(x.law for x in appearance.contacts)]
-    return any(law is not None for law in laws)
+    return bool(appearance.given) or any(law is not None for law in laws)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +157,33 @@ def _find(skeleton: Skeleton, frame: int, at: Array) -> Array:
     )
 
 
-def _pull(course: _Course, element: Element) -> Iterator[Load]:
+def _read(course: _Course, reading: Reading, q: Array, dq: Array) -> Array:
+    """Return a number of the state, (K,)."""
+    if reading.point is None:
+        return np.asarray((dq if reading.rate else q)[:, reading.entry])
+    places = course.find(reading.point)
+    found = course.move(reading.point.frame, places) if reading.rate else places
+    return np.asarray(found[:, reading.entry])
+
+
+def _compute(text: str, known: Mapping[str, Array], count: int) -> Array:
+    """Compute an expression at all states; the empty one is 0."""
+    return np.broadcast_to(evaluate(parse(text), known, ARRAYS) if text else 0.0, (count,))
+
+
+def _apply(course: _Course, wrench: Given, known: Mapping[str, Array]) -> Iterator[Load]:
+    """Yield the force and the moment of a wrench."""
+    count = len(course.now.p)
+    for kind, texts in ((Force.FORCE, wrench.force), (Force.MOMENT, wrench.moment)):
+        if any(texts):
+            values = np.stack([_compute(text, known, count) for text in texts], axis=1)
+            if not wrench.in_base:
+                axes = _axes(course.now, wrench.at.frame) @ np.array(wrench.axes).reshape(3, 3).T
+                values = np.einsum("kij,kj->ki", axes, values)
+            yield Load(wrench.at, values, kind)
+
+
+def _pull(course: _Course, element: Element, known: Mapping[str, Array]) -> Iterator[Load]:
     """Yield the forces on the ends of a spring or a cable that can move."""
     if element.law is None:
         return
@@ -101,7 +192,10 @@ def _pull(course: _Course, element: Element) -> Iterator[Load]:
     length = np.linalg.norm(d, axis=1)
     way = d / np.maximum(length, 1e-12)[:, None]
     relative = course.move(element.second.frame, b) - course.move(element.first.frame, a)
-    F = find_tension(element.law, length, np.einsum("ki,ki->k", way, relative), cable=element.cable)[:, None] * way
+    rate = np.einsum("ki,ki->k", way, relative)
+    T = find_tension(element.law, length, rate, cable=element.cable)
+    T = T + _compute(element.force, {**known, "length": length, "rate": rate}, len(length))
+    F = T[:, None] * way
     for end, force in ((element.first, F), (element.second, -F)):
         if end.frame >= 0:
             yield Load(end, force)

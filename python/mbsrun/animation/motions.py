@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-from mbsgen.manifest import Manifest, Point
+from mbsgen.manifest import TIME, Manifest, Point
 from mbsgen.style import PALETTE
 from mbsrun.animation.actors import BY_BODY, list_meshes, look_alike, make_actor
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Track, Triple, View
-from mbsrun.animation.forces import Load, find_loads
+from mbsrun.animation.forces import Load, complete_manifest, find_loads
 from mbsrun.animation.visuals import Visual, show_drawings
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
@@ -77,8 +77,8 @@ class Motion:
 
     @property
     def manifest(self) -> Manifest:
-        """Return the manifest of its first part, which has the frames of all."""
-        return self.parts[0].kernels.manifest
+        """Return the manifest of its first part, which has the frames of all, with numbers of its parameters."""
+        return complete_manifest(self.parts[0].kernels)
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,9 @@ def make_film(motions: Sequence[Motion], wanted: Wanted | None = None) -> Film:
     )
     arrows = [_list_arrows(motion, times) for motion in motions]
     loads = [_list_loads(motion, times) for motion in motions]
+    for every, own in zip(arrows, loads, strict=True):
+        every += [Arrow(x.kind, x.foot, True, x.values) for x in own if x.kind is Force.MOMENT and x.values.any()]
+    loads = [[x for x in own if x.kind is Force.FORCE] for own in loads]
     lengths = [np.linalg.norm(x.values, axis=1) for every in loads for x in every]
     usual = max((float(np.quantile(x[x > 0], USUAL)) for x in lengths if (x > 0).any()), default=0.0)
     scales = _choose_scales([x for every in arrows for x in every], max(actor.size for actor in actors), usual)
@@ -236,15 +239,19 @@ def _list_arrows(motion: Motion, times: Array) -> list[Arrow]:
 
 
 def _list_loads(motion: Motion, times: Array) -> list[Load]:
-    """List the forces of springs, cables and contacts over time; 0 before the motion and after it."""
+    """List the forces of springs, cables, contacts and given wrenches; 0 before the motion and after it."""
+    names = motion.manifest.signals
+    w = _sample(motion, times, "w")
     which, within = _find_parts(motion, times), (times >= motion.start) & (times <= motion.end)
     found: list[Load] = []
     for i, part in enumerate(motion.parts):
         rows = within & (which == i)
         if rows.any():
             q, dq = _interpolate(part, times[rows]), _differentiate(part, times[rows])
-            loads = find_loads(part.kernels, q, dq)
-            found = found or [Load(x.foot, np.zeros((len(times), 3))) for x in loads]
+            t = times[rows] - (part.t[0] if len(motion.parts) > 1 else 0.0)  # of a phase, from its start
+            given = {} if w is None or not names else dict(zip(names, w[rows, -len(names) :].T, strict=True))
+            loads = find_loads(part.kernels, q, dq, given | {TIME: t})
+            found = found or [replace(x, values=np.zeros((len(times), 3))) for x in loads]
             for load, own in zip(found, loads, strict=False):
                 load.values[rows] = np.where(np.isfinite(own.values), own.values, 0.0)
     return found

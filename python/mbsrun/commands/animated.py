@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
@@ -30,8 +31,21 @@ Array = NDArray[np.float64]
 # Files of the folders of solve, simulate, track and fit-motion; the first one that is there is read.
 SOLUTION, TRACK = "solution.json", "track.csv"
 FILES = (SOLUTION, "trajectory.csv", TRACK, "motion.csv")
+SUMMARIES = {
+    "trajectory.csv": "simulation.json",
+    TRACK: "summary.json",
+    "motion.csv": "motion.json",
+}  # beside tables; they hold parameters
 START = 200  # bytes of a file that show its format
 INPUTS = ("input", "acting", "u")  # names of the columns of inputs
+
+
+@dataclass(frozen=True)
+class _Summary:
+    parameters: Mapping[str, FiniteFloat] = field(default_factory=dict)
+
+
+_SUMMARY = TypeAdapter(_Summary)
 
 
 def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Marker, ...]]:
@@ -46,6 +60,24 @@ def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Mark
         return Motion(parts, name), markers
     recording = _read_track(file) if file.name == TRACK else read_recording(file)
     return Motion((_make_part(recording, plant),), name), ()
+
+
+def read_parameters(path: Path) -> dict[str, float]:
+    """Read the parameters that a motion was made with, from the summary beside its table; {} where there is none.
+
+    simulate, track and fit-motion write one; a solution holds its own parameters. Raises InputError for a summary that
+    cannot be read.
+    """
+    file = _find_file(path)
+    summary = file.parent / SUMMARIES.get(file.name, "")
+    if file.name not in SUMMARIES or not summary.is_file():
+        return {}
+    try:
+        found = _SUMMARY.validate_json(summary.read_bytes())
+    except (OSError, ValidationError):
+        remedy = f"make the motion again, or give {file.name} elsewhere with --parameter"
+        raise InputError([Fault(str(summary), 0, "", "it is no summary of a motion", remedy)]) from None
+    return dict(found.parameters)
 
 
 def _find_file(path: Path) -> Path:

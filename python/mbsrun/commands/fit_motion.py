@@ -188,7 +188,7 @@ def _write(out: Path, mechanism: Mechanism, fit: Fit, shown: Array, markers: Seq
     header = ["t [s]", *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions)]
     header += [f"error[{marker}] [m]" for marker in markers]
     write_table(out / TABLE, header, np.concatenate((fit.times[:, None], shown, fit.errors), axis=1))
-    write_json(out / SUMMARY, _summarise(fit, shown, manifest, markers, smooth))
+    write_json(out / SUMMARY, _summarise(fit, shown, mechanism, markers, smooth))
     panels = [
         Panel(
             unit, {name: shown[:, i] for i, name in enumerate(manifest.positions) if units.get(name, "-") == unit}, {}
@@ -200,11 +200,15 @@ def _write(out: Path, mechanism: Mechanism, fit: Fit, shown: Array, markers: Seq
     write_animation(out / ANIMATION, mechanism, fit.times, fit.q, title=f"{manifest.model}: fitted motion")
 
 
-def _summarise(fit: Fit, shown: Array, manifest: Manifest, markers: Sequence[str], smooth: float) -> dict[str, object]:
+def _summarise(
+    fit: Fit, shown: Array, mechanism: Mechanism, markers: Sequence[str], smooth: float
+) -> dict[str, object]:
+    manifest = mechanism.manifest
     return {
         "format": FORMAT,
         "model": manifest.model,
         "model_hash": manifest.model_hash,
+        "parameters": dict(mechanism.parameters),
         "frames": len(fit.times),
         "smooth": smooth,
         "rms": _measure(fit.errors),

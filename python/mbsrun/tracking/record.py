@@ -77,7 +77,7 @@ def write_track(report: Report, plant: Mechanism, folder: Path) -> None:
     """Write the folder of a track; files of these names are replaced."""
     folder.mkdir(parents=True, exist_ok=True)
     track, manifest = report.track, plant.manifest
-    (folder / SUMMARY).write_text(_summarise(report, manifest), encoding="utf-8")
+    (folder / SUMMARY).write_text(_summarise(report, plant), encoding="utf-8")
     (folder / TABLE).write_text(_tabulate(track, manifest), encoding="utf-8")
     save(draw_track(track, report.problem, report.measured, report.margins, plant), folder / PLOTS)
     save(draw_times(track, report.times), folder / TIMES)
@@ -90,8 +90,9 @@ def write_track(report: Report, plant: Mechanism, folder: Path) -> None:
     write_animation(folder / ANIMATION, plant, t, q, qd=qd, inputs=acting, title=title)
 
 
-def _summarise(report: Report, manifest: Manifest) -> str:
-    track, trial = report.track, report.track.trial
+def _summarise(report: Report, plant: Mechanism) -> str:
+    track, trial, manifest = report.track, report.track.trial, plant.manifest
+    usual = {p.name: p.value for p in (*manifest.parameters, *manifest.design)}
     iterations = [sample.decision.iterations for sample in track.samples]
     summary = {
         "format": FORMAT,
@@ -100,6 +101,7 @@ def _summarise(report: Report, manifest: Manifest) -> str:
         "halt": None if track.halt is None else asdict(track.halt),
         "problem": trial.name,
         "model": manifest.model,
+        "parameters": {name: x for name, x in plant.parameters.items() if usual[name] != x},
         "duration": trial.duration,
         "period": trial.period,
         "delay": trial.delay,
