@@ -294,7 +294,7 @@ class Texts:
         self._follow(model)
 
     def _accept(self, name: str, spelled: str | None) -> str:
-        """Return the word for a parameter; one whose word means something else keeps its name, which no text can hold."""
+        """Return the word for a parameter; its name, which no text can hold, where the word has another meaning."""
         return name if spelled is None or spelled in self.quantities else spelled
 
     def _fold(self, value: Expression, present: float) -> Expression:
