@@ -132,7 +132,9 @@ def _map_couplings(tree: Tree) -> tuple[Array, Array]:
     G, g = np.zeros((len(tree.bodies), len(kept))), np.zeros(len(tree.bodies))
     for i in range(1, len(tree.bodies) + 1):
         if i in rules:
-            G[i - 1, kept.index(rules[i].leader)], g[i - 1] = to_double(rules[i].ratio), to_double(rules[i].offset)
+            g[i - 1] = to_double(rules[i].offset)
+            for leader, ratio in rules[i].terms:
+                G[i - 1, kept.index(leader)] = to_double(ratio)
         else:
             G[i - 1, kept.index(i)] = 1.0
     return G, g

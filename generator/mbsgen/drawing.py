@@ -121,9 +121,12 @@ def describe_joint(tree: Tree, number: int) -> str:
     kind = f"{joint.motion.value} {TURNED[joint.motion]} {'xyz'[joint.axis]}"
     for x in tree.couplings:
         if x.follower == number:
-            offset, ratio = (_evaluate(tree, number) for number in (x.offset, x.ratio))
-            added = f" + {offset:g}" if offset else ""
-            return f"{kind}, follows {_shorten(tree.bodies[x.leader - 1].joint.name)} times {ratio:g}{added}"
+            offset = _evaluate(tree, x.offset)
+            terms = [
+                f"{_shorten(tree.bodies[leader - 1].joint.name)} times {_evaluate(tree, ratio):g}"
+                for leader, ratio in x.terms
+            ]
+            return f"{kind}, follows {' + '.join([*terms, *([f'{offset:g}'] if offset else [])])}"
     return kind if joint.actuated else f"{kind}, passive"
 
 

@@ -269,6 +269,7 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     """Return a hash of the generated content: the tapes to their last digit, and the tree's entries in the manifest."""
     told = [(b.name, b.parent, b.joint) for b in tree.bodies], [(s.name, s.body) for s in tree.sensors], tree.wrenches
     text = repr(tree.couplings) if tree.couplings else ""
+    text += repr(more) if any(more := [x.more for x in tree.couplings]) else ""
     text += repr((tree.loops, tree.constraints, tree.driven, tree.closure)) if tree.is_constrained else ""
     text += repr(tree.signals) if tree.signals else ""
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))

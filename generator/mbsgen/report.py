@@ -170,6 +170,8 @@ def identify(tree: Tree) -> str:
         told.append((tree.loops, tree.constraints, tree.driven))
     if tree.couplings:
         told.append([(x.follower, x.leader, *read(x.ratio, x.offset)) for x in tree.couplings])
+        if more := [(x.follower, leader, *read(ratio)) for x in tree.couplings for leader, ratio in x.more]:
+            told.append(more)
     return hashlib.sha256(repr((read(*tree.gravity), told, len(tree.wrenches))).encode()).hexdigest()[:16]
 
 

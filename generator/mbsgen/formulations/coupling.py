@@ -1,6 +1,7 @@
 """Joints that follow others, eliminated exactly: tapes of the uncoupled tree -> tapes of the coupled one.
 
-With y the independent coordinates, q = G y + g, qd = G yd and qdd = G ydd, where every row of G has one entry. By
+With y the independent coordinates, q = G y + g, qd = G yd and qdd = G ydd. A row of G has one entry, or several where a
+joint follows several ones. By
 virtual power, forces are GT Q: the residual is GT Phi, the mass matrix GT M G, the bias GT c. G depends on
 parameters alone, so derivatives by the state transform likewise: rows as the result, columns as the variable.
 """
@@ -69,17 +70,17 @@ def couple(tape: Tape, tree: Tree) -> Tape:
 
 @dataclass(frozen=True)
 class Map:
-    """G and g, by the entries of q and of qd: the entry that each follows, its ratio and its offset."""
+    """G and g, by the entries of q and of qd: the entries that each follows, with their ratios, and its offset."""
 
     builder: Builder
-    targets: Mapping[Axis, tuple[int, ...]]
-    ratios: Mapping[Axis, Mapping[int, Scalar]]  # of the followers
+    targets: Mapping[Axis, tuple[int, ...]]  # the entry that each one is, or follows first
+    ratios: Mapping[Axis, Mapping[int, tuple[tuple[int, Scalar], ...]]]  # of the followers, by the entries they follow
     offsets: Mapping[int, Scalar]
 
     @staticmethod
     def take(tree: Tree, builder: Builder, inputs: Sequence[Input]) -> tuple[Map, dict[str, list[Scalar]]]:
         """Declare the inputs of the coupled tree; return the map, and these inputs for the uncoupled tree."""
-        if all(number.is_number for x in tree.couplings for number in (x.ratio, x.offset)):
+        if all(number.is_number for x in tree.couplings for number in (*(ratio for _, ratio in x.terms), x.offset)):
             map = Map.of(tree, builder, {})
             return map, {i.name: map.expand(i.port, map.declare(i)) for i in inputs}
         unknown = Map.of(tree, builder, None)  # declares inputs, and expands none
@@ -110,7 +111,11 @@ class Map:
                 _known(first[by_body[i].leader]) if i in by_body else _known(k)
                 for i, k in zip(numbers, own, strict=True)
             )
-            ratios[axis] = {n: write(by_body[i].ratio) for n, i in enumerate(numbers) if i in by_body}
+            ratios[axis] = {
+                n: tuple((_known(first[leader]), write(ratio)) for leader, ratio in by_body[i].terms)
+                for n, i in enumerate(numbers)
+                if i in by_body
+            }
         offsets = {n: write(by_body[i].offset) for n, i in enumerate(bodies[Axis.COORDINATES]) if i in by_body}
         return Map(builder, targets, ratios, offsets)
 
@@ -121,9 +126,19 @@ class Map:
         return self.targets[Axis.VELOCITIES][number - 1] + 1
 
     def list_rows(self, tree: Tree) -> list[dict[int, Scalar]]:
-        """List the rows J of the couplings: the follower's acceleration less ratio times the leader's is 0."""
+        """List the rows J of the couplings: the follower's acceleration less ratios times the leaders' is 0."""
         ratios, one = self.ratios[Axis.VELOCITIES], self.builder.number(1.0)
-        return [{x.follower - 1: one, x.leader - 1: -ratios[x.follower - 1]} for x in tree.couplings]
+        return [
+            {x.follower - 1: one}
+            | {leader - 1: -ratio for (leader, _), (_, ratio) in zip(x.terms, ratios[x.follower - 1], strict=True)}
+            for x in tree.couplings
+        ]
+
+    def row(self, axis: Axis | None, n: int) -> tuple[tuple[int, Scalar | None], ...]:
+        """Return the row n of G: places and ratios, None for 1; an axis that G does not map stays."""
+        if not _is_mapped(axis):
+            return ((n, None),)
+        return self.ratios[axis].get(n) or ((self.targets[axis][n], None),)
 
     def size(self, axis: Axis | None, otherwise: int) -> int:
         """Count the entries of an axis, in the coupled tree."""
@@ -140,7 +155,8 @@ class Map:
         axis = port.rows
         if not _is_mapped(axis):
             return list(given)
-        found = [self._scale(axis, n, given[k]) for n, k in enumerate(self.targets[axis])]
+        rows = (self.row(axis, n) for n in range(len(self.targets[axis])))
+        found = [_sum([_scale(given[k], ratio) for k, ratio in row]) for row in rows]
         if port.role is Role.COORDINATE:
             found = [x + self.offsets[n] if n in self.offsets else x for n, x in enumerate(found)]
         return found
@@ -151,18 +167,23 @@ class Map:
         for (r, c), value in block.items():
             if selected and _is_mapped(rows) and r in self.ratios[rows]:
                 continue
-            row = self.targets[rows][r] if _is_mapped(rows) else r
-            col = self.targets[cols][c] if _is_mapped(cols) else c
-            scaled = self._scale(cols, c, value if selected else self._scale(rows, r, value))
-            total[row, col] = total[row, col] + scaled if (row, col) in total else scaled
+            for row, along in self.row(rows, r):
+                for col, across in self.row(cols, c):
+                    scaled = _scale(_scale(value, None if selected else along), across)
+                    total[row, col] = total[row, col] + scaled if (row, col) in total else scaled
         return total
-
-    def _scale(self, axis: Axis | None, n: int, value: Scalar) -> Scalar:
-        return value * self.ratios[axis][n] if _is_mapped(axis) and n in self.ratios[axis] else value
 
 
 def _is_mapped(axis: Axis | None) -> TypeGuard[Axis]:
     return axis in _MAPPED
+
+
+def _scale(value: Scalar, ratio: Scalar | None) -> Scalar:
+    return value if ratio is None else value * ratio
+
+
+def _sum(terms: Sequence[Scalar]) -> Scalar:
+    return sum(terms[1:], start=terms[0])
 
 
 def _seat_coordinates(tree: Tree) -> list[int]:
@@ -208,18 +229,20 @@ class _Coupled:
         """Return the entries of a quantity that drives the uncoupled tree."""
         return [value for _, value in sorted(self.drive.get(name, {}).items())]
 
-    def weigh(self, number: int, inertia: Scalar) -> Scalar:
-        """Return the inertia of a joint as felt by the joint that it follows."""
-        ratio = self.map.ratios[Axis.VELOCITIES].get(number - 1)
-        return inertia if ratio is None else inertia * ratio * ratio
+    def weigh(self, number: int, inertia: Scalar) -> tuple[tuple[int, Scalar], ...]:
+        """Return the inertia of a joint as felt by the joints that it follows, from 1, or by itself."""
+        return tuple(
+            (joint + 1, inertia if ratio is None else inertia * ratio * ratio)
+            for joint, ratio in self.map.row(Axis.VELOCITIES, number - 1)
+        )
 
     @property
     def scales(self) -> dict[int, Scalar]:
         """Bound the inertia that each joint can feel, including its followers."""
         total: dict[int, Scalar] = {}
         for number, inertia in enumerate(self.column("largest"), 1):
-            joint, felt = self.map.joint(number), self.weigh(number, inertia)
-            total[joint] = total[joint] + felt if joint in total else felt
+            for joint, felt in self.weigh(number, inertia):
+                total[joint] = total[joint] + felt if joint in total else felt
         return total
 
     @cached_property
@@ -246,7 +269,8 @@ def write_exp1(tree: Tree, reductions: Reductions) -> Tape:
     net = {place: own.drive["Q"][place] - bias for place, bias in terms["c"].items()}
     b = {i + 1: value for (i, _), value in map.gather(net, Axis.VELOCITIES, None).items()}
     factors = factorise(builder, upper, own.size)
-    scales, firm = own.scales, {own.map.joint(i) for i in own.firm}
+    alone = {i for i in own.firm if len(map.row(Axis.VELOCITIES, i - 1)) == 1}  # a sum of joints may stay at rest
+    scales, firm = own.scales, {map.joint(i) for i in alone}
     for i in range(own.size, 0, -1):
         if i in firm:
             builder.guard(factors.D[i], upper[i, i], own.size * exp1.PIVOT_TOLERANCE, i)
@@ -346,7 +370,7 @@ def write_condition(tree: Tree, reductions: Reductions) -> Tape:
     for i in range(size):
         a = whole.solve({leaders[k] + 1: Mr[k, i] for k in range(size) if (k, i) in Mr})
         thrown = [_size(a[j + 1]) * builder.apply(Op.SQRT, M[j, j] / Mr[i, i]) for j in range(n)]
-        own = [lost[j, 0] for j in range(n) if map.joint(j + 1) == i + 1]
+        own = [lost[j, 0] for j in range(n) if any(k == i for k, _ in map.row(Axis.VELOCITIES, j))]
         rows.append([sum(own, start=spread * sum(thrown[1:], start=thrown[0]))])
     eliminated = [[_size(Mr[i, i] * inverse[i + 1][i + 1])] for i in range(size)]
     builder.output_dense(plain.output("elimination").port, eliminated)
@@ -391,7 +415,7 @@ def _guard_couplings(own: _Coupled, tape: Tape, values: Sequence[Scalar], lost: 
         pivot = -values[guard.value] if guard.negated else values[guard.value]
         scale = values[guard.scale]
         if tape.is_pivot(guard):
-            pivot, scale = own.weigh(guard.joint, pivot), own.weigh(guard.joint, scale)
+            ((_, pivot), *_), ((_, scale), *_) = own.weigh(guard.joint, pivot), own.weigh(guard.joint, scale)
         builder.guard(pivot, scale, guard.tolerance, own.map.joint(guard.joint))
     scales = own.scales
     for k, part in lost.items():
@@ -445,8 +469,7 @@ def _write_drive(tree: Tree) -> tuple[Tape, frozenset[int]]:
 
 
 def _along(row: Mapping[int, Scalar], column: Sequence[Scalar]) -> Scalar:
-    (i, x), (j, y) = row.items()
-    return x * column[i] + y * column[j]
+    return _sum([x * column[i] for i, x in row.items()])
 
 
 def _results(tape: Tape, builder: Builder, given: Mapping[str, Sequence[Scalar]]) -> dict[str, Block]:

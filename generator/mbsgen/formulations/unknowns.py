@@ -29,9 +29,10 @@ class Unknowns:
 
     @staticmethod
     def relative(map: Map) -> Unknowns:
-        """Take the velocities of joints as unknowns; followers have their leader's, times the ratio."""
-        one, ratios = map.builder.number(1.0), map.ratios[Axis.VELOCITIES]
-        forms = tuple({k: ratios.get(i, one)} for i, k in enumerate(map.targets[Axis.VELOCITIES]))
+        """Take the velocities of joints as unknowns; followers have the sum of their leaders', times the ratios."""
+        one = map.builder.number(1.0)
+        rows = (map.row(Axis.VELOCITIES, i) for i in range(len(map.targets[Axis.VELOCITIES])))
+        forms = tuple({k: one if ratio is None else ratio for k, ratio in row} for row in rows)
         return Unknowns(map.builder, forms, forms)
 
     @staticmethod

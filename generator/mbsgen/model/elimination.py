@@ -1,9 +1,15 @@
-"""Linear constraints of two joints -> joints that follow others: their equations hold exactly, with a coordinate less.
+"""Linear constraints of joints -> joints that follow others: their equations hold exactly, with a coordinate less.
 
 A constraint a q1 + b q2 + c = 0 with constants a, b, c is a follower's rule q2 = -(a/b) q1 - c/b (see `following`).
 The follower has no input, is not driven, not independent by the author's choice, and no part of a quaternion. Of two
-such joints it is the later one, unless the file gives its rough coordinate. All other constraints remain equations:
-equations of one joint or of more than two, nonlinear equations, and equations that depend on run-time parameters.
+such joints it is the later one, unless the file gives its rough coordinate.
+
+In a constraint of more joints, one follows the sum of the others. Besides, it has no bounds, nor have its followers,
+since bounds on a sum bind no single joint; and the file gives no rough coordinate of it. Of several such joints it is
+the one with the largest coefficient, so that ratios are at most 1 where possible; of equal ones, the later one.
+
+All other constraints remain equations: equations of one joint, nonlinear equations, and equations that depend on
+run-time parameters.
 """
 
 from __future__ import annotations
@@ -82,12 +88,7 @@ def eliminate(model: Model) -> Model:
         if form is None or follower is None:
             remaining.append(constraint)
             continue
-        rule = form.solve(follower)
-        for known in (rules, forms):
-            known.update(
-                {name: x.substitute(follower, rule) for name, x in known.items() if follower in x.coefficients}
-            )
-        rules[follower] = rule
+        _put(follower, form.solve(follower), rules, forms)
     follows = {name: _make_follow(rule) for name, rule in rules.items()}
     return replace(
         model,
@@ -95,6 +96,46 @@ def eliminate(model: Model) -> Model:
         constraints=tuple(remaining),
         assembly=_move_rough(model.assembly, follows),
     )
+
+
+@dataclass(frozen=True)
+class Sums:
+    """The joints of a model that follow sums of others, by constraints."""
+
+    rules: Mapping[str, Linear]  # of each follower, over joints that follow no other
+    solved: Mapping[str, Constraint]  # by their names: a follower's coordinate less a sum, with numbers alone
+    remaining: tuple[Constraint, ...]
+
+
+def find_sums(model: Model) -> Sums:
+    """Find the constraints of a model after `eliminate` that make joints follow sums of others."""
+    rules: dict[str, Linear] = {}
+    solved: dict[str, Constraint] = {}
+    if not model.constraints:
+        return Sums(rules, solved, ())
+    forms, candidates = _express(model), _list_unbounded(model)
+    for constraint in model.constraints:
+        form = read_linear(constraint.equation, forms)
+        follower = None if form is None else _choose_sum(form, candidates)
+        if form is not None and follower is not None:
+            rule = form.solve(follower)
+            solved[constraint.name] = replace(constraint, equation=_write_rule(follower, rule))
+            _put(follower, rule, rules, forms)
+    return Sums(rules, solved, tuple(x for x in model.constraints if x.name not in solved))
+
+
+def _write_rule(follower: str, rule: Linear) -> Expression:
+    equation: Expression = Name(follower)
+    for leader, ratio in rule.coefficients.items():
+        equation = Operation("-", equation, Operation("*", Number(float(ratio)), Name(leader)))
+    return Operation("-", equation, Number(float(rule.constant))) if rule.constant else equation
+
+
+def _put(follower: str, rule: Linear, rules: dict[str, Linear], forms: dict[str, Linear]) -> None:
+    """Add a rule, and put it in place of the follower in all others."""
+    for known in (rules, forms):
+        known.update({name: x.substitute(follower, rule) for name, x in known.items() if follower in x.coefficients})
+    rules[follower] = rule
 
 
 def _express(model: Model) -> dict[str, Linear]:
@@ -128,6 +169,26 @@ def _choose_follower(form: Linear, candidates: Sequence[str]) -> str | None:
     if not 1 / LARGEST < one / other < LARGEST:
         return None
     return next((name for name in candidates if name in form.coefficients), None)
+
+
+def _list_unbounded(model: Model) -> list[str]:
+    """List the joints that may follow sums of others, the later ones first."""
+    steps = list_joints(model)
+    bounded = {
+        step.name for step in steps if (step.joint.lower, step.joint.upper, step.joint.max_speed) != (None, None, None)
+    }
+    bounded |= {rule.joint for name, rule in find_rules(steps).items() if name in bounded}
+    rough = {name for name, _ in model.assembly}
+    return [name for name in _list_candidates(model) if name not in bounded | rough]
+
+
+def _choose_sum(form: Linear, candidates: Sequence[str]) -> str | None:
+    """Choose the joint of a form that follows the others."""
+    own = [name for name in candidates if name in form.coefficients]
+    sizes = {name: abs(x) for name, x in form.coefficients.items()}
+    if len(sizes) < 2 or not own or not max(sizes.values()) < LARGEST * min(sizes.values()):
+        return None
+    return max(own, key=lambda name: sizes[name])
 
 
 def _make_follow(rule: Linear) -> Follow:

@@ -3,7 +3,7 @@
 Massless bodies are inserted in a sequence of joints. A fixed body is merged with its parent. A body whose joint has
 another axis gets a new frame: the author's, turned by a constant rotation C with a = C e_k. Masses, sensors, wrenches,
 loops and child joints are transformed to their new frames; sensors keep their poses, and bodies and wrenches the axes
-in the model file. The axis of a loop is the z axis of its two frames. Linear constraints of two joints become followers
+in the model file. The axis of a loop is the z axis of its two frames. Linear constraints of joints become followers
 (see `elimination`); other constraints become equations in coordinates that do not follow others.
 """
 
@@ -19,7 +19,7 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.elements import Anchor, Loads, Side
-from mbsgen.model.elimination import eliminate
+from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
@@ -51,6 +51,8 @@ from mbsgen.model.tree import (
 def build_tree(description: Model, *, readable: bool = False) -> Tree:
     """Make the Tree of a checked model. In a readable one, which has no code, forces keep smooth functions."""
     description = eliminate(description)
+    sums = find_sums(description)
+    description = replace(description, constraints=sums.remaining)
     parameters, reader = _read_parameters(description, readable=readable)
     expanded = expand(description).model
     seats = {BASE: _Seat(0)}
@@ -68,7 +70,7 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         seats[body.name] = seat
         carried[seat.number].append(_read_part(body, seat, reader))
     bodies = tuple(_make_body(mover, *_merge(carried[i]), reader=reader) for i, mover in enumerate(moving, 1))
-    couplings = tuple(_find_couplings(description, moving, reader))
+    couplings = tuple(_find_couplings(description, sums.rules, moving, reader))
     numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1) if mover.joint.name is not None}
     coordinates = _express_coordinates(bodies, couplings)
     loads = _collect_loads(description, seats, reader)
@@ -337,11 +339,31 @@ def _find_quaternions(description: Model, moving: Sequence[_Mover]) -> Iterator[
             yield Quaternion(body.name, numbers[body.name] - count + 1, is_free=count == 6)
 
 
-def _find_couplings(description: Model, moving: Sequence[_Mover], reader: _Reader) -> Iterator[Coupling]:
-    """Find the joints that follow others, and what leads them in the end."""
+def _find_couplings(
+    description: Model, sums: Mapping[str, Linear], moving: Sequence[_Mover], reader: _Reader
+) -> Iterator[Coupling]:
+    """Find the joints that follow others, or sums of others, and what leads them in the end."""
     numbers = {mover.joint.name: i for i, mover in enumerate(moving, 1)}
+    exactly = {name: _round(form) for name, form in sums.items()}
+
+    def couple(name: str, terms: Sequence[tuple[str, Expr]], offset: Expr) -> Coupling:
+        (leader, ratio), *more = sorted((numbers[leader], ratio) for leader, ratio in terms)
+        return Coupling(numbers[name], leader, ratio, offset, tuple(more))
+
     for name, rule in find_rules(list_joints(description)).items():
-        yield Coupling(numbers[name], numbers[rule.joint], *map(reader.coefficient, (rule.ratio, rule.offset)))
+        ratio, offset = map(reader.coefficient, (rule.ratio, rule.offset))
+        terms = [(rule.joint, ratio)]
+        if rule.joint in exactly:
+            own, shift = exactly[rule.joint]
+            terms, offset = [(leader, _tidy(ratio * x)) for leader, x in own], _tidy(total((ratio * shift, offset)))
+        yield couple(name, terms, offset)
+    for name, (terms, offset) in exactly.items():
+        yield couple(name, terms, offset)
+
+
+def _round(form: Linear) -> tuple[list[tuple[str, Expr]], Expr]:
+    """Return the terms and the constant of a form, in doubles."""
+    return [(name, exact(float(x))) for name, x in form.coefficients.items()], exact(float(form.constant))
 
 
 def _bind(bodies: tuple[tree.Body, ...], couplings: Sequence[Coupling]) -> tuple[tree.Body, ...]:
@@ -351,7 +373,7 @@ def _bind(bodies: tuple[tree.Body, ...], couplings: Sequence[Coupling]) -> tuple
     rules = {
         joints[x.follower - 1]: (joints[x.leader - 1], to_double(x.ratio), to_double(x.offset))
         for x in couplings
-        if x.ratio.is_number and x.offset.is_number  # else the follower has no limits
+        if x.ratio.is_number and x.offset.is_number and not x.more  # else the follower has no limits
     }
     bound = list(bodies)
     for i in {x.leader - 1 for x in couplings}:
@@ -402,7 +424,10 @@ def _express_coordinates(bodies: Sequence[tree.Body], couplings: Sequence[Coupli
     """Express the coordinate of every joint by the coordinates of joints that do not follow others."""
     own = {body.joint.name: coordinate_symbol(body.joint.name) for body in bodies}
     names = [*own]
-    followers = {names[x.follower - 1]: total((x.ratio * own[names[x.leader - 1]], x.offset)) for x in couplings}
+    followers = {
+        names[x.follower - 1]: total((*(ratio * own[names[leader - 1]] for leader, ratio in x.terms), x.offset))
+        for x in couplings
+    }
     return {**own, **followers}
 
 

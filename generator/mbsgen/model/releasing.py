@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
-from mbsgen.model.elimination import eliminate
+from mbsgen.model.elimination import Sums, eliminate, find_sums
 from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.following import list_joints
 from mbsgen.model.joints import describe_joint
@@ -63,14 +63,18 @@ def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
     Limits keep their values, since they are not in the equations.
     """
     eliminated = eliminate(model)
-    return _Release(eliminated, zeros, _find_fixed(model, eliminated)).apply()
+    sums = find_sums(eliminated)
+    remaining = {constraint.name for constraint in sums.remaining}
+    return _Release(eliminated, zeros, _find_fixed(model, remaining), sums).apply()
 
 
 class _Release:
     """Replaces numbers by names, and collects the parameters."""
 
-    def __init__(self, model: Model, zeros: bool, fixed: set[str]) -> None:
+    def __init__(self, model: Model, zeros: bool, fixed: set[str], sums: Sums) -> None:
+        """Take a model, the parameters that stay constant, and the constraints whose numbers stay."""
         self._model = model
+        self._solved = sums.solved
         self._zeros = zeros
         self._valuation = Valuation(model.parameters, ())
         steps = [*list_joints(model)]
@@ -277,19 +281,21 @@ class _Release:
 
     def _constraint(self, constraint: Constraint) -> Constraint:
         path = f"constraints.{constraint.name}"
+        if constraint.name in self._solved:
+            return self._solved[constraint.name]
         return replace(constraint, equation=replace_counted(constraint.equation, path, self._number))
 
 
-def _find_fixed(model: Model, eliminated: Model) -> set[str]:
+def _find_fixed(model: Model, remaining: set[str]) -> set[str]:
     """Find the parameters that must be constant, by themselves or by the values of others."""
-    found = {name for expression in _list_constants(model, eliminated) for name in names(expression)}
+    found = {name for expression in _list_constants(model, remaining) for name in names(expression)}
     for parameter in reversed(model.parameters):  # a value depends on parameters that stand before it
         if parameter.name in found:
             found |= names(parameter.value)
     return found
 
 
-def _list_constants(model: Model, eliminated: Model) -> Iterator[Expression]:
+def _list_constants(model: Model, remaining: set[str]) -> Iterator[Expression]:
     """List the expressions that a model needs constants in."""
     yield from (component for axis in _list_axes(model) for component in axis)
     yield from (contact.exponent for contact in model.contacts)
@@ -297,7 +303,6 @@ def _list_constants(model: Model, eliminated: Model) -> Iterator[Expression]:
     for name, joint in joints.items():
         if any(bound is not None for bound in (joint.lower, joint.upper, joint.max_speed)):
             yield from _list_rules(joints, name)
-    remaining = {constraint.name for constraint in eliminated.constraints}
     for constraint in model.constraints:
         if constraint.name not in remaining:
             yield constraint.equation

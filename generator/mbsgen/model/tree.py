@@ -116,12 +116,18 @@ class Quaternion:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint without a coordinate: its q is ratio * q of another joint + offset."""
+    """A joint without a coordinate: its q is ratio * q of another joint + offset, or a sum over several joints."""
 
     follower: int  # number of its body
     leader: int  # number of the other joint's body; that joint has a coordinate
     ratio: Expr  # not 0
     offset: Expr  # [rad or m]
+    more: tuple[tuple[int, Expr], ...] = field(default=(), repr=False)  # further leaders, each with its ratio
+
+    @property
+    def terms(self) -> tuple[tuple[int, Expr], ...]:
+        """List all leaders, by the numbers of their bodies, each with its ratio."""
+        return ((self.leader, self.ratio), *self.more)
 
 
 class Cut(Enum):
@@ -336,7 +342,7 @@ class Tree:
             numbers += [body.mass, *body.com, *chain(*body.inertia)]
             for part in body.parts:
                 numbers += [part.mass, *part.com, *chain(*part.inertia)]
-        numbers += [number for x in self.couplings for number in (x.ratio, x.offset)]
+        numbers += [number for x in self.couplings for number in (*(ratio for _, ratio in x.terms), x.offset)]
         for loop in self.loops:
             ends = (loop.first, loop.second)
             numbers += [loop.value, *(number for end in ends for number in (*end.position, *chain(*end.axes)))]

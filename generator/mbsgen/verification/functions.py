@@ -119,15 +119,18 @@ class Truth:
         """Add the forces of followers to the joints that they follow, by virtual power."""
         felt = {joint.name: ZERO for joint in self.coupled.joints}
         for body, force in zip(self.tree.bodies, forces, strict=True):
-            coupling = self._leaders.get(body.joint.name)
-            name = self.tree.bodies[coupling.leader - 1].joint.name if coupling else body.joint.name
-            felt[name] += force * self._value(coupling.ratio) if coupling else force
+            if (coupling := self._leaders.get(body.joint.name)) is None:
+                felt[body.joint.name] += force
+                continue
+            for leader, ratio in coupling.terms:
+                felt[self.tree.bodies[leader - 1].joint.name] += force * self._value(ratio)
         return list(felt.values())
 
     def _follow(self, name: str, free: Mapping[str, Decimal], *, is_place: bool = False) -> Decimal:
         if (coupling := self._leaders.get(name)) is None:
             return free[name]
-        turned = self._value(coupling.ratio) * free[self.tree.bodies[coupling.leader - 1].joint.name]
+        leaders = ((self.tree.bodies[leader - 1].joint.name, ratio) for leader, ratio in coupling.terms)
+        turned = sum((self._value(ratio) * free[leader] for leader, ratio in leaders), start=ZERO)
         return turned + self._value(coupling.offset) if is_place else turned
 
     def _value(self, number: Expr, more: Mapping[Symbol, Decimal] = MappingProxyType({})) -> Decimal:
