@@ -5,8 +5,9 @@ The follower has no input, is not driven, not independent by the author's choice
 such joints it is the later one, unless the file gives its rough coordinate.
 
 In a constraint of more joints, one follows the sum of the others. Besides, it has no bounds, nor have its followers,
-since bounds on a sum bind no single joint; and the file gives no rough coordinate of it. Of several such joints it is
-the one with the largest coefficient, so that ratios are at most 1 where possible; of equal ones, the later one.
+since bounds on a sum bind no single joint. The file gives no rough coordinate of it, or of all joints of the equation.
+Of several such joints it is the one with the largest coefficient, so that ratios are at most 1 where possible; of equal
+ones, the later one.
 
 All other constraints remain equations: equations of one joint, nonlinear equations, and equations that depend on
 run-time parameters.
@@ -14,7 +15,7 @@ run-time parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -113,12 +114,14 @@ def find_sums(model: Model) -> Sums:
     solved: dict[str, Constraint] = {}
     if not model.constraints:
         return Sums(rules, solved, ())
-    forms, candidates = _express(model), _list_unbounded(model)
+    forms, candidates, rough = _express(model), _list_unbounded(model), {name for name, _ in model.assembly}
     for constraint in model.constraints:
         form = read_linear(constraint.equation, forms)
-        follower = None if form is None else _choose_sum(form, candidates)
-        if form is not None and follower is not None:
-            rule = form.solve(follower)
+        follower = None if form is None else _choose_sum(form, candidates, rough)
+        if form is None or follower is None:
+            continue
+        rule = form.solve(follower)
+        if all(x.substitute(follower, rule).coefficients for x in rules.values()):  # none is left without a leader
             solved[constraint.name] = replace(constraint, equation=_write_rule(follower, rule))
             _put(follower, rule, rules, forms)
     return Sums(rules, solved, tuple(x for x in model.constraints if x.name not in solved))
@@ -178,13 +181,14 @@ def _list_unbounded(model: Model) -> list[str]:
         step.name for step in steps if (step.joint.lower, step.joint.upper, step.joint.max_speed) != (None, None, None)
     }
     bounded |= {rule.joint for name, rule in find_rules(steps).items() if name in bounded}
-    rough = {name for name, _ in model.assembly}
-    return [name for name in _list_candidates(model) if name not in bounded | rough]
+    return [name for name in _list_candidates(model) if name not in bounded]
 
 
-def _choose_sum(form: Linear, candidates: Sequence[str]) -> str | None:
+def _choose_sum(form: Linear, candidates: Sequence[str], rough: Set[str]) -> str | None:
     """Choose the joint of a form that follows the others."""
-    own = [name for name in candidates if name in form.coefficients]
+    own = [name for name in candidates if name in form.coefficients.keys() - rough]
+    if form.coefficients.keys() <= rough:  # the follower's is not needed
+        own = [name for name in candidates if name in form.coefficients]
     sizes = {name: abs(x) for name, x in form.coefficients.items()}
     if len(sizes) < 2 or not own or not max(sizes.values()) < LARGEST * min(sizes.values()):
         return None

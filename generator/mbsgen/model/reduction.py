@@ -94,7 +94,9 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         ),
         driven=tuple(sorted(numbers[name] for name in description.driven)),
         chosen=tuple(sorted(numbers[name] for name in description.independent)),
-        rough=tuple(sorted((numbers[name], reader.estimate(x)) for name, x in description.assembly)),
+        rough=tuple(
+            sorted((numbers[name], reader.estimate(x)) for name, x in description.assembly if name not in sums.rules)
+        ),
     )
 
 
