@@ -58,7 +58,7 @@ def with_runtime_numbers(model: Model, *, zeros: bool = False) -> Model:
 
     A number that is 0 stays, and so does an angle that is a multiple of a quarter turn: they make equations short. With
     `zeros` they become parameters too, also zeros that the file does not mention. Axes of joints stay, with the
-    constants that they depend on. So do constraints that make a joint follow another, and the rules of followers with
+    constants that they depend on. So do constraints that make a joint follow others, and the rules of followers with
     limits: the limits bind the leader by these rules. Of other rules the numbers stay, and constants become parameters.
     Limits keep their values, since they are not in the equations.
     """

@@ -159,6 +159,14 @@ assembly: {plate.z: 0.25}
 _MOTOR = "{name: q3, type: revolute, axis: z, "
 _DRIVEN = _FIVE_BAR.replace("five_bar", "driven").replace(_MOTOR, f"{_MOTOR}actuated: false, ") + "driven: [q3]\n"
 
+_FOLLOWS = "follows: {joint: q3,\n     ratio: -2.5}"
+_CAM = "  - {name: profile"
+_SUMMED = (
+    _COUPLED.replace("geared", "summed")
+    .replace(_FOLLOWS, "actuated: false")
+    .replace(_CAM, "  - {name: sum, equation: w - q1 + 2.5*q3 - 0.1}\n" + _CAM)
+)
+
 TEXTS = {
     "four_bar": _FOUR_BAR,
     "slider_crank": _SLIDER_CRANK,
@@ -166,6 +174,7 @@ TEXTS = {
     "spatial_rod": _ROD,
     "spatial": _SPATIAL,
     "geared": _COUPLED,
+    "summed": _SUMMED,
     "platform": _PLATFORM,
     "driven": _DRIVEN,
 }
