@@ -74,7 +74,7 @@ def coupled_tree(seed: int) -> Tree:
 
 
 def add_leaders(couplings: Sequence[Coupling], leaders: Sequence[int]) -> tuple[Coupling, ...]:
-    """Let each follower follow all leaders."""
+    """Make each follower follow all leaders."""
     ratios = [exact(x) for x in (0.3, -1.2, 0.7, 0.4, -0.9, 1.1, 0.6)]
     return tuple(
         replace(x, more=tuple(zip((i for i in leaders if i != x.leader), ratios, strict=False))) for x in couplings
