@@ -24,7 +24,7 @@ from tests.mbsgen.procedure.compiled import Library
 
 MODELS = Path(__file__).parents[3] / "models"
 ROUNDING = 1e-13  # a closed loop of lengths up to 1 m: some tens of roundings
-STRAIGHT = ("four_bar", "slider_crank", "five_bar", "spatial_rod", "geared", "driven")  # without an iteration
+STRAIGHT = ("four_bar", "slider_crank", "five_bar", "spatial_rod", "geared", "summed", "driven")  # without an iteration
 
 
 def call(name: str, tree: Tree, **given: object) -> tuple[int, np.ndarray]:
