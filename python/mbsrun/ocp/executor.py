@@ -44,17 +44,18 @@ SOLVERS = 12  # kept for the next trial: the representations, with the standard 
 def choose_options(problem: Problem, trial: Trial, study: Study) -> Problem:
     """Choose the method of a trial, and add the options that it requires and the problem does not state.
 
-    The robust protocol takes the method of the study, unless the problem states options of IPOPT; searches from many
-    starts take the method of a single solve. The other protocols compare times with the paper's, so they take IPOPT
-    with the study's linear solver. A problem that states an option of MUMPS takes MUMPS.
+    Searches for optima take the method of the study, unless the problem states options of IPOPT. The other protocols
+    compare times with the paper's, so they take IPOPT with the study's linear solver. A problem that states an option
+    of MUMPS takes MUMPS.
     """
     solver = problem.solver
     is_held = isinstance(trial.start, Found) and trial.start.is_held
     if solver.method not in (None, "ipopt"):
         return problem
-    by_stages = methods.choose(solver) == "mbs" if trial.protocol == MULTISTART else study.method == "mbs"
-    if trial.protocol in ("robust", MULTISTART) and by_stages and not solver.options:
-        return replace(problem, solver=replace(solver, method="mbs", options=HOLD_STAGES if is_held else ()))
+    is_free = not solver.options or methods.choose(solver) == "mbs"
+    if trial.protocol in ("robust", MULTISTART) and study.method == "mbs" and is_free:
+        options = dict(HOLD_STAGES if is_held else ()) | dict(solver.options)
+        return replace(problem, solver=replace(solver, method="mbs", options=tuple(options.items())))
     wanted = OWN if trial.protocol in ("robust", MULTISTART) else study.linear_solver
     is_bound = any(name.startswith(MUMPS) for name, _ in solver.options)
     told: dict[str, float | int | str] = {LINEAR_SOLVER: MUMPS if is_bound else choose(wanted)}

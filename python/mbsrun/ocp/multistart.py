@@ -17,17 +17,18 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from mbsgen.manifest import Manifest
 from mbsrun.environment import describe_environment
 from mbsrun.models import find_folder
 from mbsrun.ocp.attempts import is_higher
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.executor import LocalExecutor, Worker
+from mbsrun.ocp.methods import choose
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.search import Executor, Order, OutOfTimeError, Search
 from mbsrun.ocp.solution import Failure, Solution, Start, Starts
+from mbsrun.ocp.solve import choose_method
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
 from mbsrun.ocp.study import ONE, Study, describe, identify
 from mbsrun.ocp.trials import MULTISTART, Found, Hop, Interpolation, Trial, Varied, list_hops
@@ -38,11 +39,18 @@ KINDS: tuple[Kind, ...] = ("noise", "waves", "turns", "noise", "bumps", "waves",
 ROUNDS = 100  # of hops, at most
 
 
-def state_study(problem: Problem, manifest: Manifest) -> Study:
+def state_study(problem: Problem, plant: Plant) -> Study:
     """Return the study of one problem, for a search."""
-    weights = (problem.cost.inputs, problem.cost.input_rates)
-    turning = list_turning(problem, manifest)
-    return Study(problem, None, ONE, (weights,), (problem.representation,), tuple(manifest.actuated), turning)
+    return Study(
+        problem,
+        None,
+        ONE,
+        ((problem.cost.inputs, problem.cost.input_rates),),
+        (problem.representation,),
+        tuple(plant.manifest.actuated),
+        list_turning(problem, plant.manifest),
+        method=choose(choose_method(problem, plant)),
+    )
 
 
 def list_starts(study: Study, seed: int, count: int) -> list[Trial]:
@@ -118,7 +126,7 @@ def solve_from_many(
     The search skips attempts in the record at `path`. It passes the results so far to `watch` after every start. At the
     end of the time, or at an interrupt, the finished starts count. Without a model file, one process makes all starts.
     """
-    study = state_study(problem, plant.manifest)
+    study = state_study(problem, plant)
     trials, hops = list_starts(study, wish.seed, wish.starts), list[Trial]()
     with open_record(path, identify(study, plant.manifest), describe(study, plant.manifest)) as record:
 

@@ -103,8 +103,7 @@ class Solver:
 
     def choose_method(self, problem: Problem) -> SolverOptions:
         """Return the solver's options with their method, by default `mbs` where everything is in C."""
-        is_in_c = is_compiled(self.plant, problem.representation.kernel) and not problem.functions
-        return methods.settle(problem.solver, calls_casadi=not is_in_c)
+        return choose_method(problem, self.plant)
 
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
         """Describe what clashes: the violated rows and what is at its limits, or rows that cross before any search."""
@@ -151,6 +150,12 @@ class Solver:
             order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
             self._solvers[options] = METHODS[methods.choose(options)].make(order)
         return self._solvers[options]
+
+
+def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
+    """Return the solver's options with their method, by default `mbs` where everything is in C."""
+    is_in_c = is_compiled(plant, problem.representation.kernel) and not problem.functions
+    return methods.settle(problem.solver, calls_casadi=not is_in_c)
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,8 @@ class Study:
     representations: tuple[Representation, ...]
     bumped: tuple[int, ...]  # coordinates that bumps move
     turning: tuple[int, ...] = ()  # entries of q to which the robust protocol adds whole turns
-    linear_solver: str = MUMPS  # of IPOPT, for all protocols except the robust one, which takes the fastest
-    method: SolverName = "ipopt"  # of the robust protocol
+    linear_solver: str = MUMPS  # of IPOPT, for all protocols except searches for optima, which take the fastest
+    method: SolverName = "ipopt"  # of the robust protocol, and of searches from many starts
 
     def state(self, task: Task) -> Problem:
         """State the problem of a task."""

@@ -139,9 +139,9 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
     """A solve from another solution has a low barrier; the problem's own options are kept."""
     task = Task((0, 0), (1.0, 10.0), "IMPL")
 
-    def tell(problem: Problem, *, is_held: bool, protocol: str = "robust") -> dict[str, object]:
+    def tell(problem: Problem, *, is_held: bool, protocol: str = "robust", method: str = "mbs") -> dict[str, object]:
         trial = Trial(task, protocol, "", "", Found(task, is_held))
-        chosen = choose_options(problem, trial, replace(study, method="mbs")).solver
+        chosen = choose_options(problem, trial, replace(study, method=method)).solver
         return {"method": chosen.method, **dict(chosen.options)}
 
     own = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
@@ -149,9 +149,10 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
     assert tell(study.problem, is_held=True) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
     assert tell(study.problem, is_held=False) == {"method": "mbs"}
     assert tell(study.problem, is_held=True, protocol=MULTISTART) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
-    by_ipopt = study.problem.with_solver("ipopt")
-    assert tell(by_ipopt, is_held=True, protocol=MULTISTART)["mu_init"] == 1e-6
-    assert "mu_init" not in tell(by_ipopt, is_held=False, protocol=MULTISTART)
+    assert tell(study.problem, is_held=True, protocol=MULTISTART, method="ipopt")["mu_init"] == 1e-6
+    assert "mu_init" not in tell(study.problem, is_held=False, protocol=MULTISTART, method="ipopt")
+    early = replace(study.problem, solver=replace(study.problem.solver, options=(("barrier", 0.5),)))
+    assert tell(early, is_held=True) == {"method": "mbs", "barrier": 0.5, "push": 1e-8}
     assert tell(own, is_held=True)["mu_init"] == 0.5
     pivots = replace(own, solver=replace(own.solver, options=(("mumps_pivtol", 0.1),)))
     assert tell(pivots, is_held=False) == {"method": "ipopt", "linear_solver": "mumps", "mumps_pivtol": 0.1}

@@ -127,7 +127,7 @@ def test_a_fine_mesh_is_made_coarse(reach: Problem) -> None:
 
 def test_more_starts_begin_with_the_same(arm: Peer, coarse: Problem) -> None:
     """Start k follows from the seed and k. All kinds take part, each joint that turns by every number of turns."""
-    study = state_study(coarse, arm.manifest)
+    study = state_study(coarse, arm)
     many = list_starts(study, 3, 40)
     assert many[:12] == list_starts(study, 3, 12)
     assert many[0].part == "guess"
@@ -140,7 +140,7 @@ def test_more_starts_begin_with_the_same(arm: Peer, coarse: Problem) -> None:
 
 def test_the_robust_protocol_tries_all_kinds(arm: Peer, coarse: Problem) -> None:
     """As many as are listed, of each target; more of them where input rates are free."""
-    study = replace(state_study(coarse, arm.manifest), costs=((1.0, 0.0), (1.0, 10.0)), turning=(0,))
+    study = replace(state_study(coarse, arm), costs=((1.0, 0.0), (1.0, 10.0)), turning=(0,))
     trials = plan_round(study, "robust", 0, {}, ())
     for rough, weights in enumerate(study.costs):
         for part, counts in COUNTS.items():
@@ -177,7 +177,7 @@ def test_what_was_found_is_counted_by_independent_starts(coarse: Problem, arm: P
     lines = describe_search(FOUND)
     assert "0 to 2 of 1 to 4 independent starts, at 1 of 2 targets by none; lower ones may exist" in lines[0]
     assert "lower still at 1 targets: down to 1, with +1 turn of q1, at target (0, 0)" in lines[1]
-    study = replace(state_study(coarse, arm.manifest), costs=((1.0, 0.0),), targets=TARGETS)
+    study = replace(state_study(coarse, arm), costs=((1.0, 0.0),), targets=TARGETS)
     assert list_open_tasks(study, FOUND) == []
     assert len(list_open_tasks(study, [FOUND[4]])) == 1  # solved with whole turns alone
 
@@ -214,7 +214,7 @@ def test_what_many_starts_found_is_told_as_it_is(tmp_path: Path) -> None:
 
 
 def search(problem: Problem, plant: Plant, count: int) -> Starts:
-    study, worker = state_study(problem, plant.manifest), Worker(plant)
+    study, worker = state_study(problem, plant), Worker(plant)
     trials = list_starts(study, 0, count)
     return gather(trials, [worker.carry_out(Order(study, trial, None)).attempt for trial in trials], 0)
 
