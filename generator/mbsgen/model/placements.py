@@ -51,7 +51,8 @@ def _rotate(rotation: Rotation, v: Triple) -> Triple:
     if v == ORIGIN:
         return v
     j, k = (rotation.axis + 1) % 3, (rotation.axis + 2) % 3
-    c, s = Call("cos", (rotation.angle,)), Call("sin", (rotation.angle,))
+    angle = _inner(rotation.angle)
+    c, s = Call("cos", (angle,)), Call("sin", (angle,))
     turned = list(v)
     turned[j] = add(multiply(c, v[j]), multiply(Negation(s), v[k]))
     turned[k] = add(multiply(s, v[j]), multiply(c, v[k]))
@@ -63,14 +64,14 @@ def add(a: Expression, b: Expression) -> Expression:
     """Write a + b."""
     if a == ZERO or b == ZERO:
         return b if a == ZERO else a
-    return Operation("+", a, b)
+    return Operation("+", _inner(a), _inner(b))
 
 
 def subtract(a: Expression, b: Expression) -> Expression:
     """Write a - b."""
     if b == ZERO or a == b:
         return a if b == ZERO else ZERO
-    return Negation(b) if a == ZERO else Operation("-", a, b)
+    return Negation(_inner(b)) if a == ZERO else Operation("-", _inner(a), _inner(b))
 
 
 def multiply(a: Expression, b: Expression) -> Expression:
@@ -79,9 +80,14 @@ def multiply(a: Expression, b: Expression) -> Expression:
         return ZERO
     if Number(1.0) in (a, b):
         return b if a == Number(1.0) else a
-    return Operation("*", a, b)
+    return Operation("*", _inner(a), _inner(b))
 
 
 def divide(a: Expression, b: Expression) -> Expression:
     """Write a / b."""
-    return a if b == Number(1.0) else Operation("/", a, b)
+    return a if b == Number(1.0) else Operation("/", _inner(a), _inner(b))
+
+
+def _inner(x: Expression) -> Expression:
+    """Write a part of an expression as a reader finds it there: a sign is no part of a number."""
+    return Negation(Number(-x.value)) if isinstance(x, Number) and x.value < 0 else x

@@ -35,7 +35,7 @@ STAGES_OPTIONS: Mapping[str, Option] = {
     "violation_tolerance": POSITIVE,
 }
 
-INFEASIBLE = "Infeasible_Problem_Detected"
+INFEASIBLE, OVERDETERMINED = "Infeasible_Problem_Detected", "Not_Enough_Degrees_Of_Freedom"
 STATUSES = {
     "MBS_STAGES_SOLVED": SOLVED,
     "MBS_STAGES_ACCEPTABLE": ACCEPTABLE,
@@ -90,6 +90,8 @@ def make_stages(order: Order) -> Solver:
             with lock:
                 free[key].append(solver)
         answer = _answer(program, tables[key].data, outcome)
+        if answer.status == INFEASIBLE and _count_equations(start) > np.count_nonzero(start.lower < start.upper):
+            answer = replace(answer, status=OVERDETERMINED)
         return replace(answer, preparing=preparing[0], cpu_preparing=preparing[1])
 
     return solve
@@ -118,6 +120,10 @@ def _expand(program: Program, start: Start, scaling: float) -> binding.Numbers:
     parameters = start.parameters.astype(np.float64)
     parameters[: len(program.H)] *= scaling
     return binding.Numbers(parameters, lower, upper, least, most)
+
+
+def _count_equations(start: Start) -> int:
+    return int(np.count_nonzero(start.g_lower == start.g_upper))
 
 
 def _complete(program: Prepared, x: Array) -> Array:
