@@ -114,30 +114,44 @@ class FreeBodies(Kinematics):
 
     # -- joints that follow others, or are locked ----------------------------------------------------------------------
 
-    def lead(self, name: str) -> tuple[str, Any, Any]:
-        """Follow a joint to the one that it follows in the end: its name, the ratio, the offset."""
+    def lead(self, name: str) -> tuple[dict[str, Any], Any]:
+        """Follow a joint to the ones that it follows in the end: their ratios by name, the offset."""
         if name not in self.follows:
-            return name, self.numbers.make(1.0), self.numbers.make(0.0)
+            return {name: self.numbers.make(1.0)}, self.numbers.make(0.0)
+        found: dict[str, Any] = {}
+        offset = self.number(self.follows[name].get("offset", 0.0))
+        for joint, ratio in self._rule(name).items():
+            leaders, start = self.lead(joint)
+            for leader, slope in leaders.items():
+                found[leader] = found.get(leader, self.numbers.make(0.0)) + ratio * slope
+            offset += ratio * start
+        return found, offset
+
+    def _rule(self, name: str) -> dict[str, Any]:
+        """Return the ratios of the joints that a joint follows by its own rule; `more` has the others of a sum."""
         given = self.follows[name]
-        ratio, offset = (self.number(given.get(key, x)) for key, x in (("ratio", 1.0), ("offset", 0.0)))
-        leader, slope, start = self.lead(given["joint"])
-        return leader, ratio * slope, ratio * start + offset
+        ratios = {given["joint"]: given.get("ratio", 1.0), **given.get("more", {})}
+        return {joint: self.number(ratio) for joint, ratio in ratios.items()}
 
     def fill(self, q: Values) -> dict[str, Any]:
         """Return the coordinates of all joints, from the coordinates of the joints that follow no other."""
         found = {name: self.numbers.make(x) for name, x in q.items()}
         for name in self.velocities():
-            leader, ratio, offset = self.lead(name)
-            if leader in self.locked or leader in q:
-                found[name] = ratio * self.locked.get(leader, self.numbers.make(q.get(leader, 0.0))) + offset
+            leaders, offset = self.lead(name)
+            if all(leader in self.locked or leader in q for leader in leaders):
+                found[name] = offset + sum(
+                    ratio * self.locked.get(leader, self.numbers.make(q.get(leader, 0.0)))
+                    for leader, ratio in leaders.items()
+                )
         return found
 
     def fill_rates(self, qd: Values) -> dict[str, Any]:
         """Return the velocities of all joints, or the accelerations."""
         found = {}
         for name in self.velocities():
-            leader, ratio, _ = self.lead(name)
-            found[name] = ratio * self.numbers.make(0.0 if leader in self.locked else qd[leader])
+            leaders, zero = self.lead(name)[0], self.numbers.make(0.0)
+            rates = (ratio * self.numbers.make(qd[x]) for x, ratio in leaders.items() if x not in self.locked)
+            found[name] = sum(rates, start=zero)
         return found
 
     def fold(self, shares: Mapping[str, Any], size: tuple[int, ...] = ()) -> Array:
@@ -145,9 +159,9 @@ class FreeBodies(Kinematics):
         order = {name: k for k, name in enumerate(self.names_of_velocities)}
         found = self.numbers.array(np.zeros((*size, len(order))))
         for name, share in shares.items():
-            leader, ratio, _ = self.lead(name)
-            if leader in order:
-                found[..., order[leader]] += ratio * share
+            for leader, ratio in self.lead(name)[0].items():
+                if leader in order:
+                    found[..., order[leader]] += ratio * share
         return found
 
     # -- loops --------------------------------------------------------------------------------------------------------
@@ -234,7 +248,7 @@ class FreeBodies(Kinematics):
         found = []
         while node:
             link = moved.links[node - 1]
-            if self.lead(link.names[0])[0] not in self.locked:
+            if not self.lead(link.names[0])[0].keys() <= self.locked.keys():
                 found.append(node)
             node = link.before
         return [*found, 0]
@@ -270,7 +284,9 @@ class FreeBodies(Kinematics):
         loops = [loops[k] for k in (range(len(loops)) if kept is None else kept)]
         driven = {name: own[name] - self.numbers.make((drive or {})[name]) for name in self.driven}
         ties = [jet for link in moved.links for jet in self._joint(moved, link)]
-        ties += [own[name] - self.number(x.get("ratio", 1.0)) * own[x["joint"]] for name, x in self.follows.items()]
+        for name in self.follows:
+            rule = [-ratio * own[joint] for joint, ratio in self._rule(name).items()]
+            ties.append(sum(rule, start=own[name]))
         ties += [own[name] for name in self.locked]
         G = self._rows([jet.gradient for jet in (*loops, *driven.values(), *ties)], len(A))
         given = [self.numbers.make((drive or {})[name]) for name in driven]

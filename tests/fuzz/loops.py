@@ -46,6 +46,7 @@ WORDS = {"ball": "spherical", "hinge": "revolute", "solid": "fixed"}
 ROUNDING = 1e-10  # of the largest entry: the generator's constants are rounded, and conditions are at most some 1000
 REGULAR = 0.03  # the least singular value of J, relative to the largest, of a pose that is drawn
 ATTEMPTS = 12  # at a loop that restricts the motion regularly
+SUMS = 0.4  # of the equations, linear ones of three joints
 NEAR = 0.1  # how far coordinates are from the assembled pose where functions are compared
 SMALL = 0.01  # how far from closed poses coordinates are that are to be closed
 WITH_DERIVATIVES = 25
@@ -75,6 +76,7 @@ class _Loops:
             if body["inertia"] in THIN:  # many a joint would move nothing
                 body["inertia"] = [0.05, 0.08, 0.06]
         self.source = random.Random(seed)
+        self.sums = random.Random(f"{seed} sums")  # so that they do not change the rest of the mechanism
         names = {name: x["value"] if isinstance(x, dict) else x for name, x in model["parameters"].items()}
         self.parameters = {name: x for name, x in names.items() if not isinstance(x, str)}
         program = self._program(self.model)
@@ -196,6 +198,9 @@ class _Loops:
         equation = pick.choice(
             [f"sin({a}) + l*{b}**2", f"{a} - k*{b}/2", f"exp({a}/2)*cos({b})", f"{a}*{b} + atan({a} - 2*{b})"]
         )
+        if len(plain) > 2 and self.sums.random() < SUMS:
+            c = self.sums.choice([x for x in plain if x not in (a, b)])
+            equation = self.sums.choice([f"{a} - k*{b}/2 + {c}/3", f"{a} + {b} - 2*{c}", f"l*{a} - {b}/3 - {c}"])
         here = mechanisms.value_of(equation, {**self.parameters, **self.q})
         return {"name": name, "equation": f"{equation} - {here!r}".replace("- -", "+ ")}
 
@@ -255,7 +260,7 @@ class Comparison:
     def __init__(self, mechanism: Mechanism, tree: Tree, tapes: Mapping[str, Computation], seed: int) -> None:
         self.mechanism, self.tree, self.tapes = mechanism, tree, tapes
         self.source = np.random.default_rng(seed)
-        model = express_rules(mechanism, set(tree.coordinates))
+        model = express_rules(mechanism, tree)
         numbers = (model, mechanism.parameters, DECIMALS)
         self.program = FreeBodies(*numbers, mechanism.scene)
         self.power = Absolute(*numbers, gravity=mechanism.scene.get("gravity", True))
@@ -527,22 +532,33 @@ class Comparison:
         return [self.mechanism.parameters.get(x.name, x.value) for x in self.tree.parameters if x.kind is kind]
 
 
-def express_rules(mechanism: Mechanism, coordinates: set[str]) -> dict[str, Any]:
-    """Replace linear constraints of two joints by rules of followers, for joints without coordinates."""
+def express_rules(mechanism: Mechanism, tree: Tree) -> dict[str, Any]:
+    """Replace linear constraints that a tree does not have by rules of followers, for joints without coordinates."""
     model = copy.deepcopy(mechanism.model)
     program = FreeBodies(model, mechanism.parameters, FLOATS, mechanism.scene)
     settings = dict(program.elementary())
-    missing = [name for name in program.names_of_velocities if name in settings and name not in coordinates]
-    for name in missing:
-        constraint = next(x for x in model["constraints"] if name in _names_of(x["equation"]))
-        (other,) = {x for x in _names_of(constraint["equation"]) if x in settings and x != name}
-        at = [
-            mechanisms.value_of(constraint["equation"], {**mechanism.parameters, name: a, other: b})
-            for a, b in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-        ]
-        slope = at[1] - at[0]
-        settings[name]["follows"] = {"joint": other, "ratio": -(at[2] - at[0]) / slope, "offset": -at[0] / slope}
-        model["constraints"].remove(constraint)
+    kept = {constraint.name for constraint in tree.constraints}
+    gone = [x for x in model.get("constraints", ()) if x["name"] not in kept]
+    if not gone:
+        return model
+    model["constraints"] = [x for x in model["constraints"] if x["name"] in kept]
+    names = sorted({x for constraint in gone for x in _names_of(constraint["equation"]) if x in settings})
+    free = [x for x in names if x in program.names_of_velocities and x not in tree.coordinates]
+    others = [x for x in names if x not in free]
+
+    def value(equation: str, moved: str = "") -> float:
+        at = {x: float(x == moved) for x in names}
+        return float(mechanisms.value_of(equation, {**mechanism.parameters, **at}))
+
+    start = np.array([value(x["equation"]) for x in gone])
+    slopes = {name: np.array([value(x["equation"], name) for x in gone]) - start for name in names}
+    right = np.column_stack([*(-slopes[x] for x in others), -start])
+    rules, *_ = np.linalg.lstsq(np.column_stack([slopes[x] for x in free]), right, rcond=None)
+    for name, row in zip(free, rules.tolist(), strict=True):
+        ratios = {x: ratio for x, ratio in zip(others, row, strict=False) if ratio}
+        first, *_ = ratios
+        more = {x: ratio for x, ratio in ratios.items() if x != first}
+        settings[name]["follows"] = {"joint": first, "ratio": ratios[first], "offset": row[-1], "more": more}
     return model
 
 
