@@ -132,5 +132,5 @@ def test_uses_that_do_not_know_the_time_refuse_it(folder: Path) -> None:
     file = folder / "control.ocp.yaml"
     file.write_text(PROBLEM.replace("inputs: polynomial\n", "").replace("{guess: 1, range: [0.2, 4]}", "1"))
     problem, _ = read_problem(file, lambda _: kernels)
-    with pytest.raises(ProblemError, match="forces read pull, wind, t"):
+    with pytest.raises(ProblemError, match="forces of the model read pull, wind, t"):
         make(problem, kernels, folder / "sled.yaml")
