@@ -124,7 +124,7 @@ MBSRUN = Package(
         "ocp.pictures ocp.cluster",
         "ocp.multistart",
         "ocp.summary",
-        "ocp.phases.problem ocp.phases.rates ocp.phases.addition",
+        "ocp.phases.problem ocp.phases.addition",
         "ocp.phases.chain",
         "ocp.phases.sides",
         "ocp.phases.linking",

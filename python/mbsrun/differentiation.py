@@ -1,7 +1,10 @@
-"""Expression, name -> the expression of its derivative by that name, exact.
+"""Expression, rates of names -> the derivative of the expression by the chain rule, exact.
 
-Functions with a kink (abs, max, min) are refused where their arguments read the name. `step` and `softplus` have all
-derivatives: softplus(x, w)' = step(x, w) (x' - x w'/w) + softplus(x, w) w'/w, and step' follows from z = x/w.
+    d/dt f(x) = sum over x of df/dx xd
+
+With the rate 1 of one name, it is the derivative by that name. Functions with a kink (abs, max, min) are refused where
+their arguments change. `step` and `softplus` have all derivatives: softplus(x, w)' = step(x, w) (x' - x w'/w) +
+softplus(x, w) w'/w, and step' follows from z = x/w.
 """
 
 from __future__ import annotations
@@ -48,41 +51,50 @@ _PAIRS: Mapping[str, tuple[Expression, Expression]] = {  # of functions of x and
 }
 
 
-def differentiate(expression: Expression, name: str) -> Expression:
-    """Return the derivative of an expression by a name.
+class DerivativeError(ExpressionError):
+    """An expression without a derivative, or with one that is too long."""
 
-    Raises ExpressionError for a function with a kink, and for a derivative of more than MAX_TERMS terms.
+
+def differentiate(expression: Expression, rates: Mapping[str, Expression]) -> Expression:
+    """Return the derivative of an expression; names without a rate are constant.
+
+    Raises DerivativeError for a function with a kink, and for a derivative of more than MAX_TERMS terms.
     """
-    found = _differentiate(expression, name)
+    found = _differentiate(expression, rates)
     if (terms := measure(found).terms) > MAX_TERMS:
         finding = f"a derivative has {terms} terms, of {MAX_TERMS} at most"
-        raise ExpressionError(finding, "give a shorter expression, nested less deeply")
+        raise DerivativeError(finding, "give a shorter expression, nested less deeply")
     return found
 
 
-def _differentiate(expression: Expression, name: str) -> Expression:
-    if name not in names(expression):
+def differentiate_by(expression: Expression, name: str) -> Expression:
+    """Return the derivative of an expression by a name. Raises DerivativeError as `differentiate` does."""
+    return differentiate(expression, {name: _ONE})
+
+
+def _differentiate(expression: Expression, rates: Mapping[str, Expression]) -> Expression:
+    if names(expression).isdisjoint(rates):
         return _ZERO
     match expression:
-        case Name():
-            return _ONE
+        case Name(name):
+            return rates[name]
         case Negation(operand):
-            return _negate(_differentiate(operand, name))
+            return _negate(_differentiate(operand, rates))
         case Operation(symbol, left, right):
-            return _differentiate_operation(symbol, (left, right), name)
+            return _differentiate_operation(symbol, (left, right), rates)
         case Power(base, exponent):
             slope = _multiply(Number(float(exponent)), _raise(base, exponent - 1))
-            return _multiply(slope, _differentiate(base, name))
+            return _multiply(slope, _differentiate(base, rates))
         case Call(function, arguments):
-            return _differentiate_call(function, arguments, name)
+            return _differentiate_call(function, arguments, rates)
     raise AssertionError("numbers read no name")
 
 
 def _differentiate_operation(
-    symbol: Literal["+", "-", "*", "/"], operands: tuple[Expression, Expression], name: str
+    symbol: Literal["+", "-", "*", "/"], operands: tuple[Expression, Expression], rates: Mapping[str, Expression]
 ) -> Expression:
     left, right = operands
-    a, b = _differentiate(left, name), _differentiate(right, name)
+    a, b = _differentiate(left, rates), _differentiate(right, rates)
     match symbol:
         case "+":
             return _add(a, b)
@@ -93,13 +105,14 @@ def _differentiate_operation(
     return _add(_divide(a, right), _negate(_divide(_multiply(left, b), _raise(right, 2))))
 
 
-def _differentiate_call(function: str, arguments: tuple[Expression, ...], name: str) -> Expression:
-    inner = [_differentiate(argument, name) for argument in arguments]
+def _differentiate_call(
+    function: str, arguments: tuple[Expression, ...], rates: Mapping[str, Expression]
+) -> Expression:
+    inner = [_differentiate(argument, rates) for argument in arguments]
     if function in _SLOPES:
         return _multiply(substitute(_SLOPES[function], {"x": arguments[0]}), inner[0])
     if function not in _PAIRS:
-        finding = f"{write(Call(function, arguments))} has a kink, so it is not twice differentiable"
-        raise ExpressionError(finding, SMOOTH)
+        raise DerivativeError(f"{write(Call(function, arguments))} has a kink, where it has no derivative", SMOOTH)
     values = dict(zip("xw", arguments, strict=True))
     first, second = (_multiply(substitute(slope, values), x) for slope, x in zip(_PAIRS[function], inner, strict=True))
     return _add(first, second)

@@ -7,6 +7,7 @@ not trusted, so a name that leads out of its folder is refused here, and links a
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Union
 
@@ -62,15 +63,15 @@ ScaleField = Annotated[
 ]
 
 
-class _VisualSection(PlacementSection):
+class _VisualSection(PlacementSection, ABC):
     """A shape in the frame of its body: its centre, and its orientation."""
 
     color: ColorField | None = Field(None, examples=["#0072b2"], description="else one of the palette, by body")
 
     @property
+    @abstractmethod
     def numbers(self) -> tuple[Expression, ...]:
         """The size of the shape, as the Model has it."""
-        raise NotImplementedError
 
     def make(self) -> Visual:
         """Make the part of a Model."""

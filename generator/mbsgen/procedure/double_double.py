@@ -11,14 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, TapeStage, Values
 from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Role, name_low
 from mbsgen.tape import counts
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.interpreter import run
 from mbsgen.tape.ports import Port
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import Op
 
 if TYPE_CHECKING:
     from mbsgen.procedure.adjoints import Adjoints
@@ -42,10 +42,8 @@ def make_low(port: Port) -> Port:
 
 
 @dataclass(frozen=True)
-class DoubleDouble(Stage):
+class DoubleDouble(TapeStage):
     """A straight-line program in double-double arithmetic; wires are its inputs and outputs, each in two parts."""
-
-    tape: Tape
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -63,21 +61,6 @@ class DoubleDouble(Stage):
         """List the outputs, then their second parts."""
         wires = [Wire.of(o) for o in self.tape.outputs]
         return (*wires, *map(_make_low_wire, wires))
-
-    @property
-    def tapes(self) -> tuple[Tape, ...]:
-        """Return the tape."""
-        return (self.tape,)
-
-    def with_tapes(self, tapes: Sequence[Tape]) -> DoubleDouble:
-        """Replace the tape."""
-        (tape,) = tapes
-        return replace(self, tape=tape)
-
-    @property
-    def can_fail(self) -> bool:
-        """Return whether the tape has guards."""
-        return bool(self.tape.guards)
 
     def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
         """Compute operation by operation, in the numbers at hand."""

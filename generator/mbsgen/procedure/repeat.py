@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from mbsgen.errors import TapeError
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, TapeStage, Values
 from mbsgen.procedure.straight import written
 from mbsgen.procedure.wires import Wire
 from mbsgen.tape import counts
@@ -28,7 +28,7 @@ from mbsgen.tape.interpreter import run
 from mbsgen.tape.passes import keep_results
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.reverse import sweep
-from mbsgen.tape.types import Sparsity, Tape
+from mbsgen.tape.types import Sparsity
 
 if TYPE_CHECKING:
     from mbsgen.procedure.adjoints import Adjoints
@@ -45,11 +45,10 @@ class Gather:
 
 
 @dataclass(frozen=True)
-class Repeat(Stage):
+class Repeat(TapeStage):
     """A map. A result has a column for each i, the nonzeros of the tape's output."""
 
     name: str
-    tape: Tape
     times: int
     gathers: tuple[Gather, ...]
 
@@ -78,21 +77,6 @@ class Repeat(Stage):
     def gives(self) -> tuple[Wire, ...]:
         """List the outputs of the tape, a column for each i."""
         return tuple(Wire(o.name, Sparsity.dense(o.sparsity.nnz, self.times)) for o in self.tape.outputs)
-
-    @property
-    def tapes(self) -> tuple[Tape, ...]:
-        """Return the tape."""
-        return (self.tape,)
-
-    def with_tapes(self, tapes: Sequence[Tape]) -> Repeat:
-        """Replace the tape."""
-        (tape,) = tapes
-        return replace(self, tape=tape)
-
-    @property
-    def can_fail(self) -> bool:
-        """Return whether the tape has guards."""
-        return bool(self.tape.guards)
 
     def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
         """Compute for one i after the other."""
@@ -186,7 +170,7 @@ class Repeat(Stage):
         wire = Wire(adjoints.name(f"{self.name}_local"), Sparsity.dense(len(active), self.times))
         builder.output(wire.name, Sparsity.dense(len(active)), [found[v] for v in active])
         name = adjoints.name(f"{self.name}_back")
-        back = Repeat(name, builder.build(name), self.times, tuple(gathers))
+        back = Repeat(builder.build(name), name, self.times, tuple(gathers))
         sheet = Sheet()
         given = sheet.take(wire)
         sources = {self._source(columns[v][0].name).name: self._source(columns[v][0].name) for v in active}

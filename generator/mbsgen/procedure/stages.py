@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from mbsgen.procedure.wires import Wire
 from mbsgen.tape.counts import Counts
@@ -94,6 +94,28 @@ class Stage(ABC):
     @abstractmethod
     def pull(self, adjoints: Adjoints) -> Pulled:
         """Return stages with the same results, and stages that propagate the adjoints of the results to the inputs."""
+
+
+@dataclass(frozen=True)
+class TapeStage(Stage):
+    """A stage that holds one straight-line program."""
+
+    tape: Tape
+
+    @property
+    def tapes(self) -> tuple[Tape, ...]:
+        """Return the tape."""
+        return (self.tape,)
+
+    def with_tapes(self, tapes: Sequence[Tape]) -> Self:
+        """Replace the tape."""
+        (tape,) = tapes
+        return replace(self, tape=tape)
+
+    @property
+    def can_fail(self) -> bool:
+        """Return whether the tape has guards."""
+        return bool(self.tape.guards)
 
 
 @dataclass(frozen=True)

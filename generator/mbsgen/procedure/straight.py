@@ -7,11 +7,11 @@ pull    wbar = (dz/dw)T zbar, operation by operation, from the last to the first
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbsgen.procedure.sheet import Sheet
-from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, Values
+from mbsgen.procedure.stages import Arithmetic, Outcome, Pulled, Stage, TapeStage, Values
 from mbsgen.procedure.wires import Wire
 from mbsgen.tape import counts
 from mbsgen.tape.builder import Scalar
@@ -21,7 +21,6 @@ from mbsgen.tape.interpreter import run
 from mbsgen.tape.passes import drop_unused_inputs, keep_results
 from mbsgen.tape.replay import replay, replay_guards
 from mbsgen.tape.reverse import sweep
-from mbsgen.tape.types import Tape
 
 if TYPE_CHECKING:
     from mbsgen.procedure.adjoints import Adjoints
@@ -29,10 +28,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Straight(Stage):
+class Straight(TapeStage):
     """A straight-line program; wires are its inputs and outputs, by name."""
-
-    tape: Tape
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -48,21 +45,6 @@ class Straight(Stage):
     def gives(self) -> tuple[Wire, ...]:
         """List the outputs of the tape."""
         return tuple(Wire.of(o) for o in self.tape.outputs)
-
-    @property
-    def tapes(self) -> tuple[Tape, ...]:
-        """Return the tape."""
-        return (self.tape,)
-
-    def with_tapes(self, tapes: Sequence[Tape]) -> Straight:
-        """Replace the tape."""
-        (tape,) = tapes
-        return replace(self, tape=tape)
-
-    @property
-    def can_fail(self) -> bool:
-        """Return whether the tape has guards."""
-        return bool(self.tape.guards)
 
     def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
         """Compute operation by operation."""

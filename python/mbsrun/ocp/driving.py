@@ -23,7 +23,7 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.expressions import Expression, ExpressionError, evaluate, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.closure import RANK, find_closure
-from mbsrun.differentiation import differentiate
+from mbsrun.differentiation import differentiate_by
 from mbsrun.ocp import schemes
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Conflict, Drive, Form, Problem, Range
@@ -44,8 +44,8 @@ Finding = tuple[int | None, str, str]  # the number of a motion, if it is one; f
 def derive(text: str) -> tuple[Expression, Expression, Expression]:
     """Return the expressions of coordinate, velocity and acceleration. Raises ExpressionError for a kink."""
     place = parse(text)
-    velocity = differentiate(place, TIME)
-    return place, velocity, differentiate(velocity, TIME)
+    velocity = differentiate_by(place, TIME)
+    return place, velocity, differentiate_by(velocity, TIME)
 
 
 def varies(text: str, problem: Problem) -> bool:

@@ -33,7 +33,7 @@ from mbsrun.ocp.problem import Form, Problem
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.ocp.solution import Failure, Round, Rounds, Solution
-from mbsrun.ocp.solve import Solver, Watch, settle
+from mbsrun.ocp.solve import Solver, Watch, choose_method, settle
 from mbsrun.ocp.trajectory import Trajectory, resample
 
 Show = Callable[[Round], None]
@@ -99,7 +99,7 @@ def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | No
     scheme = schemes.build(problem.family, problem.degree)
     begin = resample(motion, *problem.grid.times(float(motion.t[-1]), scheme.points))
     solver = Solver(problem, plant)
-    near = replace(problem, solver=methods.warm(solver.choose_method(problem)))
+    near = replace(problem, solver=methods.warm(choose_method(problem, plant)))
     outcome = solver.solve(near, begin, watch)
     if isinstance(outcome, Failure):
         guess = make_guess(problem, plant, scheme)

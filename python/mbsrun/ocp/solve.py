@@ -101,10 +101,6 @@ class Solver:
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         return solution
 
-    def choose_method(self, problem: Problem) -> SolverOptions:
-        """Return the solver's options with their method, by default `mbs` where everything is in C."""
-        return choose_method(problem, self.plant)
-
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
         """Describe what clashes: the violated rows and what is at its limits, or rows that cross before any search."""
         own = self.transcription
@@ -122,7 +118,7 @@ class Solver:
 
         start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else report(watch))
         run, found, clash = call(self._solver(problem), start)
-        return replace(run, method=methods.choose(self.choose_method(problem))), found, clash
+        return replace(run, method=methods.choose(choose_method(problem, self.plant))), found, clash
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         transcription = self.transcription
@@ -144,7 +140,9 @@ class Solver:
     def _solver(self, problem: Problem) -> methods.Solver:
         """Make the solver with the options of a problem, once for all that have the same."""
         weight = max(map(abs, problem.cost.weights))
-        options = replace(self.choose_method(problem), objective_scaling=problem.solver.objective_scaling or 1 / weight)
+        options = replace(
+            choose_method(problem, self.plant), objective_scaling=problem.solver.objective_scaling or 1 / weight
+        )
         if options not in self._solvers:
             scaling = options.objective_scaling or 1.0
             order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))

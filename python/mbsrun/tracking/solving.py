@@ -20,7 +20,7 @@ from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver, settle
+from mbsrun.ocp.solve import Solver, choose_method, settle
 from mbsrun.ocp.trajectory import Trajectory, average_inputs, move_ahead
 from mbsrun.tracking.controller import Decision
 from mbsrun.tracking.trial import Horizon
@@ -74,7 +74,7 @@ class SolvingController:
         if isinstance(outcome, Failure):
             return Decision(self.planned(self._time), run.status, False, run.iterations, run.cpu_seconds, math.nan)
         if self._plan is None:
-            self._problem = replace(self._problem, solver=methods.warm(self._solver.choose_method(self._problem)))
+            self._problem = replace(self._problem, solver=methods.warm(choose_method(self._problem, self._plant)))
         self._plan, self._begun = outcome.trajectory, self._time
         return Decision(
             self.planned(self._time), run.status, True, run.iterations, run.cpu_seconds, outcome.violation.constraints

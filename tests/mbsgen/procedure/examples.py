@@ -76,7 +76,7 @@ def repeat() -> Procedure:
     x = builder.vector("x", 3)
     builder.guard(x[2], builder.number(1.0), 16.0, 5)
     builder.output_dense("z", [[builder.sin(a) * x[2]], [a * a / x[2]]])
-    stage = Repeat("each", builder.build("each"), 3, (Gather("a", X, ((0,), (1,), (0,))),))
+    stage = Repeat(builder.build("each"), "each", 3, (Gather("a", X, ((0,), (1,), (0,))),))
     return Procedure(Function("repeat"), (X,), (stage,), stage.gives)
 
 

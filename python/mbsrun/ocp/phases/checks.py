@@ -16,11 +16,11 @@ import numpy as np
 from mbsgen.documents import Place, abbreviate, nearest, write_path
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
+from mbsrun.differentiation import DerivativeError, differentiate
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.methods import METHODS, choose
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import (
     END,
     START,
@@ -330,9 +330,10 @@ def _check_expression(place: Place, text: str, known: Sequence[str]) -> Iterator
 def _check_rate(place: Place, text: str, before: Manifest) -> Iterator[PhaseFault]:
     try:
         differentiate(parse(text), {name: parse("1") for name in spell_coordinates(before)})
-    except ExpressionError as error:
-        if "rate" in error.finding:
-            yield PhaseFault(place, error.finding, error.remedy)
+    except DerivativeError as error:
+        yield PhaseFault(place, error.finding, error.remedy)
+    except ExpressionError:
+        return  # another check refuses what cannot be read
 
 
 def _suggest(name: str, known: Sequence[str] | Mapping[str, object]) -> str | None:

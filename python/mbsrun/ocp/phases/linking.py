@@ -17,13 +17,13 @@ import numpy as np
 from scipy import sparse
 
 from mbsgen.expressions import Expression, Name, Number, names, parse, substitute
+from mbsrun.differentiation import differentiate
 from mbsrun.ocp import formulas
 from mbsrun.ocp.design import list_fixed_values, order_design, read_design
 from mbsrun.ocp.functions import Formula, Indices, Input, KernelResult
 from mbsrun.ocp.layout import Entries
 from mbsrun.ocp.phases.addition import Offsets
 from mbsrun.ocp.phases.problem import Condition, Map
-from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_velocities
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Term

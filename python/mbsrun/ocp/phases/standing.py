@@ -18,10 +18,10 @@ import numpy as np
 
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Name, evaluate, parse, substitute
 from mbsrun.closure import find_closure
+from mbsrun.differentiation import differentiate
 from mbsrun.ocp.contacts import find_velocities, list_entries
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
-from mbsrun.ocp.phases.rates import differentiate
 from mbsrun.ocp.phases.sides import spell_coordinates, spell_velocities
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact
