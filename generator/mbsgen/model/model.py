@@ -196,6 +196,7 @@ class Body:
     com: Triple = ORIGIN  # centre of mass, in the body's frame
     inertia: Inertia = Inertia()
     visuals: tuple[Visual, ...] = ()
+    is_list: bool = field(default=False, compare=False)  # the file lists the joints, each with its own place
 
     @property
     def joints(self) -> tuple[Joint, ...]:

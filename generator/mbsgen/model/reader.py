@@ -80,6 +80,7 @@ def _make_body(section: schema.BodySection) -> Body:
         com=section.com,
         inertia=_make_inertia(section),
         visuals=make_visuals(section.visual),
+        is_list=isinstance(section.joint, tuple),
     )
 
 

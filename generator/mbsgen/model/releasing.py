@@ -153,7 +153,7 @@ class _Release:
             row = self._row(step.name, step.joint.row)
             return replace(self._joint(step, place_joint(row)), row=row)
         steps = [*list_steps(i, body)]
-        if describe_joint(body) is None:
+        if body.is_list or describe_joint(body) is None:
             return tuple(self._joint(step, self._placement(step.name, step.joint.placement)) for step in steps)
         first, *rest = steps  # a joint with one name has one place, the first joint's
         placement = self._placement(body.name, first.joint.placement)

@@ -120,9 +120,9 @@ def _write_visual(visual: Visual) -> Mapped:
 
 
 def _write_carrier(body: Body) -> Value:
-    described = describe_joint(body)
+    described = None if body.is_list else describe_joint(body)
     if described is None:
-        return [_write_carrier(replace(body, joint=joint)) for joint in body.joints]
+        return [_write_carrier(replace(body, joint=joint, is_list=False)) for joint in body.joints]
     content: Mapped = {"type": described.type}
     content |= {key: _write_field(value) for key, value in described.fields.items()}
     content |= _write_placement(described.placement)

@@ -139,6 +139,13 @@ bodies:
     joint: {type: dh, convention: modified, motion: prismatic, a: 0.3, alpha: pi/2, d: 0.1, theta: m/8}
     mass: 1
     com: [0, 0.1, -1]
+  - name: wrist
+    parent: lower
+    joint: # the same as a cardan joint, by other names
+      - {name: pitch, type: revolute, axis: y, position: [0, 0, 0.4]}
+      - {type: revolute, axis: x, position: [0, 0, 0]}
+    mass: 1
+    com: [0.1, 0, -0.3]
 frames:
   - {name: tip, body: lower, orientation: {rpy: [0.1, 0.2, pi/2]}}
 """
@@ -155,6 +162,7 @@ def test_parameters_are_the_numbers_of_other_forms(zeros: bool, tmp_path: Path) 
         "base plate.inertia.about.x",
         "base plate.inertia.zz",
         "elbow.position.z",
+        "pitch.position.z",
         "elbow.a",
         "elbow.alpha",
         "elbow.d",
