@@ -13,10 +13,11 @@ from mbsrun.external import load_on_demand
 from mbsrun.ocp.multistart import Wish
 from mbsrun.ocp.phases.files import SOLUTION, write_files
 from mbsrun.ocp.phases.multistart import solve_phases_from_many
-from mbsrun.ocp.phases.placing import naming_guess
+from mbsrun.ocp.phases.placing import name_guesses
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
+from mbsrun.ocp.phases.recorded import find_phased_guess
 from mbsrun.ocp.phases.refinement import refine_phases
-from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution, read_phased_guess
+from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
@@ -42,16 +43,10 @@ def solve_file(
         problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
     if accuracy is not None:
         problem = _ask(problem, accuracy)
-    solution_file = problem.phases[0].problem.guess.solution
-    is_own = other is None and solution_file is not None
-    if other is None and solution_file is not None:
-        other = file.parent / solution_file
-    if wish is not None and other is not None:
+    has_own = any(phase.problem.guess.solution is not None for phase in problem.phases)
+    if wish is not None and (other is not None or has_own):
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
-    names = tuple(phase.name for phase in problem.phases)
-    manifests = tuple(plant.manifest for plant in plants.phases)
-    with naming_guess(file, is_own=is_own):
-        guess = None if other is None else read_phased_guess(other, names, manifests)
+    guess = find_phased_guess(problem, plants, file.parent, other, name_guesses(file))
     out = out or Path(f"{problem.name}.solution")
     outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
     if outcome is None:
@@ -92,7 +87,7 @@ def _describe(name: str, last: Round) -> str:
     return f"phase {name}: {len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
-def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | None) -> PhasedSolution | PhasedFailure:
+def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess) -> PhasedSolution | PhasedFailure:
     with MESSAGES.status("making the program") as status:
 
         def show(progress: Progress) -> None:

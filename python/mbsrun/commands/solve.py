@@ -108,8 +108,8 @@ Exit codes
     "other",
     type=click.Path(path_type=Path),
     metavar="SOLUTION",
-    help="A solution.json to start from, or a recorded motion (.csv, .mot, .sto); its grid, horizon and "
-    "representation may be others.",
+    help="A solution.json to start from, or a recorded motion (.csv, .mot, .sto); for phases also a folder of tables. "
+    "Grid, horizon and representation may be others.",
 )
 @click.option(
     "--guess-inputs",

@@ -243,6 +243,7 @@ class GuessOptions:
     motion: GuessedMotion = "interpolation"  # smoothly from the start to that pose; evenly; or staying at the start
     inputs: Inputs = "dynamic"  # 0, the forces that hold each pose, or the inverse dynamics of the motion
     solution: str | None = None  # a solution's file to start from instead, beside the problem's
+    times: tuple[float | None, float | None] = (None, None)  # the part of a recording [s]; None: its first or last time
     start: tuple[tuple[int, float], ...] = ()  # index into q, guess of a coordinate that is free at the start
     end: tuple[tuple[int, float], ...] = ()  # index into q, guess at the end; given any, no pose is searched
 

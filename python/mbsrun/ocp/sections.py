@@ -30,10 +30,16 @@ from mbsrun.ocp.problem import (
 from mbsrun.ocp.schemes import DEGREES, Family
 from mbsrun.recordings import READERS, Treatment
 
-GUESSES = (".json", ".csv", ".mot", ".sto")  # files
+SOLUTION = ".json"
+GUESSES = (SOLUTION, ".csv", ".mot", ".sto")  # files
 MAX_EXPRESSIONS = 100  # of one kind
 
 T = TypeVar("T", bound=Sized)
+
+
+def is_solution(path: Path) -> bool:
+    """Return whether a guess's file is named as a solution, not as a recording."""
+    return path.suffix.lower() == SOLUTION
 
 
 def _read_formula(value: Any) -> str:
@@ -279,6 +285,7 @@ class GuessSection(Section):
     motion: GuessedMotion = Field(default="interpolation", examples=["interpolation"])
     inputs: Literal["zero", "static", "dynamic"] = Field(default="dynamic", examples=["dynamic"])
     solution: Annotated[str, AfterValidator(_check_solution)] | None = Field(default=None, examples=["solution.json"])
+    times: RangeField = Field(default=(None, None), examples=[[0.0, 1.0]])
     start: dict[str, NumberField] = Field(default={}, examples=[{}])
     end: dict[str, NumberField] = Field(default={}, examples=[{}])
 

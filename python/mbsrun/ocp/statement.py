@@ -91,6 +91,7 @@ from mbsrun.ocp.sections import (
     SolverSection,
     StartSection,
     TermSection,
+    is_solution,
 )
 from mbsrun.quaternions import (
     Quaternion,
@@ -705,7 +706,25 @@ class _Reading(PartReading):
                 place: Place = ("guess", "start", self.coordinates.known[i])
                 self.fault(place, "this coordinate has a value at the start", "leave it out, or free it by null there")
         end = self.guessed_pose("end", section.end, bounds)
-        return GuessOptions(section.upright, section.motion, section.inputs, section.solution, start, end)
+        return GuessOptions(
+            section.upright, section.motion, section.inputs, section.solution, self.guessed_times(section), start, end
+        )
+
+    def guessed_times(self, section: GuessSection) -> tuple[float | None, float | None]:
+        """Read the part of a recording that is a guess."""
+        first, last = (
+            None if limit is None else self.number(("guess", "times", i), limit)
+            for i, limit in enumerate(section.times)
+        )
+        place: Place = ("guess", "times")
+        if first is not None and last is not None and first >= last:
+            self.fault(place, f"{first:g} is not before {last:g}", "give [from, to], in s of the recording")
+        if (first, last) != (None, None):
+            if section.solution is None:
+                self.fault(place, "there is no recording to take a part of", "give it as solution, or leave this out")
+            elif is_solution(Path(section.solution)):
+                self.fault(place, "a solution is taken as a whole", "leave it out, or give a recording as solution")
+        return first, last
 
     def guessed_pose(self, key: str, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
         """Read guesses of coordinates at the start or at the end."""

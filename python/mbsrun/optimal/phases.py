@@ -21,10 +21,12 @@ from mbsrun.ocp.methods import choose
 from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.phases.recorded import find_phased_guess
 from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import (
     Guess,
     LinkValues,
+    PartialGuess,
     PhasedFailure,
     PhasedSolution,
     read_phased_guess,
@@ -286,7 +288,8 @@ class PhasedControl:
 
     def load(self, path: str | Path) -> SolvedPhases:
         """Read a solution of this problem's models from a file. Raises InputError for a file that is not one."""
-        self._read_guess(Path(path))
+        names = tuple(phase.name for phase in self.value.phases)
+        read_phased_guess(Path(path), names, tuple(plant.manifest for plant in self.plants.phases))
         return SolvedPhases(read_phased_solution(Path(path)), self.plants)
 
     def describe(self) -> dict[str, str]:
@@ -308,18 +311,13 @@ class PhasedControl:
     def _repr_html_(self) -> str:
         return display.write_table(f"problem {self.name}", self.describe())
 
-    def _find_guess(self, guess: SolvedPhases | Guess | str | Path | None) -> Guess | None:
+    def _find_guess(self, guess: SolvedPhases | Guess | str | Path | None) -> Guess | PartialGuess:
         if isinstance(guess, SolvedPhases):
             known = tuple(guess.unknowns.items())
             return Guess(tuple(phase.trajectory for phase in guess.solution.phases), known)
-        if isinstance(guess, str | Path):
-            return self._read_guess(Path(guess))
-        own = self.value.phases[0].problem.guess.solution
-        return self._read_guess(self.folder / own) if guess is None and own is not None else guess
-
-    def _read_guess(self, path: Path) -> Guess:
-        names = tuple(phase.name for phase in self.value.phases)
-        return read_phased_guess(path, names, tuple(plant.manifest for plant in self.plants.phases))
+        if isinstance(guess, Guess):
+            return guess
+        return find_phased_guess(self.value, self.plants, self.folder, None if guess is None else Path(guess))
 
 
 @dataclass(frozen=True)

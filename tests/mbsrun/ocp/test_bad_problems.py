@@ -79,6 +79,7 @@ def folder(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFact
     found = tmp_path_factory.mktemp("bad")
     (found / "leg.yaml").write_text(LEG, "utf-8")
     (found / "walk.csv").write_text(CSV, "utf-8")
+    (found / "all.csv").write_text("t,x,z,hip,knee\n" + "".join(f"{k / 4},0,0,0,0\n" for k in range(5)), "utf-8")
     for name in ("five_bar.yaml", "satellite.yaml", "driven/turntable_arm.yaml"):
         (found / Path(name).name).write_text((MODELS / name).read_text("utf-8"), "utf-8")
     return found

@@ -1,4 +1,4 @@
-"""A first guess of all phases: each phase's own, from where the guess of the phase before ends.
+"""A first guess of all phases: each phase's own, from where the guess of the phase before ends; some may be known.
 
 A start that a phase leaves free is guessed by the link that leads to it, from an earlier phase in the problem's order.
 Variables of links, such as impulses, solve the rows of links at these trajectories.
@@ -15,11 +15,11 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.closure import has_loops
 from mbsrun.ocp import schemes
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.guess import Pose, make_guess
+from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.phases.linking import Defined
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import spell_coordinates
-from mbsrun.ocp.phases.solution import Guess
+from mbsrun.ocp.phases.solution import OWN_GUESS, Guess, PartialGuess
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.program import Matrix
@@ -34,11 +34,15 @@ class Unreached:
     pose: Pose
 
 
-def guess_phases(problem: PhasedProblem, plants: Plants) -> Guess | Unreached:
-    """Make the guess that a problem describes."""
+def guess_phases(problem: PhasedProblem, plants: Plants, given: PartialGuess = OWN_GUESS) -> Guess | Unreached:
+    """Make the guess that a problem describes, of the phases that are not given."""
     found: list[Trajectory] = []
+    known = dict(given.trajectories)
     for k, (phase, plant) in enumerate(zip(problem.phases, plants.phases, strict=True)):
         own = phase.problem
+        if phase.name in known:
+            found.append(adapt_motion(own, known[phase.name]))
+            continue
         for link in problem.links:
             source = problem.find(link.source)
             if link.target == phase.name and source < k:
@@ -47,7 +51,20 @@ def guess_phases(problem: PhasedProblem, plants: Plants) -> Guess | Unreached:
         if isinstance(motion, Pose):
             return Unreached(k, motion)
         found.append(motion)
-    return Guess(tuple(found))
+    return Guess(tuple(found), given.unknowns)
+
+
+def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:
+    """Read a guess on the grids of a problem's phases."""
+    pairs = zip(problem.phases, guess.trajectories, strict=True)
+    return replace(guess, trajectories=tuple(adapt_motion(phase.problem, motion) for phase, motion in pairs))
+
+
+def adapt_motion(own: Problem, motion: Trajectory) -> Trajectory:
+    """Read a motion on the grid of a phase, whose horizon it guesses where that is free."""
+    if own.horizon_range is not None:
+        own = replace(own, horizon=float(np.clip(motion.t[-1], *own.horizon_range)))
+    return adapt(motion, own, schemes.build(own.family, own.degree))
 
 
 def _carry_on(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +16,7 @@ from typing import TypeVar
 from mbsgen.documents import Data, Document, Place, read_document, refuse
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.phases.recorded import Name
 from mbsrun.ocp.phases.statement import find_in_file
 from mbsrun.ocp.statement import PHASED
 from mbsrun.reading import overlay, relate
@@ -70,6 +71,16 @@ def naming_guess(file: Path, *, is_own: bool) -> Iterator[None]:
         if not is_own:
             raise
         raise refuse(relate(error.faults, read_document(file), ("guess", "solution"))) from None
+
+
+def name_guesses(file: Path) -> Name:
+    """Return the function that names the lines of a problem file which give the guesses of its phases."""
+
+    def name(phase: int | None, faults: Sequence[Fault]) -> list[Fault]:
+        document, place = read_document(file), ("guess", "solution")
+        return relate(faults, document, place if phase is None else find_in_file(document, phase, place))
+
+    return name
 
 
 def place_findings(error: ProblemError, document: Document) -> InputError:

@@ -116,6 +116,17 @@ class Guess:
     unknowns: tuple[tuple[str, float], ...] = ()
 
 
+@dataclass(frozen=True)
+class PartialGuess:
+    """Trajectories of some phases, by name, and values of unknowns; a problem guesses the other phases by itself."""
+
+    trajectories: tuple[tuple[str, Trajectory], ...] = ()
+    unknowns: tuple[tuple[str, float], ...] = ()
+
+
+OWN_GUESS = PartialGuess()
+
+
 @dataclass(frozen=True, eq=False)
 class _File:
     format: Literal["mbsrun phases 1"]
@@ -155,9 +166,6 @@ def read_phased_solution(path: Path) -> PhasedSolution:
 
 def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manifest, ...]) -> Guess:
     """Read the motions of a solution, to start from. Raises InputError for other phases or mechanisms."""
-    if path.suffix.lower() != ".json":
-        remedy = "give the solution.json of a problem with these phases"
-        raise InputError([Fault(str(path), 0, "", "a recorded motion is no guess for several phases", remedy)])
     solution, faults, found = read_phased_solution(path), [], []
     for name, manifest in zip(names, manifests, strict=True):
         inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)

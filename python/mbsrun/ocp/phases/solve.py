@@ -13,18 +13,25 @@ from functools import cached_property
 
 import numpy as np
 
-from mbsrun.ocp import methods, schemes
+from mbsrun.ocp import methods
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.guess import adapt
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases, name_phase
-from mbsrun.ocp.phases.guess import Unreached, guess_phases, solve_links
+from mbsrun.ocp.phases.guess import Unreached, adapt_guess, guess_phases, solve_links
 from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
-from mbsrun.ocp.phases.solution import Guess, Impulse, LinkValues, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import (
+    OWN_GUESS,
+    Guess,
+    Impulse,
+    LinkValues,
+    PartialGuess,
+    PhasedFailure,
+    PhasedSolution,
+)
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
 from mbsrun.ocp.problem import SolverOptions
 from mbsrun.ocp.program import Matrix
@@ -253,7 +260,10 @@ def _measure_part(own: PhasedTranscription, k: int) -> Size:
 
 
 def solve_phases(
-    problem: PhasedProblem, plants: Plants, watch: Watch | None = None, guess: Guess | None = None
+    problem: PhasedProblem,
+    plants: Plants,
+    watch: Watch | None = None,
+    guess: Guess | PartialGuess = OWN_GUESS,
 ) -> PhasedSolution | PhasedFailure:
     """Solve a problem of phases from a guess, by default the one that it describes; a guess may be on any grids.
 
@@ -267,13 +277,13 @@ def solve_phases(
 
 
 def prepare_phases(
-    problem: PhasedProblem, plants: Plants, guess: Guess | None = None
+    problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess = OWN_GUESS
 ) -> tuple[PhasedSolver, Guess] | PhasedFailure:
     """Return the solver of a problem, and its guess on the grids of the phases; a failure where there is no guess."""
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
     _check_states(problem, plants)
-    start = guess_phases(problem, plants) if guess is None else adapt_guess(problem, guess)
+    start = adapt_guess(problem, guess) if isinstance(guess, Guess) else guess_phases(problem, plants, guess)
     if isinstance(start, Unreached):
         finding, remedy = describe_unreachable(start.pose)
         finding = f"phase {problem.phases[start.phase].name}: {finding}"
@@ -303,17 +313,6 @@ def _settle(problem: PhasedProblem, plants: Plants, guess: Guess) -> tuple[Phase
     if findings:
         raise ProblemError(problem.name, findings)
     return tuple(settled)
-
-
-def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:
-    """Read a guess on the grids of a problem's phases."""
-    adapted = []
-    for phase, motion in zip(problem.phases, guess.trajectories, strict=True):
-        own = phase.problem
-        if own.horizon_range is not None:
-            own = replace(own, horizon=float(np.clip(motion.t[-1], *own.horizon_range)))
-        adapted.append(adapt(motion, own, schemes.build(own.family, own.degree)))
-    return replace(guess, trajectories=tuple(adapted))
 
 
 def resimulate_phases(solution: PhasedSolution, plants: Plants) -> PhasedSolution:

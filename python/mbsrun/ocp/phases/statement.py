@@ -24,6 +24,7 @@ from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProb
 from mbsrun.ocp.phases.sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Contact, Problem, Range, Term
+from mbsrun.ocp.sections import is_solution
 from mbsrun.ocp.statement import PHASED, name_problem, read_phase
 from mbsrun.reading import Reading, overlay, relate
 
@@ -192,9 +193,7 @@ def _read_phase(
         for key in SHARED
         if key in own
     ]
-    if isinstance(own.get("guess"), dict) and "solution" in own["guess"]:  # type: ignore[operator]
-        remedy = "move it out of the phase: one file holds all phases"
-        faults.append(document.fault((*place, "guess", "solution"), "the solution is of the whole problem", remedy))
+    faults += _find_wrong_solution(document, k, own)
     name = str(own.get("name", ""))
     usual: dict[str, Data] = {"cost": {"inputs": 0.0}} if "cost" not in data else {}
     if name in linked:
@@ -219,6 +218,22 @@ def _read_phase(
     if extension is not None and problem is not None:
         problem = extension.extend(problem, merged)
     return _Read(name, problem, plant, [*faults, *found], stand_ins)
+
+
+def _find_wrong_solution(document: Document, k: int, own: Mapping[str, Data]) -> Iterator[Fault]:
+    """Find a solution that a phase has by itself, and a recording of the file that is not divided among the phases."""
+    data = document.data if isinstance(document.data, dict) else {}
+    place: Place = ("phases", k, "guess")
+    usual, given = (part.get("guess") for part in (data, own))
+    own_guess, usual_guess = (part if isinstance(part, dict) else {} for part in (given, usual))
+    if isinstance(chosen := own_guess.get("solution"), str) and is_solution(Path(chosen)):
+        remedy = "move it out of the phase: one file holds all phases; or give the phase a recording"
+        yield document.fault((*place, "solution"), "the solution is of the whole problem", remedy)
+    shared, phases = usual_guess.get("solution"), data.get("phases")
+    is_undivided = isinstance(phases, list) and len(phases) > 1 and own_guess.keys().isdisjoint(("solution", "times"))
+    if is_undivided and isinstance(shared, str) and not is_solution(Path(shared)):
+        finding = f"phase {own.get('name')} takes the whole recording, as other phases do"
+        yield document.fault(("guess", "solution"), finding, "give the phase guess: {times: [from, to]}")
 
 
 def _pick_faults(document: Document, k: int) -> Mapping[Place, Fault]:

@@ -126,7 +126,8 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
     "solution of a phase": (
         "    intervals: 4",
         "    guess: {solution: a.json}",
-        "phases[1].guess.solution: the solution is of the whole problem; move it out of the phase",
+        "phases[1].guess.solution: the solution is of the whole problem; move it out of the phase: one file holds all "
+        "phases; or give the phase a recording",
     ),
     "number of a phase": ("{cart: way}", "{cart: wy}", "phases[0].start.pose.cart: unknown name"),
     "number of the file": ("horizon: 1", "horizon: -1", "horizon: found -1; give a positive number"),
