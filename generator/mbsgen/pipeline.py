@@ -15,8 +15,11 @@ from mbsgen.appearance import describe_appearance
 from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
+from mbsgen.equations import Motion as Equations
+from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
+from mbsgen.expressions import Number
 from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
@@ -196,6 +199,29 @@ def _find_place(place: Place, data: Any) -> Place:
 def release(model: Model, scene: Scene, *, zeros: bool = False) -> Model:
     """Return the part of a model that a scene needs, with its numbers as run-time parameters."""
     return stage(with_runtime_numbers(apply_kinds(model, scene), zeros=zeros), scene)
+
+
+def derive_equations(
+    model: Path | Model, options: Options, parameters: Mapping[str, float], *, numbers: bool
+) -> tuple[Equations, str]:
+    """Derive the equations of motion that a call with the same options generates kernels of, and hash the mechanism.
+
+    `parameters` replace values of the model. numbers: only parameters of the run time are symbols, else all of them.
+    Raises InputError with every fault of the file, SizeError for equations that are too long.
+    """
+    whole = read(model)
+    request = merge(options, _read_scene(options.scene, whole))
+    staged = _stage(whole, request.scene, options.scene)
+    shown = release(whole, request.scene, zeros=request.zeros) if request.runtime else staged
+    present = (replace(p, value=Number(parameters[p.name])) if p.name in parameters else p for p in shown.parameters)
+    shown = replace(shown, parameters=tuple(present))
+    with _locating(model):
+        tree = build_numeric(shown) if numbers else build_symbolic(shown)
+    try:
+        return derive(tree), identify_mechanism(staged)
+    except SizeError as error:
+        remedy = "" if numbers else "there are fewer with numbers in place of names; "
+        raise SizeError(f"{error}; {remedy}`mbsgen equations --form lines` prints any equations") from None
 
 
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,15 +15,46 @@ from mbsgen.manifest import Kernel, Manifest
 from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_unneeded, split_kernel
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
-from mbsrun.models import WHOLE, Extent, find_folder, is_model
+from mbsrun.models import WHOLE, Extent, derive_equations, find_folder, is_model
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
 LOOPS = ("loops", "loop_rates", "loop_jacobian", "loop_forces")  # short, and a program that needs one needs others
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The model file, and the part of it, that kernels are generated from."""
+
+    path: Path
+    extent: Extent
+
+
 class Mechanism(Kernels):
-    """The kernels of a generated folder, for NumPy and for CasADi."""
+    """The kernels of a generated folder, for NumPy and for CasADi; of a model file, also its equations."""
+
+    def __init__(
+        self, folder: str | Path, parameters: Mapping[str, float] | None = None, origin: Origin | None = None
+    ) -> None:
+        """Read the folder's manifest. `parameters` replace the model's values; the origin is the model's file."""
+        super().__init__(folder, parameters)
+        self._origin = origin
+
+    def symbolic(self, *, numbers: bool = False) -> Any:
+        """Return the equations of motion as SymPy's objects: an `mbsgen.equations.Motion` with the present parameters.
+
+        Its matrices M, c, g, applied, h and J make M qdd + c + g = applied and, with loops, h = 0. Named parameters
+        are symbols, with their numbers in `values`; numbers: only run-time and differentiated ones are. Raises
+        ArgumentError for the kernels of a generated folder and for a file that has changed, SizeError for equations
+        that are too long.
+        """
+        if self._origin is None:
+            raise ArgumentError(f"{self.folder} holds code and no equations; load the file of its model")
+        path, extent = self._origin.path, self._origin.extent
+        equations, mechanism = derive_equations(path, extent, self.parameters, numbers=numbers)
+        if mechanism != self.manifest.mechanism:
+            raise ArgumentError(f"{path} has another mechanism than when it was loaded; load it again")
+        return equations
 
     def casadi(self, name: str, *, design: bool = False) -> ca.Function:
         """Return a kernel as a CasADi function of the manifest's inputs, with the present parameters.
@@ -163,4 +195,6 @@ def load(path: str | Path, parameters: Mapping[str, float] | None = None, extent
     the user's names. Raises InputError for a folder without a manifest or a model with faults, CompileError when the
     compiler fails.
     """
-    return Mechanism(find_folder(Path(path), extent), parameters)
+    path = Path(path)
+    origin = Origin(path.absolute(), extent) if is_model(path) else None
+    return Mechanism(find_folder(path, extent), parameters, origin)

@@ -54,18 +54,9 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
         return path
 
     def make(building: Path) -> Path:
-        from mbsgen.pipeline import Options, generate  # only here, and late: kernels are called without SymPy
+        from mbsgen.pipeline import generate  # only here, and late: kernels are called without SymPy
 
-        options = Options(
-            runtime=extent.runtime,
-            functions=extent.functions,
-            optional=extent.optional,
-            derivatives=extent.derivatives,
-            targets=extent.targets,
-        )
-        reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
-        options = replace(options, reductions=reductions, scene=extent.scene or options.scene)
-        generate(path, building / "generated", options)
+        generate(path, building / "generated", _make_options(extent))
         if fingerprint(path, extent) != name:
             raise _ChangedError
         return building / "generated"
@@ -76,6 +67,32 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
             return find_or_make(PurePath(MODELS, name), make)
         except _ChangedError:
             continue
+
+
+def _make_options(extent: Extent) -> Any:
+    """Return the generator's options for an extent."""
+    from mbsgen.pipeline import Options
+
+    options = Options(
+        runtime=extent.runtime,
+        functions=extent.functions,
+        optional=extent.optional,
+        derivatives=extent.derivatives,
+        targets=extent.targets,
+    )
+    reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
+    return replace(options, reductions=reductions, scene=extent.scene or options.scene)
+
+
+def derive_equations(path: Path, extent: Extent, parameters: Mapping[str, float], *, numbers: bool) -> tuple[Any, str]:
+    """Derive an `mbsgen.equations.Motion` of a model file with these parameters, and the mechanism's hash.
+
+    numbers: only parameters of the run time are symbols, else all of them. Raises InputError with every fault of the
+    model, SizeError for equations that are too long.
+    """
+    from mbsgen.pipeline import derive_equations
+
+    return derive_equations(path, _make_options(extent), parameters, numbers=numbers)
 
 
 def import_robot(path: Path, choices: Mapping[str, Any]) -> tuple[Path, tuple[str, ...]]:

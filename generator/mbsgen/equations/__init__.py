@@ -6,12 +6,13 @@ sums would fill pages; `printing` writes them.
 """
 
 from mbsgen.equations.lines import Lines, write_lines
-from mbsgen.equations.motion import Line, Motion, Naming, build_numeric, build_symbolic, derive
+from mbsgen.equations.motion import EvaluationError, Line, Motion, Naming, build_numeric, build_symbolic, derive
 from mbsgen.equations.printing import FORMATS, Page, show_lines, show_motion
 from mbsgen.equations.sums import SizeError
 
 __all__ = [
     "FORMATS",
+    "EvaluationError",
     "Line",
     "Lines",
     "Motion",

@@ -7,16 +7,19 @@ Forces of contacts and of force elements are applied forces, in numbers that hav
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
 import sympy as sp
 from mpmath import mpf
+from numpy.typing import NDArray
 
 from mbsgen.assembly import assemble
 from mbsgen.equations.named import Forces, Number, name_forces
-from mbsgen.equations.sums import LARGEST, MOST, SUMS, Key, Sum, variable
+from mbsgen.equations.sums import LARGEST, MOST, SUMS, Key, SizeError, Sum, variable
+from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError
 from mbsgen.formulations import closure, coupling, impl, poses
 from mbsgen.formulations.reductions import NONE
@@ -27,6 +30,12 @@ from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Input, Tape
+
+Array = NDArray[np.float64]
+
+
+class EvaluationError(MbsError):
+    """Arguments for which equations have no value."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +48,12 @@ class Naming:
     u: tuple[sp.Symbol, ...]  # of the actuated joints
     parameters: tuple[sp.Symbol, ...]
     signals: tuple[sp.Symbol, ...] = ()  # the last entries of w; the time among them
+    design: tuple[sp.Symbol, ...] = ()  # differentiated parameters
 
     @property
     def taken(self) -> set[str]:
         """The names of all symbols that are known here."""
-        columns = (self.q, self.qd, self.qdd, self.u, self.parameters, self.signals)
+        columns = (self.q, self.qd, self.qdd, self.u, self.parameters, self.signals, self.design)
         return {symbol.name for column in columns for symbol in column}
 
     def name(self, port: Port, size: int) -> tuple[sp.Symbol, ...]:
@@ -54,12 +64,23 @@ class Naming:
             Role.ACCELERATION: self.qdd,
             Role.FORCE: self.u,
             Role.PARAMETER: self.parameters,
+            Role.DESIGN: self.design,
         }
         given = known.get(port.role, ())
-        if len(given) == size:
-            return given
-        last = self.signals if port.role is Role.WRENCH else ()
-        return (*(_symbol(f"{port.name}{k + 1}") for k in range(size - len(last))), *last)
+        return given if len(given) == size else self._number(port.name, size)
+
+    def read(self, name: str, numbers: Sequence[float]) -> dict[sp.Symbol, float]:
+        """Return the entries of an input, by its name in kernels. Raises EvaluationError for a wrong length."""
+        known = {"q": self.q, "qd": self.qd, "qdd": self.qdd, "u": self.u}
+        symbols = known[name] if name in known else self._number(name, len(numbers))
+        if len(symbols) != len(numbers):
+            raise EvaluationError(f"{name} has {len(symbols)} entries; {len(numbers)} are given")
+        return dict(zip(symbols, numbers, strict=True))
+
+    def _number(self, name: str, size: int) -> tuple[sp.Symbol, ...]:
+        """Number the entries of an input; the last ones of w are signals."""
+        last = self.signals if name == "w" else ()
+        return (*(_symbol(f"{name}{k + 1}") for k in range(size - len(last))), *last)
 
 
 @dataclass(frozen=True)
@@ -84,8 +105,9 @@ class Motion:
     J: sp.Matrix  # (m, n): Jacobian of h, where hd = J qd
     sensors: tuple[str, ...]
     position: sp.Matrix  # (3, sensors): in the base frame
-    terms: int  # of all equations of motion
+    terms: int  # of all equations of motion, and of the numbers that they read
     named: tuple[Line, ...] = ()  # numbers of contacts and force elements, each over the state and those before
+    values: Mapping[sp.Symbol, float] = field(default_factory=dict)  # of parameters that are symbols
 
     @cached_property
     def residual(self) -> sp.Matrix:
@@ -97,6 +119,42 @@ class Motion:
         for line in reversed(self.named):
             value = value.subs(line.name, line.expression)
         return value
+
+    def jacobian(self, column: sp.Matrix, by: Sequence[sp.Symbol]) -> sp.Matrix:
+        """Differentiate a column by symbols, and through `named`: its names stay in the result."""
+        slopes: dict[sp.Symbol, list[sp.Expr]] = {}
+
+        def differentiate(expression: sp.Expr) -> list[sp.Expr]:
+            inner = [(sp.diff(expression, name), slope) for name, slope in slopes.items() if expression.has(name)]
+            return [sp.diff(expression, x) + sp.Add(*(a * b[k] for a, b in inner)) for k, x in enumerate(by)]
+
+        for line in self.named:
+            slopes[line.name] = differentiate(line.expression)
+        return sp.Matrix(column.rows, len(by), [entry for row in column for entry in differentiate(row)])
+
+    def evaluate(self, value: sp.Matrix, **inputs: Sequence[float]) -> Array:
+        """Evaluate a matrix, with `values` for parameters, and inputs by their names in kernels: q, qd, qdd, u, w, lam.
+
+        Raises EvaluationError for inputs that are too long or too short, or missing.
+        """
+        given = {symbol: sp.Float(number, _DIGITS) for symbol, number in self.values.items()}
+        for name, numbers in inputs.items():
+            found = self.naming.read(name, [float(x) for x in numbers])
+            given |= {symbol: sp.Float(number, _DIGITS) for symbol, number in found.items()}
+        for line in keep_used(self.named, value.free_symbols):
+            given[line.name] = _evaluate_one(line.expression, given)
+        entries = [float(_evaluate_one(entry, given)) for entry in value]
+        return np.array(entries, dtype=np.float64).reshape(value.shape)
+
+
+_DIGITS = 30  # sums of trigonometric functions cancel
+
+
+def _evaluate_one(expression: sp.Expr, given: Mapping[sp.Symbol, sp.Float]) -> sp.Expr:
+    missing = sorted(x.name for x in expression.free_symbols - given.keys())
+    if missing:
+        raise EvaluationError(f"no number for {', '.join(missing)}; give q, qd, qdd, u, w or lam, whichever has it")
+    return sp.N(expression.xreplace(given), _DIGITS)
 
 
 def name_symbols(tree: Tree) -> Naming:
@@ -123,6 +181,7 @@ def name_symbols(tree: Tree) -> Naming:
         choose(f"u_{joint.name}" for joint in tree.joints if joint.actuated),
         choose((p.name for p in tree.parameters if p.kind is Kind.RUNTIME), "p_"),
         choose(tree.signals, "signal_"),
+        choose((p.name for p in tree.parameters if p.kind is Kind.DIFFERENTIATED), "p_"),
     )
 
 
@@ -156,7 +215,7 @@ def derive(tree: Tree, most: int = LARGEST) -> Motion:
 
 def _derive(tree: Tree) -> Motion:
     naming, forces = name_symbols(tree), name_forces(tree)
-    values, named = _find_numbers(forces, naming)
+    values, named, size = _find_numbers(forces, naming)
     (Phi,) = _evaluate(coupling.write(impl.build, None, forces.tree, NONE), naming, numbers=values)
     n = len(tree.joints)
     accelerations = [_split(row, naming.qdd) for row in Phi]
@@ -181,29 +240,48 @@ def _derive(tree: Tree) -> Motion:
         J=J,
         sensors=sensors,
         position=position,
-        terms=sum(len(row.terms) for row in Phi),
-        named=keep_used(named, Q.free_symbols),
+        terms=size + sum(len(row.terms) for row in Phi),
+        values=_list_values(tree, naming),
+        named=keep_used([Line(name, value.expression) for name, value in named], Q.free_symbols),
     )
 
 
-def _find_numbers(forces: Forces, naming: Naming) -> tuple[list[Sum], list[Line]]:
-    """Find the values of the numbers of forces: names, or expressions in their place; and the lines of the names."""
+def _list_values(tree: Tree, naming: Naming) -> dict[sp.Symbol, float]:
+    """List the numbers of the parameters that are symbols."""
+    columns = ((Kind.RUNTIME, naming.parameters), (Kind.DIFFERENTIATED, naming.design))
+    found = [
+        (symbol, p.value)
+        for kind, symbols in columns
+        for symbol, p in zip(symbols, (p for p in tree.parameters if p.kind is kind), strict=True)
+    ]
+    return dict(found)
+
+
+def _find_numbers(forces: Forces, naming: Naming) -> tuple[list[Sum], list[tuple[sp.Symbol, Sum]], int]:
+    """Find the values of the numbers of forces: names, or expressions in their place; the lines of the names; terms.
+
+    Raises SizeError where they have more terms than an equation may have.
+    """
     taken = naming.taken
     values: list[Sum] = []
     direct: list[Sum] = []  # without the names of these
-    lines: list[Line] = []
+    lines: list[tuple[sp.Symbol, Sum]] = []
+    terms = 0
     for k, number in enumerate(forces.numbers):
         before = direct if number.is_direct else values
         given = [*before, *[_ZERO] * (len(forces.numbers) - k)]  # a number reads those before it
         (operands,) = _evaluate(forces.write_operands(k), naming, numbers=given)
+        terms += sum(len(x.terms) for x in operands)
+        if terms > MOST.get():
+            raise SizeError(f"the numbers of contacts and force elements have more than {MOST.get()} terms")
         value = _apply(number, operands)
         direct.append(value)
         if number.name and value.number is None:
             symbol = choose_name(number.name, taken)
-            lines.append(Line(symbol, value.expression))
+            lines.append((symbol, value))
             value = variable(symbol)
         values.append(value)
-    return values, lines
+    return values, lines, terms
 
 
 def _apply(number: Number, operands: Sequence[Sum]) -> Sum:

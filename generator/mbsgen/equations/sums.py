@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import Self
 
 import sympy as sp
@@ -179,14 +180,24 @@ def _merge(one: Powers, two: Powers) -> Powers:
     found = dict(one)
     for x, n in two:
         found[x] = found.get(x, 0) + n
-    return tuple(sorted(((x, n) for x, n in found.items() if n), key=lambda item: str(item[0])))
+    return tuple(sorted(((x, n) for x, n in found.items() if n), key=_rank))
 
 
 def _add(a: Angle, b: Angle, sign: int) -> Angle:
     found = dict(a)
     for x, n in b:
         found[x] = found.get(x, Fraction(0)) + sign * n
-    return tuple(sorted(((x, n) for x, n in found.items() if n), key=lambda item: str(item[0])))
+    return tuple(sorted(((x, n) for x, n in found.items() if n), key=_rank))
+
+
+def _rank(item: tuple[sp.Expr, object]) -> str:
+    """Return the place of a variable in the order of names."""
+    return _print(item[0])
+
+
+@lru_cache(maxsize=1 << 16)
+def _print(x: sp.Expr) -> str:
+    return str(x)
 
 
 def _read_angle(x: Sum) -> tuple[Angle, mpf] | None:
@@ -202,7 +213,7 @@ def _read_angle(x: Sum) -> tuple[Angle, mpf] | None:
             found.append((powers[0][0], Fraction(int(number.p), int(number.q))))
         else:
             return None
-    return tuple(sorted(found, key=lambda item: str(item[0]))), phase
+    return tuple(sorted(found, key=_rank)), phase
 
 
 def _expand(op: Op, angle: Angle, phase: mpf) -> Sum:
@@ -226,8 +237,19 @@ def _turn(kind: str, angle: Angle) -> sp.Expr:
 
 
 def _simplify(factor: sp.Expr) -> sp.Expr:
-    """Take common factors out."""
-    return sp.factor_terms(factor)
+    """Take common factors out of a sum of products.
+
+    Variables are simple already, so symbols stand for them: SymPy would look for factors within each of them again.
+    """
+    names = {x: sp.Dummy(f"v{k:06}", real=True) for k, x in enumerate(sorted(_list_variables(factor), key=_print))}
+    found = sp.factor_terms(factor.xreplace(names))
+    return found.xreplace({name: x for x, name in names.items()})
+
+
+def _list_variables(factor: sp.Expr) -> set[sp.Expr]:
+    """List the variables of a sum of products of powers that are not symbols."""
+    bases = (x.as_base_exp()[0] for term in sp.Add.make_args(factor) for x in sp.Mul.make_args(term))
+    return {x for x in bases if not x.is_Atom}
 
 
 def _compute(op: Op) -> Callable[[Sum], Sum]:
