@@ -211,6 +211,13 @@ _TOOLS = (
         "mbsgen equations models/double_pendulum.yaml\nmbsgen show models/double_pendulum.yaml -o build/tree.png\n",
         "build/tree.png",
         ("models/double_pendulum.yaml",),
+        (
+            'import mbsrun\n\npendulum = mbsrun.load("double_pendulum.yaml")',
+            "equations = pendulum.symbolic()\nequations.M",
+            "equations.jacobian(equations.g, equations.naming.q)",
+            'state = {"q": [0.3, -0.2], "qd": [1, 0], "qdd": [0, 2]}\nequations.evaluate(equations.residual, **state)',
+            'pendulum.impl(**state, u=[])["Phi"]',
+        ),
     ),
     Example(
         "linearise",

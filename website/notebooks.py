@@ -67,6 +67,8 @@ def run(path: Path) -> Iterator[tuple[str, Any]]:
 def show(value: Any) -> dict[str, Any]:
     """Return a value as a notebook shows it, by type of media."""
     data: dict[str, Any] = {"text/plain": _split(repr(value))}
+    if latex := getattr(value, "_repr_latex_", lambda: None)():
+        data["text/latex"] = _split(latex)
     if hasattr(value, "_repr_html_"):
         data["text/html"] = _split(value._repr_html_())
     if hasattr(value, "_repr_png_"):

@@ -16,6 +16,7 @@ MODULES = {  # the title of a page, and its modules
         "mbsrun.ocp.trajectory",
     ),
     "Simulation": ("mbsrun.simulation.statement", "mbsrun.simulation.motion"),
+    "Equations": ("mbsgen.equations.motion",),
     "Models": ("mbsgen.model.construction", "mbsgen.model.reader", "mbsgen.model.writer", "mbsgen.manifest"),
 }
 PAGES = [{title: f"api/{title.lower().replace(' ', '_')}.md"} for title in MODULES]

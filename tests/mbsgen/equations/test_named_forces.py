@@ -9,8 +9,20 @@ from pathlib import Path
 
 import pytest
 import sympy as sp
+from click.testing import CliRunner
 
-from mbsgen.equations import FORMATS, Page, build_numeric, build_symbolic, derive, show_lines, show_motion, write_lines
+from mbsgen.cli import cli
+from mbsgen.equations import (
+    FORMATS,
+    Page,
+    SizeError,
+    build_numeric,
+    build_symbolic,
+    derive,
+    show_lines,
+    show_motion,
+    write_lines,
+)
 from mbsgen.equations.motion import Naming, name_symbols
 from mbsgen.formulations import coupling, impl
 from mbsgen.formulations.reductions import ALL
@@ -216,6 +228,31 @@ def test_many_points_are_written_line_by_line(tmp_path: Path) -> None:
     expected = _evaluate_kernel(file, lines.naming, at)
     for value, other in zip(found["Phi"], expected, strict=True):
         assert float(sp.N(value.subs(values), 40)) == pytest.approx(other, rel=1e-12, abs=1e-12)
+
+
+def test_numbers_of_forces_count_as_terms(tmp_path: Path) -> None:
+    """The whole equations of a crate would fill pages with the numbers that its eight corners name."""
+    file = tmp_path / "fall.yaml"
+    file.write_text(FALL, encoding="utf-8")
+    with pytest.raises(SizeError, match="numbers of contacts and force elements have more than 300 terms"):
+        derive(build_numeric(read(file)), 300)
+    run = CliRunner().invoke(cli, ["equations", str(file)], catch_exceptions=False)
+    assert run.output.startswith("Equations of motion of fall, line by line")
+
+
+def test_jacobians_go_through_the_numbers_of_forces(tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text(ARM, encoding="utf-8")
+    tree = build_symbolic(read(file))
+    motion = derive(tree)
+    at = _draw(motion.naming, tree, 4)
+    for symbols in (motion.naming.q, motion.naming.qd, motion.naming.parameters):
+        found = motion.expand(motion.jacobian(motion.applied, symbols))
+        expected = motion.expand(motion.applied).jacobian(sp.Matrix(symbols))
+        for one, other in zip(found, expected, strict=True):
+            values = {x: at[x.name] for x in one.free_symbols | other.free_symbols}
+            a, b = (float(sp.N(x.doit().subs(values), 40)) for x in (one, other))
+            assert a == pytest.approx(b, rel=1e-10, abs=1e-10)
 
 
 @pytest.mark.parametrize("function", [softplus, step])
