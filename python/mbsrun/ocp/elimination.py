@@ -31,7 +31,7 @@ from scipy import sparse
 
 from mbsrun.ocp.factors import Factors
 from mbsrun.ocp.functions import Array, Evaluation, Function, Indices, Pattern
-from mbsrun.ocp.program import Block, Column, Program
+from mbsrun.ocp.program import Block, Column, Program, Stages
 
 Mask = NDArray[np.bool_]
 Bind = Callable[[Function, int], Evaluation]  # a backend's: a function and a number of places -> its evaluation
@@ -315,10 +315,85 @@ class Elimination:
         return J
 
 
-def eliminate(program: Program, bind: Bind) -> Elimination:
-    """Read the inner equations of a program, which read no parameters, for all intervals, which are alike."""
-    stages = program.stages
-    assert stages is not None, "inner variables belong to stages"
+@dataclass(frozen=True)
+class Inner:
+    """All inner variables of a program that are solved for, z, by the variables x that stay."""
+
+    parts: tuple[Elimination, ...]  # each of intervals that are alike
+    kept: Indices  # the variables of the program that stay
+
+    @cached_property
+    def unknowns(self) -> Indices:
+        """The variables z of the program."""
+        return np.concatenate([part.groups.unknowns.ravel() for part in self.parts])
+
+    @cached_property
+    def slopes(self) -> Entries:
+        """The places of dz/dx, (z, x)."""
+        first, found = 0, []
+        for part, knowns in zip(self.parts, self._knowns, strict=True):
+            row = first + np.arange(part.groups.unknowns.size).reshape(*part.groups.unknowns.shape, 1)
+            found.append(_place(row, knowns[:, None, :], part.slope_pattern))
+            first += part.groups.unknowns.size
+        return _stack(found)
+
+    @cached_property
+    def curvature(self) -> Entries:
+        """The places of the term that equations add to a Hessian, (x, x); groups may share places."""
+        pairs = zip(self.parts, self._knowns, strict=True)
+        return _stack([_place(known[:, :, None], known[:, None, :], part.curvature_pattern) for part, known in pairs])
+
+    def solve(self, x: Array) -> Array:
+        """Return z; not numbers where there is no solution."""
+        pairs = zip(self.parts, self._knowns, strict=True)
+        return np.concatenate([part.solve(x[knowns]).ravel() for part, knowns in pairs])
+
+    def differentiate(self, x: Array) -> Array:
+        """Return dz/dx at the places of `slopes`."""
+        pairs = zip(self.parts, self._knowns, strict=True)
+        return np.concatenate([part.differentiate(x[knowns]).ravel() for part, knowns in pairs])
+
+    def curve(self, x: Array, gradient: Array) -> Array:
+        """Return the term that equations add to a Hessian, at the places of `curvature`; the gradient is by z."""
+        first, found = 0, []
+        for part, knowns in zip(self.parts, self._knowns, strict=True):
+            size = part.groups.unknowns.size
+            by_z = gradient[first : first + size].reshape(part.groups.unknowns.shape)
+            found.append(part.curve(x[knowns], by_z).ravel())
+            first += size
+        return np.concatenate(found)
+
+    @cached_property
+    def _knowns(self) -> tuple[Indices, ...]:
+        """(G, k) of each part: where the knowns of each group are in x."""
+        return tuple(np.searchsorted(self.kept, part.groups.knowns) for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Entries:
+    """The places of a matrix's entries, and which of them may be nonzero."""
+
+    row: Indices
+    col: Indices
+    mask: Mask
+
+
+def _place(row: Indices, col: Indices, mask: Mask) -> Entries:
+    return Entries(*(part.ravel() for part in np.broadcast_arrays(row, col, mask)))
+
+
+def _stack(parts: Sequence[Entries]) -> Entries:
+    return Entries(*(np.concatenate([getattr(x, name) for x in parts]) for name in ("row", "col", "mask")))
+
+
+def eliminate(program: Program, bind: Callable[[int], Bind]) -> Inner:
+    """Read the inner equations of a program that are solved; `bind` binds functions to the kernels of a plant."""
+    parts = tuple(_eliminate_part(program, part.stages, bind(part.plant)) for part in program.solved)
+    return Inner(parts, program.kept)
+
+
+def _eliminate_part(program: Program, stages: Stages, bind: Bind) -> Elimination:
+    """Read equations, which read no parameters, for all intervals of some stages, which are alike."""
     G, S, size = stages.inner.shape
     equations = program.restrict(stages.equations.ravel())
     common = np.broadcast_to(stages.common, (G, stages.common.size))
@@ -337,7 +412,8 @@ def _read_block(block: Block, column: Indices, shape: tuple[int, ...], equations
     assert (block.data, block.parameters.size) == (None, 0), "equations read variables alone"
     groups, width = shape
     places = np.argsort(block.stages, kind="stable").reshape(groups, -1)  # (G, P)
-    assert (block.stages[places] == np.arange(groups)[:, None]).all(), "groups are alike"
+    first = block.stages.min()
+    assert (block.stages[places] == first + np.arange(groups)[:, None]).all(), "groups are alike"
     rows, scales = block.rows[:, places].transpose(1, 2, 0), block.scales[places]
     assert (rows // equations == np.arange(groups)[:, None, None]).all(), "a place adds to rows of its stage"
     rows = rows % equations

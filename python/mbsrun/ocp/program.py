@@ -178,6 +178,14 @@ class Chain:
 
 
 @dataclass(frozen=True)
+class Solved:
+    """Intervals whose inner variables are no unknowns of the solver: their equations are solved for them."""
+
+    stages: Stages
+    plant: int = 0  # whose kernels the equations call
+
+
+@dataclass(frozen=True)
 class Program:
     """The program; shapes: A (constraints, variables), each H_i (variables, variables) and symmetric."""
 
@@ -188,7 +196,7 @@ class Program:
     constants: int = 0  # how many parameters follow the weights
     stages: Stages | None = None
     chain: Chain | None = None  # stages of different sizes; by default the ones of `stages`
-    solves_inner: bool = False  # the inner variables are no unknowns of the solver: their equations are solved for them
+    solved: tuple[Solved, ...] = ()
 
     @property
     def variables(self) -> int:
@@ -208,19 +216,14 @@ class Program:
     @cached_property
     def kept(self) -> Indices:
         """Variables that a solver sees."""
-        every = np.arange(self.variables)
-        return every if not self.solves_inner else np.setdiff1d(every, self._known_stages.inner)
+        inner = (part.stages.inner.ravel() for part in self.solved)
+        return np.setdiff1d(np.arange(self.variables), np.concatenate([_NO_PARAMETERS, *inner]))
 
     @cached_property
     def kept_rows(self) -> Indices:
         """Rows that a solver sees."""
-        every = np.arange(self.constraints)
-        return every if not self.solves_inner else np.setdiff1d(every, self._known_stages.equations)
-
-    @property
-    def _known_stages(self) -> Stages:
-        assert self.stages is not None, "inner variables belong to stages"
-        return self.stages
+        equations = (part.stages.equations.ravel() for part in self.solved)
+        return np.setdiff1d(np.arange(self.constraints), np.concatenate([_NO_PARAMETERS, *equations]))
 
     def restrict(self, rows: Indices, *, with_cost: bool = False) -> Program:
         """Keep some rows of g, in the order given, and the cost or none; the stages are left out."""
@@ -228,7 +231,7 @@ class Program:
         at[rows] = np.arange(rows.size)
         blocks = tuple(kept for block in self.blocks if (kept := block.restrict(at)) is not None)
         A = sparse.csr_array(self.A)[rows].tocsc()
-        part = replace(self, A=A, blocks=blocks, stages=None, chain=None, solves_inner=False)
+        part = replace(self, A=A, blocks=blocks, stages=None, chain=None, solved=())
         if with_cost:
             return part
         return replace(part, H=tuple(sparse.csc_array(H.shape) for H in self.H), costs=())

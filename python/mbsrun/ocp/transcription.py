@@ -226,14 +226,14 @@ class Transcription:
         x[layout.mesh] = np.concatenate((trajectory.q, trajectory.qd[:, velocities]), axis=1)
         if layout.points.size:
             x[layout.points] = np.concatenate((trajectory.point_q, trajectory.point_qd[:, :, velocities]), axis=2)
-        if layout.slopes.size and not self.program.solves_inner:
+        if layout.slopes.size and not self.program.solved:
             nodes = zip((trajectory.q, trajectory.qd), (trajectory.point_q, trajectory.point_qd), strict=True)
             states = [np.concatenate((mesh[:-1, None], points), axis=1) for mesh, points in nodes]
             x[layout.slopes] = (
                 self.scheme.D
                 @ np.concatenate((states[0], states[1][:, :, velocities]), axis=2)[:, :, layout.motions.carried]
             )
-        if layout.shifts.size and not self.program.solves_inner:
+        if layout.shifts.size and not self.program.solved:
             x[layout.shifts] = self._find_shifts(x[layout.mesh], trajectory)
         self._pack_inputs(x, trajectory)
         x[layout.extras.states] = trajectory.states
@@ -243,7 +243,7 @@ class Transcription:
             x[layout.horizon] = trajectory.t[-1]
         x[layout.unknowns] = trajectory.unknowns
         x[self._fixed] = self.fixed
-        if layout.accelerations.size and not self.program.solves_inner:
+        if layout.accelerations.size and not self.program.solved:
             x[layout.accelerations] = trajectory.point_qdd[:, :, independent]
         if layout.drives.size:
             x[layout.drives] = trajectory.point_qdd[:, :, list(layout.motions.driven)]

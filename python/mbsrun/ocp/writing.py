@@ -33,7 +33,7 @@ from mbsrun.ocp.layout import (
 )
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, list_names
-from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Stages
+from mbsrun.ocp.program import Block, Column, Combination, Matrix, Program, Solved, Stages
 from mbsrun.ocp.quantities import Quantity, formulate, list_quantities
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure
@@ -138,26 +138,25 @@ class Writer:
             size=self.size,
         )
         H, costs = self.write_cost()
+        stages = Stages(
+            states=np.concatenate((self.layout.mesh, extras.states), axis=1),
+            inputs=self.list_inputs(),
+            inner=inner,
+            equations=equations,
+            continuity=continuity,
+            common=self.list_common(),
+            rows=np.concatenate(self.stages),
+            nested=self.layout.shifts[0].size,
+            is_triangular=self.integrator.is_explicit and shape.form is Form.SHOOTING and not self.layout.shifts.size,
+        )
         program = Program(
             A=self.A.matrix((self.size, self.layout.size)),
             H=H,
             blocks=self.read_design(self.blocks),
             costs=self.read_design(costs),
             constants=self.parameters - self.weights,
-            stages=Stages(
-                states=np.concatenate((self.layout.mesh, extras.states), axis=1),
-                inputs=self.list_inputs(),
-                inner=inner,
-                equations=equations,
-                continuity=continuity,
-                common=self.list_common(),
-                rows=np.concatenate(self.stages),
-                nested=self.layout.shifts[0].size,
-                is_triangular=self.integrator.is_explicit
-                and shape.form is Form.SHOOTING
-                and not self.layout.shifts.size,
-            ),
-            solves_inner=shape.form is Form.SHOOTING,
+            stages=stages,
+            solved=(Solved(stages),) if shape.form is Form.SHOOTING else (),
         )
         return rows, program
 

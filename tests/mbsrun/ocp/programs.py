@@ -122,12 +122,12 @@ def equations_of(condensed: Condensed) -> CasadiProgram:
 
 def unroll(condensed: Condensed, x: ca.MX) -> tuple[CasadiProgram, ca.MX]:
     """Return the remaining rows, and all variables, by as many iterations as necessary, for CasADi to differentiate."""
-    unknowns, equations = condensed.elimination.groups.unknowns.ravel(), equations_of(condensed)
+    unknowns, equations = condensed.inner.unknowns, equations_of(condensed)
     z = ca.MX.zeros(unknowns.size)
     order = np.argsort(np.concatenate((condensed.program.kept, unknowns))).tolist()
     nothing = ca.DM.zeros(condensed.parameters)
-    if condensed.elimination.orders:  # stage after stage is exact
-        for _ in condensed.elimination.orders:
+    if condensed.inner.parts[0].orders:  # stage after stage is exact
+        for _ in condensed.inner.parts[0].orders:
             z -= equations.constraint(ca.vertcat(x, z)[order], nothing)
     else:
         for _ in range(8):

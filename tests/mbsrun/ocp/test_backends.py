@@ -71,7 +71,7 @@ def test_numpy_and_casadi_make_the_same_functions(
     for name, (found, expected) in pairs.items():
         scale = np.abs(expected).max()
         assert np.abs(found - expected).max() <= 1e-12 * scale, name
-    if not transcription.program.solves_inner:
+    if not transcription.program.solved:
         assert ours.jacobian(x, p).nnz == theirs.jacobian.nnz_out(0)
         assert ours.hessian(x, p, 0.7, lam).nnz == theirs.hessian.nnz_out(0)
 
@@ -118,7 +118,7 @@ def test_jets_are_the_derivatives_of_expressions(text: str, rng: np.random.Gener
 
 def read_pattern(program: Program, arm: Peer) -> tuple[sparse.csr_array, np.ndarray]:
     """Patterns of the whole program: Jacobian, and rows and columns of the Hessian's upper triangle."""
-    functions = condensation.build(replace(program, solves_inner=False), arm)
+    functions = condensation.build(replace(program, solved=()), arm)
     jacobian = sparse.csr_array(ca.DM(functions.jacobian.sparsity_out(0), 1.0).sparse())
     return jacobian, np.array(functions.hessian.sparsity_out(0).get_triplet())
 

@@ -182,7 +182,7 @@ def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
     """Over long intervals, with several solutions; groups together, as all wait for the last."""
     program = functions_of(shot(swing_up(4, 3), horizon=1.6), plant)
     assert isinstance(program, Condensed)
-    equations, groups = equations_of(program), program.elimination.groups
+    equations, groups = equations_of(program), program.inner.parts[0].groups
     rng, found = np.random.default_rng(3), 0
     nothing = np.zeros(program.parameters)
     for _ in range(40):
@@ -194,7 +194,7 @@ def test_kept_slopes_lead_to_where_newtons_method_leads(plant: Peer) -> None:
             step = np.linalg.solve(J.full()[:, unknowns], r.full().ravel())
             v[unknowns] -= step
             if np.abs(step).max() < 1e-12 * (1 + np.abs(v[unknowns]).max()):
-                z = program.elimination.solve(v[groups.knowns])
+                z = program.inner.parts[0].solve(v[groups.knowns])
                 assert z == pytest.approx(v[groups.unknowns], rel=1e-9, abs=1e-9)
                 found += 1
                 break

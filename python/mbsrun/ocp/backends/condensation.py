@@ -12,17 +12,16 @@ differentiated. `elimination` computes the terms of the equations, once at each 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from mbsrun.ocp.backends.casadi import CasadiProgram, Functions
 from mbsrun.ocp.backends.mapped import MappedFunction
 from mbsrun.ocp.backends.places import make_function
-from mbsrun.ocp.elimination import Elimination, eliminate
+from mbsrun.ocp.elimination import Bind, Entries, Inner, eliminate
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Program
@@ -30,10 +29,7 @@ from mbsrun.ocp.program import Program
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
     """Make the functions of a program for CasADi's solvers; `others` are plants beside plant 0."""
-    if not program.solves_inner:
-        return CasadiProgram(program, plant, others)
-    assert not others, "inner variables are solved for with one plant"
-    return condense(program, plant)
+    return condense(program, plant, others) if program.solved else CasadiProgram(program, plant, others)
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ class Condensed:
 
     program: Program
     rest: CasadiProgram  # the cost, and the rows that stay
-    elimination: Elimination
+    inner: Inner
 
     @property
     def variables(self) -> int:
@@ -63,7 +59,7 @@ class Condensed:
         """Return all variables of the program. Raises ValueError where the equations have no solution."""
         found = np.empty(self.rest.variables)
         found[self.program.kept] = x
-        found[self.elimination.groups.unknowns] = self.elimination.solve(np.asarray(x)[self._knowns])
+        found[self.inner.unknowns] = self.inner.solve(np.asarray(x))
         if not np.isfinite(found).all():
             raise ValueError("the equations that are condensed have no solution")
         return found
@@ -127,12 +123,7 @@ class Condensed:
 
     @cached_property
     def _z(self) -> list[int]:
-        return [int(i) for i in self.elimination.groups.unknowns.ravel()]
-
-    @cached_property
-    def _knowns(self) -> Indices:
-        """(G, k): where the knowns of each group are in x."""
-        return np.searchsorted(self.program.kept, self.elimination.groups.knowns)
+        return [int(i) for i in self.inner.unknowns]
 
     @cached_property
     def _completion(self) -> ca.Function:
@@ -144,33 +135,23 @@ class Condensed:
     def _solution(self) -> _Function:
         """x -> z, group by group."""
         dense = ca.Sparsity.dense(len(self._z), 1)
-        return _Function("solution", [self.variables], dense, lambda x: self.elimination.solve(x[self._knowns]).ravel())
+        return _Function("solution", [self.variables], dense, self.inner.solve)
 
     @cached_property
     def _slopes(self) -> _Function:
         """x -> dz/dx."""
-        s = self.elimination.groups.unknowns.shape[1]
-        row = np.arange(self.elimination.groups.unknowns.size).reshape(-1, s, 1)
-        pattern, order, _ = _order(
-            row, self._knowns[:, None, :], self.elimination.slope_pattern, len(self._z), self.variables
-        )
-        return _Function(
-            "slopes",
-            [self.variables],
-            pattern,
-            lambda x: self.elimination.differentiate(x[self._knowns]).ravel()[order],
-        )
+        pattern, order, _ = _order(self.inner.slopes, len(self._z), self.variables)
+        return _Function("slopes", [self.variables], pattern, lambda x: self.inner.differentiate(x)[order])
 
     @cached_property
     def _curvature(self) -> _Function:
         """(x, gradient by z) -> upper triangle of the term that the equations add to the Hessian."""
-        row, col = self._knowns[:, :, None], self._knowns[:, None, :]
-        upper = self.elimination.curvature_pattern & (row <= col)
-        pattern, order, begin = _order(row, col, upper, self.variables, self.variables)
+        whole = self.inner.curvature
+        upper = replace(whole, mask=whole.mask & (whole.row <= whole.col))
+        pattern, order, begin = _order(upper, self.variables, self.variables)
 
         def curve(x: Array, gradient: Array) -> Array:
-            by_z = gradient.reshape(self.elimination.groups.unknowns.shape)
-            found = self.elimination.curve(x[self._knowns], by_z).ravel()[order]
+            found = self.inner.curve(x, gradient)[order]
             # groups share the variables that are common to all of them
             return np.asarray(found if begin.size == found.size else np.add.reduceat(found, begin))
 
@@ -178,7 +159,7 @@ class Condensed:
 
     def _spread(self, x: ca.MX, z: ca.MX) -> ca.MX:
         """Put x and the unknowns in the order of the whole program."""
-        order = np.argsort(np.concatenate((self.program.kept, self.elimination.groups.unknowns.ravel())))
+        order = np.argsort(np.concatenate((self.program.kept, self.inner.unknowns)))
         return ca.vertcat(x, z)[order.tolist()]
 
     def _costing(self, x: ca.MX) -> ca.MX:
@@ -229,26 +210,28 @@ class _Function(ca.Callback):
         return 0
 
 
-def condense(program: Program, plant: Plant) -> Condensed:
+def condense(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Condensed:
     """Solve the inner equations of a program; they read no parameters, and intervals differ in scales alone."""
+    plants = (plant, *others)
+
+    def bind(number: int) -> Bind:
+        return lambda function, places: MappedFunction(make_function(function, plants[number]), places)
+
     return Condensed(
         program=program,
-        rest=CasadiProgram(program.restrict(program.kept_rows, with_cost=True), plant),
-        elimination=eliminate(program, lambda function, places: MappedFunction(make_function(function, plant), places)),
+        rest=CasadiProgram(program.restrict(program.kept_rows, with_cost=True), plant, others),
+        inner=eliminate(program, bind),
     )
 
 
-def _order(
-    row: Indices, col: Indices, mask: NDArray[np.bool_], rows: int, cols: int
-) -> tuple[ca.Sparsity, Indices, Indices]:
+def _order(entries: Entries, rows: int, cols: int) -> tuple[ca.Sparsity, Indices, Indices]:
     """Return the pattern of groups' matrices where a mask holds, which entries make its nonzeros, and where they begin.
 
     Entries are in the order of nonzeros; several groups may have entries at one place.
     """
-    row, col, mask = np.broadcast_arrays(row, col, mask)
-    (chosen,) = np.nonzero(mask.ravel())
-    order = chosen[np.lexsort((row.ravel()[chosen], col.ravel()[chosen]))]
-    placed = np.stack((row.ravel()[order], col.ravel()[order]))
+    (chosen,) = np.nonzero(entries.mask)
+    order = chosen[np.lexsort((entries.row[chosen], entries.col[chosen]))]
+    placed = np.stack((entries.row[order], entries.col[order]))
     is_first = np.append(True, (np.diff(placed, axis=1) != 0).any(axis=0))[: order.size]
     begin = np.flatnonzero(is_first)
     return ca.Sparsity.triplet(rows, cols, *placed[:, begin].tolist()), order, begin

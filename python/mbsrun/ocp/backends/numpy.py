@@ -16,8 +16,8 @@ from scipy import sparse
 
 from mbsrun.ocp.backends.assembly import Assembled, Parts, Scatter, assemble, prepare, scatter_matrix, scatter_weighted
 from mbsrun.ocp.backends.evaluations import bind
-from mbsrun.ocp.elimination import Elimination, eliminate
-from mbsrun.ocp.functions import Array, Evaluation, Indices
+from mbsrun.ocp.elimination import eliminate
+from mbsrun.ocp.functions import Array, Evaluation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Matrix, Program
 
@@ -49,10 +49,7 @@ class Functions(Protocol):
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
     """Make the functions of a program; `others` are plants beside plant 0."""
-    if not program.solves_inner:
-        return NumpyProgram(program, plant, others)
-    assert not others, "inner variables are solved for with one plant"
-    return NumpyCondensed(program, plant)
+    return NumpyCondensed(program, plant, others) if program.solved else NumpyProgram(program, plant, others)
 
 
 @dataclass(frozen=True)
@@ -238,11 +235,11 @@ class _Sum:
 class NumpyCondensed:
     """The functions of a program whose inner variables are solved for."""
 
-    def __init__(self, program: Program, plant: Plant) -> None:
-        """Take a program and its kernels."""
-        self.program = program
-        self._rest = NumpyProgram(program.restrict(program.kept_rows, with_cost=True), plant)
-        self._elimination: Elimination = eliminate(program, bind(plant))
+    def __init__(self, program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> None:
+        """Take a program and its kernels; `others` are plants beside plant 0."""
+        self.program, plants = program, (plant, *others)
+        self._rest = NumpyProgram(program.restrict(program.kept_rows, with_cost=True), plant, others)
+        self._inner = eliminate(program, lambda number: bind(plants[number]))
 
     def complete(self, x: Array) -> Array:
         """Return all variables of the program. Raises ValueError where inner equations have no solution."""
@@ -277,28 +274,20 @@ class NumpyCondensed:
         upper = self._rest.hessian(v, p, lam_f, lam_g)
         whole = upper + sparse.triu(upper, 1).T
         gradient = lam_f * self._rest.gradient(v, p) + lam_g @ self._rest.jacobian(v, p)
-        by_z = gradient[self._elimination.groups.unknowns]
-        curvature = self._elimination.curve(x[self._knowns], by_z)  # (G, k, k)
-        row, col = np.broadcast_arrays(self._knowns[:, :, None], self._knowns[:, None, :])
-        added = sparse.coo_array((curvature.ravel(), (row.ravel(), col.ravel())), shape=(x.size, x.size))
+        curvature, places = self._inner.curve(x, gradient[self._inner.unknowns]), self._inner.curvature
+        added = sparse.coo_array((curvature, (places.row, places.col)), shape=(x.size, x.size))
         return sparse.csc_array(sparse.triu(slopes.T @ whole @ slopes + added))
 
     def _complete(self, x: Array) -> Array:
         v = np.empty(self.program.variables)
         v[self.program.kept] = x
-        v[self._elimination.groups.unknowns] = self._elimination.solve(x[self._knowns])
+        v[self._inner.unknowns] = self._inner.solve(x)
         return v
-
-    @cached_property
-    def _knowns(self) -> Indices:
-        """(G, k): where the knowns of each group are in x."""
-        return np.searchsorted(self.program.kept, self._elimination.groups.knowns)
 
     def _slopes(self, x: Array) -> Matrix:
         """Return dv/dx."""
-        kept, unknowns = self.program.kept, self._elimination.groups.unknowns
-        slopes = self._elimination.differentiate(x[self._knowns])  # (G, s, k)
-        row, col = np.broadcast_arrays(unknowns[:, :, None], self._knowns[:, None, :])
-        entries = np.concatenate((np.ones(kept.size), slopes.ravel()))
-        rows, cols = np.concatenate((kept, row.ravel())), np.concatenate((np.arange(kept.size), col.ravel()))
+        kept, places = self.program.kept, self._inner.slopes
+        entries = np.concatenate((np.ones(kept.size), self._inner.differentiate(x)))
+        rows = np.concatenate((kept, self._inner.unknowns[places.row]))
+        cols = np.concatenate((np.arange(kept.size), places.col))
         return sparse.coo_array((entries, (rows, cols)), shape=(self.program.variables, x.size)).tocsc()

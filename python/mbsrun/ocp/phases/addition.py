@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.program import Block, Chain, Column, Matrix, Program
+from mbsrun.ocp.program import Block, Chain, Column, Matrix, Program, Solved, Stages
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,25 @@ def add(summands: Sequence[Summand], further: Further, chain: Chain | None = Non
         costs=(*costs, *further.costs),
         constants=sum(program.constants for program in programs) + further.constants,
         chain=chain,
+        solved=tuple(
+            Solved(_move_stages(part.stages, offset), summand.plant)
+            for summand, offset in zip(summands, offsets, strict=False)
+            for part in summand.program.solved
+        ),
+    )
+
+
+def _move_stages(stages: Stages, offset: Offsets) -> Stages:
+    """Move the variables and rows of intervals behind other programs."""
+    return replace(
+        stages,
+        states=stages.states + offset.variables,
+        inputs=stages.inputs + offset.variables,
+        inner=stages.inner + offset.variables,
+        equations=stages.equations + offset.rows,
+        continuity=stages.continuity + offset.rows,
+        common=stages.common + offset.variables,
+        rows=stages.rows + offset.stages,
     )
 
 

@@ -31,7 +31,7 @@ from mbsrun.ocp.phases.sides import (
     spell_velocities,
 )
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Form, Loops, Problem
+from mbsrun.ocp.problem import Contact, Loops, Problem
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
 
 APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
@@ -97,9 +97,6 @@ def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
             yield PhaseFault((*place, "name"), f"found {abbreviate(phase.name)}", "give a word of letters and digits")
         if phase.name in [other.name for other in problem.phases[:k]]:
             yield PhaseFault((*place, "name"), f"a second phase {phase.name}", "give it another name")
-        if phase.problem.form is Form.SHOOTING:
-            finding = "the shooting form takes no phases"
-            yield PhaseFault((*place, "form"), finding, "take standard or integral")
     calls_casadi = any(phase.problem.functions for phase in problem.phases)
     method = choose(problem.solver, calls_casadi=calls_casadi)
     if calls_casadi and not METHODS[method].calls_casadi:

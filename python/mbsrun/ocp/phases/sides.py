@@ -16,7 +16,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Indices
 from mbsrun.ocp.layout import at_mesh
 from mbsrun.ocp.phases.addition import move_part
-from mbsrun.ocp.problem import Contact, Problem
+from mbsrun.ocp.problem import Contact, Form, Problem
 from mbsrun.ocp.program import Column
 from mbsrun.ocp.transcription import Transcription
 from mbsrun.quantities import Added, Quantity, list_quantities
@@ -51,7 +51,7 @@ def spell_velocities(manifest: Manifest) -> dict[str, int]:
 def list_readable(manifest: Manifest, problem: Problem) -> dict[str, Quantity]:
     """List the quantities of one side that a condition may read, by name; accelerations, where they are variables."""
     own = Added(tuple(state.name for state in problem.states), problem.added.controls)
-    has_accelerations = not (problem.representation.is_ode or manifest.loops)
+    has_accelerations = not (problem.representation.is_ode or manifest.loops or problem.form is Form.SHOOTING)
     kinds = [kind for kind in READ if kind != "qdd" or has_accelerations]
     return {name: x for name, x in list_quantities(manifest, own).items() if x.kind in kinds}
 

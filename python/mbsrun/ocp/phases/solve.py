@@ -16,11 +16,12 @@ import numpy as np
 from mbsrun.ocp import methods
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
-from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts
+from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases, name_phase
 from mbsrun.ocp.phases.guess import Unreached, adapt_guess, guess_phases, solve_links
+from mbsrun.ocp.phases.linking import Defined
 from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import (
@@ -101,18 +102,20 @@ class PhasedSolver:
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        x = solve_links(x, self.transcription.defined, self._evaluate, self._differentiate)
+        own = self.transcription
+        defined = tuple(Defined(own.see(part.variables), own.see_rows(part.rows)) for part in own.defined)
+        x = solve_links(x, defined, self._evaluate, self._differentiate)
         run, found, _ = search(x, lambda x: self._call(self._method, x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
             return PhasedFailure(problem, run, f"{finding}: {named}" if named else finding, remedy)
         solution = self._read(*self._balance_impacts(run, found))
-        for own in solution.phases:
-            gap, most = own.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
+        for part in solution.phases:
+            gap, most = part.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
             if gap > most:
                 finding, remedy = explain(OPEN, run.iterations)
-                finding = f"phase {own.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
+                finding = f"phase {part.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
         return solution
 
@@ -121,9 +124,9 @@ class PhasedSolver:
         own, problem = self.transcription, self.problem
         impacts = [rows.impact for rows in own.links if rows.impact is not None]
         ranges = own.constraint_bounds(problem), own.variable_bounds(problem)
-        g, first = self._evaluate(x), own.offsets[-1].rows
+        g, first = self._evaluate(x), int(own.see_rows(np.array(own.offsets[-1].rows)))
         equal = ranges[0][0][first:] == ranges[0][1][first:]
-        largest = max((np.abs(x[impact.changes]).max() for impact in impacts), default=0.0)
+        largest = max((np.abs(x[own.see(impact.changes)]).max() for impact in impacts), default=0.0)
         if not impacts or np.abs((g - ranges[0][0])[first:][equal]).max() <= BALANCED * max(1.0, largest):
             return run, x
         begin, cpu_begin = time.perf_counter(), time.process_time()
@@ -184,7 +187,7 @@ class PhasedSolver:
         rows |= {row: text for found, text in own.texts for row in found.tolist()}
         bounds, row_bounds = own.variable_bounds(problem), own.constraint_bounds(problem)
         found = Found(x, bounds, self._evaluate(x), row_bounds)
-        return describe_point(found, Names(variables, rows, frozenset(inner)))
+        return describe_point(found, see_solver(Names(variables, rows, frozenset(inner)), own.program))
 
     # --- the solution ---
 
@@ -192,12 +195,13 @@ class PhasedSolver:
         problem, own, functions = self.problem, self.transcription, self.program.casadi
         parameters = own.parameters(problem)
         g, terms = self._evaluate(x), functions.terms(x, parameters).full().ravel()
+        every = functions.complete(x)
         solutions = []
-        for k, (values, rows) in enumerate(zip(own.split(x), own.split_rows(g), strict=False)):
+        for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
             first, last = own.offsets[k], own.offsets[k + 1]
             cost = terms[first.weights : last.weights]
             size = _measure_part(own, k)
-            numbers = Values(values, rows, cost, values)
+            numbers = Values(values[own.phases[k].program.kept], rows, cost, values)
             phase = problem.phases[k]
             named = replace(phase.problem, name=phase.name, solver=problem.solver)
             solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, size, numbers))
@@ -208,12 +212,12 @@ class PhasedSolver:
             names=tuple(phase.name for phase in problem.phases),
             phases=tuple(solutions),
             links=problem.links,
-            values=tuple(self._read_link(i, x, terms, *links) for i in range(len(problem.links))),
+            values=tuple(self._read_link(i, every, terms, *links) for i in range(len(problem.links))),
             run=run,
             size=measure_size(functions),
             constants=problem.constants,
             unknowns=problem.every_unknown,
-            unknown_values=tuple(x[own.unknowns].tolist()),
+            unknown_values=tuple(every[own.unknowns].tolist()),
             solver=problem.solver,
         )
 
@@ -256,14 +260,14 @@ def _list_unstaged(own: PhasedTranscription) -> Iterator[tuple[str, str]]:
 def _measure_part(own: PhasedTranscription, k: int) -> Size:
     """Return the size of a phase's own program, without nonzeros, which the whole counts."""
     program = own.phases[k].program
-    return Size(program.variables, program.constraints, 0, 0)
+    return Size(program.kept.size, program.kept_rows.size, 0, 0)
 
 
 def solve_phases(
     problem: PhasedProblem,
     plants: Plants,
     watch: Watch | None = None,
-    guess: Guess | PartialGuess = OWN_GUESS,
+    guess: Guess | PartialGuess | None = None,
 ) -> PhasedSolution | PhasedFailure:
     """Solve a problem of phases from a guess, by default the one that it describes; a guess may be on any grids.
 
@@ -277,13 +281,15 @@ def solve_phases(
 
 
 def prepare_phases(
-    problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess = OWN_GUESS
+    problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess | None = None
 ) -> tuple[PhasedSolver, Guess] | PhasedFailure:
     """Return the solver of a problem, and its guess on the grids of the phases; a failure where there is no guess."""
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
     _check_states(problem, plants)
-    start = adapt_guess(problem, guess) if isinstance(guess, Guess) else guess_phases(problem, plants, guess)
+    start = (
+        adapt_guess(problem, guess) if isinstance(guess, Guess) else guess_phases(problem, plants, guess or OWN_GUESS)
+    )
     if isinstance(start, Unreached):
         finding, remedy = describe_unreachable(start.pose)
         finding = f"phase {problem.phases[start.phase].name}: {finding}"

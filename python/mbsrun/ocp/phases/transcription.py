@@ -39,7 +39,10 @@ class LinkRows:
 
 @dataclass(frozen=True)
 class PhasedTranscription:
-    """A program, and how problems become its numbers and its variables trajectories."""
+    """A program, and how problems become its numbers and its variables trajectories.
+
+    Bounds, `pack` and `split_rows` are of the variables and rows that a solver sees; all else is numbered in the whole.
+    """
 
     phases: tuple[Transcription, ...]
     offsets: tuple[Offsets, ...]  # of each phase, and last of the links
@@ -52,6 +55,14 @@ class PhasedTranscription:
     row_bounds: tuple[Array, Array]  # of the rows of links
     unstaged: Indices  # rows of links that keep the program from falling into stages
     program: Program
+
+    def see(self, variables: Indices) -> Indices:
+        """Number variables as a solver sees them."""
+        return np.searchsorted(self.program.kept, variables)
+
+    def see_rows(self, rows: Indices) -> Indices:
+        """Number rows as a solver sees them."""
+        return np.searchsorted(self.program.kept_rows, rows)
 
     def parameters(self, problem: PhasedProblem) -> Array:
         """Return the parameters of the program."""
@@ -72,7 +83,8 @@ class PhasedTranscription:
     def constraint_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
         """Bound all rows."""
         own = [part.constraint_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
-        for (lower, upper), rows in zip(own, self.closed, strict=True):
+        for (lower, upper), closed, part in zip(own, self.closed, self.phases, strict=True):
+            rows = np.searchsorted(part.program.kept_rows, closed)
             lower[rows], upper[rows] = -np.inf, np.inf
         last = [bound.copy() for bound in self.row_bounds]
         for link_rows, link in zip(self.links, problem.links, strict=True):
@@ -88,22 +100,23 @@ class PhasedTranscription:
         x = np.concatenate([*parts, np.zeros(self.program.variables - self.offsets[-1].variables)])
         given = dict(guess.unknowns)
         values = {unknown.name: given.get(unknown.name, unknown.guess) for unknown in problem.every_unknown}
-        x[self.unknowns] = list(values.values())
+        x[self.see(self.unknowns)] = list(values.values())
         for own, phase, offset in zip(self.phases, problem.phases, self.offsets, strict=False):
-            x[own.layout.unknowns + offset.variables] = [values[unknown.name] for unknown in phase.problem.unknowns]
+            copies = self.see(own.layout.unknowns + offset.variables)
+            x[copies] = [values[unknown.name] for unknown in phase.problem.unknowns]
         return x
 
     def split(self, x: Array) -> list[Array]:
-        """Return the variables of each phase."""
+        """Return the variables of each phase, of all variables."""
         return [x[a.variables : b.variables] for a, b in zip(self.offsets, self.offsets[1:], strict=False)]
 
     def split_rows(self, g: Array) -> list[Array]:
         """Return the rows of each phase, and last the ones of links."""
-        ends = [offset.rows for offset in self.offsets]
+        ends = self.see_rows(np.array([offset.rows for offset in self.offsets])).tolist()
         return [g[a:b] for a, b in zip(ends, [*ends[1:], g.size], strict=True)]
 
     def unpack(self, x: Array) -> list[Trajectory]:
-        """Read the trajectories of all phases."""
+        """Read the trajectories of all phases off all variables."""
         return [own.unpack(part) for own, part in zip(self.phases, self.split(x), strict=True)]
 
 

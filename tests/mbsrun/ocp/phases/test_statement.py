@@ -133,7 +133,6 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
     "number of the file": ("horizon: 1", "horizon: -1", "horizon: found -1; give a positive number"),
     "coordinate": ("{pole: pi}", "{pol: pi}", 'phases[1].end.pose.pol: the model has no coordinate "pol"; did you'),
     "start that no link gives": ("    start: {pose: {cart: way}}\n", "", "phases[0].start: missing; give pose"),
-    "shooting": ("scheme: radau", "form: shooting\nscheme: radau", "form: the shooting form takes no phases"),
     "method": (
         "degree: 3",
         "degree: 3\nsolver: {method: mb}",

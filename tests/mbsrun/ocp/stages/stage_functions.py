@@ -50,7 +50,7 @@ def compare(
     evaluator: Evaluator, program: Program, plant: Plant, x: Array, p: Array, rng: np.random.Generator
 ) -> Difference:
     """Compare values, first and second derivatives at x, all variables of the program."""
-    data, oracle = evaluator.tables.data, NumpyProgram(replace(program, solves_inner=False), plant)
+    data, oracle = evaluator.tables.data, NumpyProgram(replace(program, solved=()), plant)
     w = fill(evaluator, x)
     found, n = evaluate(evaluator, w), w.size
     known, lifted = data.variables >= 0, data.lifted
