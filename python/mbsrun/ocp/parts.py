@@ -46,8 +46,8 @@ from mbsrun.ocp.sections import (
     UnknownSection,
     WrenchSection,
 )
+from mbsrun.ocp.touching import SLIP, list_components, list_constraints, name_slip
 from mbsrun.ocp.touching import find_faults as find_touching_faults
-from mbsrun.ocp.touching import list_components, list_constraints
 from mbsrun.quantities import SIGNAL, find_component
 from mbsrun.reading import Reading
 
@@ -223,9 +223,10 @@ class PartReading(Reading):
 
     def touching(
         self, given: Sequence[ContactSection], relaxation: Relaxation, wrenches: tuple[WrenchComponent, ...]
-    ) -> tuple[tuple[Contact, ...], tuple[Constraint, ...], tuple[WrenchComponent, ...]]:
-        """Read the points whose times of contact are not given, their constraints, and components of their forces."""
+    ) -> tuple[tuple[Contact, ...], tuple[Constraint, ...], tuple[WrenchComponent, ...], tuple[Control, ...]]:
+        """Read the points whose times of contact are not given, their constraints, components of forces, and slips."""
         found: list[Contact] = []
+        slips: list[Control] = []
         constraints: list[Constraint] = []
         added: list[WrenchComponent] = []
         for i, (contact, section) in enumerate(self._read_contacts(given)):
@@ -240,9 +241,14 @@ class PartReading(Reading):
             if not faults:
                 height = 0.0 if section.height is None else self.number(("contacts", i, "height"), section.height)
                 found.append(contact)
-                constraints += list_constraints(contact, height, relaxation.last, self.manifest)
+                slip = name_slip(contact, {*self.quantities, *self.constants})
+                if slip is not None:
+                    known = sum(quantity.kind == "controls" for quantity in self.quantities.values())
+                    self.quantities[slip] = Quantity("controls", known)
+                    slips.append(Control(slip, (0.0, math.inf), SLIP))
+                constraints += list_constraints(contact, height, relaxation.last, self.manifest, slip)
                 added += list_components(contact, wrenches)
-        return tuple(found), tuple(constraints), tuple(added)
+        return tuple(found), tuple(constraints), tuple(added), tuple(slips)
 
     def relaxation(self, section: RelaxationSection | None) -> Relaxation:
         """Read the steps of complementarity."""

@@ -271,10 +271,10 @@ class _Reading(PartReading):
             end = self.closed_end(self.closure, end, start_q)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints) if part.soft is None)
         wrenches, relaxation = self.wrenches(section.wrenches), self.relaxation(section.relaxation)
-        touching, complements, forces = self.touching(section.contacts, relaxation, wrenches)
-        if touching and self.is_phase:
-            finding = "complementarity finds the times of contact, and a problem of phases gives them"
-            self.fault(("contacts",), finding, "take one phase, or mode: stand")
+        touching, complements, forces, slips = self.touching(section.contacts, relaxation, wrenches)
+        if slips and section.degree > 1 and self.rewriting.course != "polynomial":
+            finding = "friction along two axes has an unknown slip at each point, where controls have one an interval"
+            self.fault(("degree",), finding, "take degree: 1, or inputs: polynomial")
         if touching and section.scheme is not Family.RADAU:
             finding = "the points of legendre are no mesh points, where contacts would be open"
             self.fault(("scheme",), finding, "take scheme: radau")
@@ -320,6 +320,7 @@ class _Reading(PartReading):
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
         problem = replace(problem, constants=used, references=self.referring.references())
         problem = self.rewriting.apply(problem)
+        problem = replace(problem, controls=(*problem.controls, *slips))
         self.check_given(problem)
         is_driven = bool(drives) and not self.faults
         for conflict in (

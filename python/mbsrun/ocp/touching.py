@@ -4,16 +4,22 @@
     mu f_n >= |f_t|
     v_t (mu f_n + f_t) <= e,    -v_t (mu f_n - f_t) <= e                      friction is against the slip
 
+and with two axes across, with an unknown number s that is the speed of the slip,
+
+    (mu f_n)^2 - |f_t|^2 >= 0,    s >= 0,    s ((mu f_n)^2 - |f_t|^2) <= e
+    |mu f_n v_t + s f_t| <= e                                                 on each axis: friction is against the slip
+
 at all collocation points (Posa, Cantu, Tedrake, "A direct method for trajectory optimization of rigid bodies through
 contact", Int. J. Robotics Research 33, 2014; products of the third line replace their variables of slip: each factor in
 brackets is not negative). A point that slides to the positive side has f_t = -mu f_n: friction takes out as much power
 as it can. The solver solves for large e first, and starts each solve from the one before. A point that lands keeps no
-velocity along its normal. In space, the slip's norm has no derivative where it sticks, and is refused.
+velocity along its normal. The unknown s avoids the norm of the slip, which has no derivative where a point sticks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,23 +29,54 @@ from mbsrun.ocp.contacts import AXES, write_friction
 from mbsrun.ocp.problem import Constraint, Contact, Problem, WrenchComponent
 from mbsrun.quantities import find_component, list_quantities, name_components
 
+SLIP = 0.1  # m/s: the guess of the speed of a slip
 
-def list_constraints(contact: Contact, height: float, last: float, manifest: Manifest) -> Iterator[Constraint]:
-    """List the constraints of a contact; the products have the range up to e, and are relaxed."""
+
+def list_across(contact: Contact) -> list[int]:
+    """List the axes across the normal."""
+    return [axis for axis in contact.axes if axis != contact.normal]
+
+
+def name_slip(contact: Contact, taken: Container[str]) -> str | None:
+    """Name the speed of a contact's slip, by no name that is taken; None where no unknown number is needed."""
+    if len(list_across(contact)) < 2:
+        return None
+    name = "slip_" + re.sub(r"\W", "_", contact.sensor, flags=re.ASCII)
+    while name in taken:
+        name += "_"
+    return name
+
+
+def list_constraints(
+    contact: Contact, height: float, last: float, manifest: Manifest, slip: str | None = None
+) -> Iterator[Constraint]:
+    """List the constraints of a contact; the products have the range up to e, and are relaxed.
+
+    `slip` is the name of the speed of its slip, where there are two axes across.
+    """
     assert contact.normal is not None, "contacts are checked before"
-    n, across = contact.normal, [axis for axis in contact.axes if axis != contact.normal]
+    n, across = contact.normal, list_across(contact)
     positions, velocities = (_name_sensor(contact, manifest, kind) for kind in ("position", "v"))
     forces = {axis: _name_force(contact, manifest, axis) for axis in contact.axes}
     gap = f"({positions[n]} - {height!r})" if height else positions[n]
     yield Constraint(gap, (0.0, np.inf))
     yield _relax(f"{gap}*{forces[n]}", last)
-    for text in write_friction(contact, manifest):
-        yield Constraint(text, (0.0, np.inf))
     limit = f"{contact.friction!r}*{forces[n]}"
     if len(across) == 1:
+        for text in write_friction(contact, manifest):
+            yield Constraint(text, (0.0, np.inf))
         v, f = velocities[across[0]], forces[across[0]]
         yield _relax(f"{v}*({limit} + {f})", last)
         yield _relax(f"-{v}*({limit} - {f})", last)
+    elif across:
+        assert slip is not None, "there are two axes across"
+        cone = f"({limit})**2 - {forces[across[0]]}**2 - {forces[across[1]]}**2"
+        yield Constraint(cone, (0.0, np.inf))
+        yield _relax(f"{slip}*({cone})", last)
+        for axis in across:
+            text = f"{limit}*{velocities[axis]} + {slip}*{forces[axis]}"
+            yield _relax(text, last)
+            yield _relax(f"-({text})", last)
 
 
 def _relax(text: str, last: float) -> Constraint:
@@ -84,9 +121,7 @@ def find_faults(contact: Contact, manifest: Manifest) -> Iterator[tuple[str, str
         yield "wrench", finding, "let the model give it along axes of the base (frame: base)"
     if contact.normal is None or contact.normal not in contact.axes:
         yield "normal", "complementarity needs a normal among the axes", f"give one of {'xyz'}, and axes that hold it"
-    across = [AXES[axis] for axis in contact.axes if axis != contact.normal]
-    if len(across) > 1:
-        yield "axes", "complementarity takes friction along one axis", "give the normal and one axis across, e.g. xz"
+    across = [AXES[axis] for axis in list_across(contact)]
     if across and contact.friction is None:
         finding = f"forces along {', '.join(across)} without friction would not know when to act"
         yield "friction", finding, f"give a coefficient, or axes: {AXES[contact.normal or 0]}"
@@ -98,6 +133,20 @@ def set_relaxation(problem: Problem, amount: float) -> Problem:
         replace(part, range=(part.range[0], amount)) if part.is_relaxed else part for part in problem.constraints
     )
     return replace(problem, constraints=constraints)
+
+
+def list_relaxed(problems: Sequence[Problem]) -> Iterator[list[Problem]]:
+    """List problems that are solved together with their relaxations, step by step; the last ones are at their last e.
+
+    Where one has fewer steps, it begins later.
+    """
+    every = [list_steps(problem) for problem in problems]
+    count = max(map(len, every), default=0)
+    for k in range(count):
+        yield [
+            set_relaxation(problem, steps[max(0, k - count + len(steps))]) if steps else problem
+            for problem, steps in zip(problems, every, strict=True)
+        ]
 
 
 def list_steps(problem: Problem) -> tuple[float, ...]:

@@ -17,11 +17,10 @@ from mbsgen.documents import Data, Document, Place, read_document, refuse
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.phases.recorded import Name
-from mbsrun.ocp.phases.statement import find_in_file
+from mbsrun.ocp.phases.statement import STANDS, find_in_file
 from mbsrun.ocp.statement import PHASED
 from mbsrun.reading import overlay, relate
 
-STANDS = "stand"  # the mode of contacts that say none
 _KEYS: Mapping[Place, Place] = {  # parts of a problem that have other keys in a file
     ("start_q",): ("start", "pose"),
     ("start_qd",): ("start", "velocity"),

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from mbsrun.ocp.phases.solution import (
     PhasedSolution,
 )
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
-from mbsrun.ocp.problem import SolverOptions
+from mbsrun.ocp.problem import Problem, SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Run, Size
@@ -57,6 +57,7 @@ from mbsrun.ocp.solve import (
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete, guess_largest
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.touching import list_relaxed
 
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
@@ -72,6 +73,7 @@ class PhasedSolver:
         self._options = self._choose_method()
         first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
+        self._solvers: list[methods.Solver] = []  # one, once it is made
 
     def _choose_method(self) -> SolverOptions:
         """Choose the method, where none is given: IPOPT where links read what no stage has, or something is not in C.
@@ -92,7 +94,25 @@ class PhasedSolver:
         raise ProblemError(self.problem.name, findings)
 
     def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
-        """Solve from a guess on the grids of the phases; `watch` is called in every iteration."""
+        """Solve from a guess on the grids of the phases; `watch` is called in every iteration.
+
+        Contacts by complementarity are relaxed in steps; a step that fails is left out.
+        """
+        for phases in [*list_relaxed([phase.problem for phase in self.problem.phases])][:-1]:
+            found = self._relax(phases)._solve(guess, watch)
+            if isinstance(found, PhasedSolution):
+                known = zip((unknown.name for unknown in found.unknowns), found.unknown_values, strict=True)
+                guess = Guess(tuple(phase.trajectory for phase in found.phases), tuple(known))
+        return self._solve(guess, watch)
+
+    def _relax(self, phases: list[Problem]) -> PhasedSolver:
+        """Return a solver of the same program for other ranges of constraints."""
+        relaxed = copy(self)
+        changed = zip(self.problem.phases, phases, strict=True)
+        relaxed.problem = replace(self.problem, phases=tuple(replace(phase, problem=own) for phase, own in changed))
+        return relaxed
+
+    def _solve(self, guess: Guess, watch: Watch | None) -> PhasedSolution | PhasedFailure:
         problem = self.problem
         for phase, plant in zip(problem.phases, self.plants.phases, strict=True):
             if crossed := find_crossed_bounds(phase.problem, plant.manifest):
@@ -105,7 +125,7 @@ class PhasedSolver:
         own = self.transcription
         defined = tuple(Defined(own.see(part.variables), own.see_rows(part.rows)) for part in own.defined)
         x = solve_links(x, defined, self._evaluate, self._differentiate)
-        run, found, _ = search(x, lambda x: self._call(self._method, x, watch))
+        run, found, _ = search(x, lambda x: self._call(self._find_method(), x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
@@ -157,8 +177,13 @@ class PhasedSolver:
     def _differentiate(self, x: Array) -> Matrix:
         return self.program.casadi.jacobian(x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
 
-    @cached_property
-    def _method(self) -> methods.Solver:
+    def _find_method(self) -> methods.Solver:
+        """Return the method, which solvers of relaxed problems share."""
+        if not self._solvers:
+            self._solvers.append(self._make_method())
+        return self._solvers[0]
+
+    def _make_method(self) -> methods.Solver:
         options = self._options
         scaling = options.objective_scaling or 1 / self.problem.weight
         order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))

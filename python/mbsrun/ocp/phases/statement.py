@@ -29,6 +29,7 @@ from mbsrun.ocp.statement import PHASED, name_problem, read_phase
 from mbsrun.reading import Reading, overlay, relate
 
 SHARED = ("solver", "unknowns", *PHASED)  # keys that a phase does not repeat
+STANDS = "stand"  # the mode of contacts that say none
 ONLY = "motion"  # the name of the phase of a file without `phases`
 
 Load = Callable[[Path], Plant]
@@ -105,6 +106,8 @@ def interpret_phases(
     if not phases or any(phase.problem is None or phase.plant is None for phase in phases):
         raise refuse([*faults, *reading.faults])
     problem, plants = reading.problem(name, phases, models)
+    if "relaxation" in data and not any(phase.problem.touching for phase in problem.phases):
+        faults.append(document.fault(("relaxation",), "no contact has mode: complementarity", "leave it out"))
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, plants
@@ -201,6 +204,8 @@ def _read_phase(
     defaults: dict[str, Data] = {key: value for key, value in data.items() if key not in PHASED}
     kept: Data = {key: value for key, value in own.items() if key not in SHARED}
     merged = overlay(overlay(usual, defaults), kept)
+    if isinstance(merged, dict) and "relaxation" not in own and not _touches(merged.get("contacts")):
+        merged.pop("relaxation", None)  # of other phases
     if name in linked and isinstance(merged, dict) and isinstance(merged.get("start"), dict):
         merged["start"] = {"pose": {}, **merged["start"]}  # type: ignore[dict-item]
     part = PhaseDocument(document.file, merged, document.lines, _pick_faults(document, k), document, k)
@@ -218,6 +223,12 @@ def _read_phase(
     if extension is not None and problem is not None:
         problem = extension.extend(problem, merged)
     return _Read(name, problem, plant, [*faults, *found], stand_ins)
+
+
+def _touches(contacts: Data) -> bool:
+    """Return whether a contact finds its times by itself."""
+    every = contacts if isinstance(contacts, list) else []
+    return any(isinstance(x, dict) and x.get("mode", STANDS) != STANDS for x in every)
 
 
 def _find_wrong_solution(document: Document, k: int, own: Mapping[str, Data]) -> Iterator[Fault]:

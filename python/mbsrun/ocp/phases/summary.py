@@ -39,11 +39,12 @@ def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     return rows
 
 
-KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip", "defect", "open loop")
+KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip")
+KEPT_CHECKS = ("complementarity", "defect", "open loop")
 
 
 def _is_kept(key: str) -> bool:
-    return key.strip() in KEPT or key.strip().startswith("round ") or key.startswith("slack of ")
+    return key.strip() in (*KEPT, *KEPT_CHECKS) or key.strip().startswith("round ") or key.startswith("slack of ")
 
 
 def _list_impulses(values: LinkValues) -> dict[str, str]:
