@@ -154,6 +154,13 @@ _OPTIMA = (
     _solve(
         "balance", "A cart-pole keeps its balance", "Back to the middle of the track.", "cart_pole_balance", "cart_pole"
     ),
+    _solve(
+        "muscles",
+        "Two muscles lift an arm",
+        "Muscles of Hill's type, driven by excitations, at the least effort.",
+        "muscles/lift",
+        "muscles/arm",
+    ),
     _solve("acrobot", "An acrobot swings up", "One motor, at the elbow.", "acrobot_swing_up", "acrobot"),
     _solve(
         "planar_reach",

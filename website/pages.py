@@ -40,7 +40,18 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
         "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
     },
     {"Simulate": ["simulation.md", "animation.md", "playground.md", "fmu.md"]},
-    {"Optimise": ["problem.md", "phases.md", "python.md", "recordings.md", "gait.md", "classics.md", "solver.md"]},
+    {
+        "Optimise": [
+            "problem.md",
+            "phases.md",
+            "python.md",
+            "recordings.md",
+            "gait.md",
+            "muscles.md",
+            "classics.md",
+            "solver.md",
+        ]
+    },
     {"Control": ["controller.md", "cpp.md", "rust.md", "julia.md", "track.md", "microcontroller.md", "acados.md"]},
     {
         "Trust": [
