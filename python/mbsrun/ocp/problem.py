@@ -173,6 +173,7 @@ class Delay:
     index: int  # into u, or into the controls
     seconds: float
     history: float | None = 0.0  # the command before the start; None: free
+    is_linked: bool = False  # whether these are commands of the phase before, which has the same delay
 
 
 @dataclass(frozen=True)

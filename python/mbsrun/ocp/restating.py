@@ -17,6 +17,8 @@ from mbsrun.ocp.quantities import Quantity
 from mbsrun.ocp.rewriting import INPUT, RATE, Lifted, Price, lift_controls, lift_inputs, price_largest, soften
 from mbsrun.ocp.sections import ControlSection, InputsSection, ProblemSection, SoftSection
 
+LINK = "link"  # the history of an input: commands of the phase before
+
 
 class Rewriting:
     """Reads the keys, and rewrites a problem."""
@@ -198,17 +200,21 @@ class Rewriting:
         seconds = reading.number(place, given, least=math.ulp(0))
         if history is None and reading.is_linked:
             finding = "the phase before gave the inputs that act first, and the file does not say which"
-            reading.fault(place, finding, "give history: a number, or free")
+            reading.fault(
+                place, finding, "give history: link, for the phase before with the same delay; a number; or free"
+            )
             return
         before = None
+        inner: Place = (*place[:-1], "history") if kind == "control" else ("inputs", "history")
+        if history == LINK and not reading.is_linked:
+            reading.fault(inner, "no link leads here, whose phase would have given commands", "give a number, or free")
         if not isinstance(history, str):
-            inner: Place = (*place[:-1], "history") if kind == "control" else ("inputs", "history")
             before = 0.0 if history is None else reading.number(inner, history)
             if before < bounds[0] or before > bounds[1]:
                 finding = f"the history {before:g} is out of [{bounds[0]:g}, {bounds[1]:g}]"
                 reading.fault(place if history is None else inner, finding, "give history within the bounds, or free")
         if math.isfinite(seconds):
-            yield Delay("control" if kind == "control" else "input", index, seconds, before)
+            yield Delay("control" if kind == "control" else "input", index, seconds, before, history == LINK)
 
     # --- soft constraints ---
 

@@ -331,9 +331,9 @@ class RateSection(Section):
     weight: NumberField = Field(default=Number(0.0), examples=[0.0])
 
 
-HistoryField = Annotated[  # a number, or free
-    Annotated[Literal["free"], Tag("text")] | Annotated[NumberField, Tag("number")],
-    Discriminator(lambda value: "text" if value == "free" else "number"),
+HistoryField = Annotated[  # a number, or free, or of the phase before
+    Annotated[Literal["free", "link"], Tag("text")] | Annotated[NumberField, Tag("number")],
+    Discriminator(lambda value: "text" if value in ("free", "link") else "number"),
 ]
 
 

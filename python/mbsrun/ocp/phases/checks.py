@@ -31,7 +31,7 @@ from mbsrun.ocp.phases.sides import (
     spell_velocities,
 )
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Loops, Problem
+from mbsrun.ocp.problem import SAME_TIME, Contact, Delay, Loops, Problem
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
 
 APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
@@ -153,6 +153,7 @@ class _Link:
         known += self.free
         if link.impact is not None:
             known += [name for name, _, _ in name_impulses(link.impact.contacts)]
+        yield from self.check_delays(own, problem.phases[target].problem, before.manifest, after.manifest)
         for i, term in enumerate(link.cost):
             yield from _check_expression((*self.place, "cost", i, "expression"), term.expression, known)
             if not math.isfinite(term.weight):
@@ -239,6 +240,19 @@ class _Link:
                 finding = f"{name} has a value at the end of {self.link.source} and at the start of {self.link.target}"
                 yield PhaseFault(self.place, finding, "leave one out: the link gives the other")
 
+    def check_delays(self, source: Problem, target: Problem, before: Manifest, after: Manifest) -> Iterator[PhaseFault]:
+        """Refuse histories by this link where the phase before did not give them: its commands must act as late."""
+        known = {_name_delayed(delay, source, before): delay.seconds for delay in source.delays}
+        k = self.problem.find(self.link.target)
+        for delay in target.delays:
+            if not delay.is_linked:
+                continue
+            kind, name = _name_delayed(delay, target, after)
+            seconds, place = known.get((kind, name), 0.0), ("phases", k, *_place_history(kind, name))
+            if abs(seconds - delay.seconds) > SAME_TIME * delay.seconds:
+                finding = f"{name} acts {delay.seconds:g} s later, and {seconds:g} s later in phase {self.link.source}"
+                yield PhaseFault(place, finding, "give both phases the same delay, or history: a number, or free")
+
     def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[PhaseFault]:
         """Check the contacts of an impact, and its model."""
         place, manifest = (*self.place, "impact"), plant.manifest
@@ -264,6 +278,19 @@ class _Link:
                 finding = f"{contact.sensor} rebounds, and phase {self.link.target} holds it"
                 remedy = "give restitution: 0, or leave the contact out of that phase"
                 yield PhaseFault((*self.place, "impact", "restitution"), finding, remedy)
+
+
+def _name_delayed(delay: Delay, problem: Problem, manifest: Manifest) -> tuple[str, str]:
+    """Return the kind and the name of an input or a control with a delay."""
+    if delay.kind == "input":
+        return delay.kind, manifest.coordinates[manifest.actuated[delay.index]].name
+    return delay.kind, problem.controls[delay.index].name
+
+
+def _place_history(kind: str, name: str) -> Place:
+    """Return the place of a history in the file of a phase; rates of continuous inputs have the histories of these."""
+    is_control = kind == "control" and not name.startswith("rate_")
+    return ("controls", name, "history") if is_control else ("inputs", "history")
 
 
 def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[PhaseFault]:
