@@ -56,14 +56,15 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
         axes.legend(frameon=False)
         figure.suptitle(write_title(solution))
         return figure
-    figure = Figure(figsize=(8, 9 + 3 * added), layout="constrained")
-    coordinates, velocities, inputs, *others = figure.subplots(3 + added, 1, sharex=True)
-    for axes in others:
-        plot_additions(axes, solution, t)
-        _plot_wrenches(axes, solution, manifest)
-    draw_motion((coordinates, velocities, inputs), solution, manifest, choose_colors([manifest]))
-    (others or [inputs])[-1].set_xlabel("time [s]")
-    inputs.set_xlim(0, solution.trajectory.t[-1])
+    rows = 2 + bool(manifest.actuated) + added
+    figure = Figure(figsize=(8, 3 * rows), layout="constrained")
+    panels = list(figure.subplots(rows, 1, sharex=True))
+    if added:
+        plot_additions(panels[-1], solution, t)
+        _plot_wrenches(panels[-1], solution, manifest)
+    draw_motion(panels, solution, manifest, choose_colors([manifest]))
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(0, solution.trajectory.t[-1])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(write_title(solution))
     return figure
@@ -80,16 +81,14 @@ def read_times(trajectory: Trajectory) -> Array:
     return np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
 
 
-def draw_motion(
-    panels: tuple[Axes, Axes, Axes], solution: Solution, manifest: Manifest, colors: Mapping[str, str]
-) -> None:
-    """Plot coordinates, velocities and inputs over time, each in its panel."""
+def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> None:
+    """Plot coordinates, velocities and, if there are any, inputs over time, each in its panel."""
     trajectory, t = solution.trajectory, read_times(solution.trajectory)
     q, qd = (
         np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
     )
-    coordinates, velocities, inputs = panels
+    coordinates, velocities = panels[:2]
     names = [c.name for c in manifest.coordinates]
     labels = {c.name: plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
     lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
@@ -99,12 +98,14 @@ def draw_motion(
     for i, name in enumerate(names):
         label = None if name in manifest.positions else labels[name]
         velocities.plot(t, qd[:, i], label=label, color=colors[name], linestyle=lines[name])
-    for k, i in enumerate(manifest.actuated):
-        _plot_input(inputs, trajectory, trajectory.u[:, k], trajectory.point_u[:, :, k : k + 1], color=colors[names[i]])
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
+    for k, c in enumerate(actuated):
+        points = trajectory.point_u[:, :, k : k + 1]
+        _plot_input(panels[2], trajectory, trajectory.u[:, k], points, color=colors[c.name])
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
-    _name(inputs, "Inputs", "u", _join(c.force_unit for c in actuated))
+    if actuated:
+        _name(panels[2], "Inputs", "u", _join(c.force_unit for c in actuated))
 
 
 @styled

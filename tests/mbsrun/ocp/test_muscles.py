@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbsrun import load
+from mbsrun.ocp.pictures import make_trajectories
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
@@ -55,5 +56,7 @@ def test_the_lift_is_a_program_in_opti() -> None:
     opti.solver("ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.tol": 1e-10})
     solution = opti.solve()
     assert found.cost.total == pytest.approx(solution.value(cost), rel=1e-7)
+    titles = [axes.get_title(loc="left") for axes in make_trajectories(found, plant.manifest).axes]
+    assert [title.split(",")[0] for title in titles] == ["Joint coordinates", "Joint velocities", "Further states"]
     assert motion.q == pytest.approx(solution.value(mesh)[:2].T, abs=1e-5)
     assert motion.states == pytest.approx(solution.value(mesh)[4:].T, abs=1e-4)

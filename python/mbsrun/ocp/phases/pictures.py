@@ -12,6 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from mbsgen.manifest import Manifest
 from mbsgen.style import styled
 from mbsrun.animation import render_parts
 from mbsrun.ocp.design import equip
@@ -42,7 +43,7 @@ def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution
     """Plot coordinates, velocities, inputs, and what phases add over time: a column for each phase."""
     manifests = [plant.manifest for plant in plants.phases]
     added = any(phase.problem.every_state or phase.problem.controls for phase in phases)
-    longest, moving = max(solution.durations), 3 * any(manifest.coordinates for manifest in manifests)
+    longest, moving = max(solution.durations), max(map(_count_panels, manifests))
     figure = Figure(figsize=(4 + 3 * len(phases), 3 * (moving + added)), layout="constrained")
     panels = figure.subplots(
         moving + added,
@@ -55,7 +56,7 @@ def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution
     colors = choose_colors(manifests)
     for name, phase, manifest, column in zip(solution.names, phases, manifests, panels.T, strict=True):
         if manifest.coordinates:
-            draw_motion((column[0], column[1], column[2]), phase, manifest, colors)
+            draw_motion(column, phase, manifest, colors)
         if added:
             plot_additions(column[-1], phase, read_times(phase.trajectory))
         column[0].set_title(plain(name))
@@ -70,6 +71,11 @@ def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(_title(solution))
     return figure
+
+
+def _count_panels(manifest: Manifest) -> int:
+    """Count the panels of a mechanism: coordinates, velocities and inputs, if there are any."""
+    return 2 * bool(manifest.coordinates) + bool(manifest.actuated)
 
 
 @styled
