@@ -135,7 +135,7 @@ MBSRUN = Package(
         "ocp",
         "optimal.display optimal.plain optimal.programs optimal.describing optimal.recalling",
         "optimal.progress optimal.result",
-        "optimal.quantities",
+        "optimal.quantities optimal.guessing",
         "optimal.expressions",
         "optimal.phases",
         "optimal.control",

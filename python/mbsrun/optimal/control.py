@@ -21,7 +21,7 @@ from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Symbolic
-from mbsrun.ocp.recorded import find_guess, recall
+from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
@@ -30,12 +30,12 @@ from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
+from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.phases import PhasedControl, load
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
-from mbsrun.optimal.recalling import make_recording
 from mbsrun.optimal.result import Solved, Unsolved
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
@@ -47,9 +47,6 @@ DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these i
     "cost": {},
     "start": {"pose": {}},
 }
-
-
-GuessLike = Solved | Trajectory | Mapping[str, Any] | str | Path | None  # or a frame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,7 +172,7 @@ class OptimalControl:
         self,
         *,
         watch: Watch | bool = False,
-        guess: GuessLike = None,
+        guess: GuessLike | None = None,
         check: bool = True,
     ) -> Solved | Unsolved:
         """Solve the problem, re-simulate the solution, and refine its grid if the problem asks for that.
@@ -234,18 +231,11 @@ class OptimalControl:
         read_guess(Path(path), self.plant.manifest)
         return Solved(read_solution(Path(path)), self.plant)
 
-    def _find_guess(self, guess: GuessLike) -> Trajectory | None:
+    def _find_guess(self, guess: GuessLike | None) -> Trajectory | None:
         own = self.value.guess.solution
-        match guess:
-            case None:
-                return None if own is None else find_guess(self.folder / own, self.value, self.plant)
-            case Solved():
-                return guess.trajectory
-            case Trajectory():
-                return guess
-            case str() | Path():
-                return find_guess(Path(guess), self.value, self.plant)
-        return recall(make_recording(guess, self.value, self.plant.manifest), self.value, self.plant)
+        if guess is None:
+            return None if own is None else find_guess(self.folder / own, self.value, self.plant)
+        return read_motion(guess, self.value, self.plant)
 
     # --- display ---
 

@@ -43,6 +43,7 @@ from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
+from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
@@ -268,12 +269,13 @@ class PhasedControl:
         self,
         *,
         watch: Watch | bool = False,
-        guess: SolvedPhases | Guess | str | Path | None = None,
+        guess: SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path | None = None,
         check: bool = True,
     ) -> SolvedPhases | Unsolved:
         """Solve the problem; re-simulate every phase, and refine its grid if asked, unless `check` is False.
 
-        See `OptimalControl.solve`.
+        `guess` may be guesses of phases by their names, each as `OptimalControl.solve` takes one; other phases are
+        guessed as the problem says. A folder stands for a table NAME.csv of each phase. See `OptimalControl.solve`.
         """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess))
@@ -311,13 +313,25 @@ class PhasedControl:
     def _repr_html_(self) -> str:
         return display.write_table(f"problem {self.name}", self.describe())
 
-    def _find_guess(self, guess: SolvedPhases | Guess | str | Path | None) -> Guess | PartialGuess:
+    def _find_guess(
+        self, guess: SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path | None
+    ) -> Guess | PartialGuess:
         if isinstance(guess, SolvedPhases):
             known = tuple(guess.unknowns.items())
             return Guess(tuple(phase.trajectory for phase in guess.solution.phases), known)
         if isinstance(guess, Guess):
             return guess
+        if isinstance(guess, Mapping):
+            return self._find_guesses(guess)
         return find_phased_guess(self.value, self.plants, self.folder, None if guess is None else Path(guess))
+
+    def _find_guesses(self, guesses: Mapping[str, GuessLike]) -> PartialGuess:
+        """Return the motions of some phases. Raises ProblemError for a name that no phase has."""
+        plants, found = equip_phases(self.value, self.plants).phases, []
+        for name, guess in guesses.items():
+            k = self._find(name)
+            found.append((name, read_motion(guess, self.value.phases[k].problem, plants[k])))
+        return PartialGuess(tuple(found))
 
 
 @dataclass(frozen=True)

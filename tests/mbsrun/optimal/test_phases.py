@@ -95,6 +95,12 @@ def test_copies_and_files(swing: PhasedControl, solved: SolvedPhases, tmp_path: 
     assert found["catch"]["q_cart"][-1] == pytest.approx(0.9)
     again = nearer.solve(guess=tmp_path / "s.json", check=False)
     assert again.cost == pytest.approx(found.cost, rel=1e-8)
+    arrays = {name: solved["pump"][name] for name in ("t", "q_cart", "q_pole")}
+    parts = {"pump": arrays, "catch": solved["catch"]}
+    for guess in (parts, {"catch": solved["catch"].trajectory}):
+        assert nearer.solve(guess=guess, check=False).cost == pytest.approx(found.cost, rel=1e-6)
+    with pytest.raises(MbsError, match="there is no phase 'leap'"):
+        nearer.solve(guess={"leap": solved["catch"]})
     assert swing.with_solver("ipopt", tolerance=1e-6).value.solver.tolerance == 1e-6
     assert swing.with_constants(w=2.0).data["constants"] == {"w": 2.0}
     stuck = nearer.with_changes(bounds={"inputs": [-0.01, 0.01]}).solve(check=False)
