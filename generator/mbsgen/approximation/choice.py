@@ -25,7 +25,7 @@ from mbsgen.request import Request
 from mbsgen.tape.counts import count
 from mbsgen.tape.types import Tape
 
-CHOOSING, CHECKING = 64, 1024  # states at which cuts are chosen, and states at which all are measured together
+CHOOSING, CHECKING = 64, 4096  # states at which cuts are chosen, and states at which all are measured together
 SEEDS = 1, 2  # of the two sets of states
 SLOPES = 64  # states at which Jacobians are compared: the first of the second set
 POSES = 8  # of the first set, at which M is checked; of the second set, all are
