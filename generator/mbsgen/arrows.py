@@ -75,9 +75,7 @@ from mbsgen.model.tree import Reading as Kinematics
 
 _CALLS = {sin: "sin", cos: "cos", exp: "exp", log: "log", tanh: "tanh", asin: "asin", acos: "acos", atan: "atan"}
 _CALLS |= {atan2: "atan2", Abs: "abs"}
-
-
-OWN = frozenset((LENGTH, LENGTH_RATE))
+OWN = frozenset((LENGTH, LENGTH_RATE))  # names of numbers of a force element itself
 
 
 class Seat(Protocol):

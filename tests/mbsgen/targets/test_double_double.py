@@ -236,6 +236,20 @@ def test_other_languages_leave_them_out(tmp_path: Path) -> None:
     assert not any("dd_impl" in text for text in others)
 
 
+def test_arguments_have_two_parts_in_any_numbers() -> None:
+    """In 50 digits, as verification computes: the sums of both parts go in."""
+    tape = functions_tape()
+    (family,) = add_double_double([Family(tape)])
+    given, whole = draw(tape, 3)
+    exact = evaluate(tape, whole, DIGITS)
+    found = evaluate(
+        family.value, {name: [DIGITS.literal(float(x)) for x in values] for name, values in given.items()}, DIGITS
+    )
+    for name, values in exact.items():
+        assert found[name] == values
+        assert not any(found[name_low(name)])
+
+
 def test_flops_count_operations_of_doubles() -> None:
     """x + y costs 20 and x y 13, with 4 of two fused operations."""
     from mbsgen.procedure.procedure import count
