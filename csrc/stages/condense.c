@@ -203,7 +203,7 @@ static void find_variation(mbs_stages_recursion *r, mbs_stages_stage *s)
     y->deferred = y->missing = 0;
     y->factors.upper = y->factors.lower + (y->pivots->ready ? y->pivots->lower[y->n] : 0);
     y->own = !y->pivots->ready || mbs_stages_factorise_block(y->pivots, &s->E, &y->factors, r->vector[5],
-                                                             r->zero_pivot) >= 0;
+                                                             r->block, r->zero_pivot) >= 0;
     if (y->own) {
         const mbs_stages_complete c = factorise_completely(r, s);
         defer(s, &c);

@@ -173,8 +173,9 @@ static int count_block(const mbs_stages_stage *t, const mbs_stages_patterns *pat
 /* The order of pivots of a kind of stages, and how large factors are. */
 static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int entries, int capacity)
 {
-    int **const of_rows[] = {&p->row, &p->column}, **const of_places[] = {&p->entry, &p->lower, &p->upper};
-    int **const of_nonzeros[] = {&p->lower_place, &p->lower_row, &p->upper_place, &p->upper_column};
+    int **const of_rows[] = {&p->row, &p->column}, **const of_places[] = {&p->entry, &p->lower, &p->upper, &p->below};
+    int **const of_nonzeros[] = {&p->lower_place, &p->lower_row, &p->upper_place,
+                                 &p->upper_column, &p->below_place, &p->below_at};
     size_t i;
     p->n = n;
     p->first = first;
@@ -182,9 +183,9 @@ static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int ent
     p->capacity = capacity;
     for (i = 0; i < 2; ++i)
         *of_rows[i] = take(a, (size_t)n, sizeof(int));
-    for (i = 0; i < 3; ++i)
-        *of_places[i] = take(a, (size_t)n + 1, sizeof(int));
     for (i = 0; i < 4; ++i)
+        *of_places[i] = take(a, (size_t)n + 1, sizeof(int));
+    for (i = 0; i < 6; ++i)
         *of_nonzeros[i] = take(a, (size_t)capacity, sizeof(int));
     p->entry_at = take(a, (size_t)entries, sizeof(int));
     p->entry_place = take(a, (size_t)entries, sizeof(int));

@@ -6,7 +6,9 @@
  *
  * Later factorisations follow the order row by row: row i of the lower factor and of the upper one are
  *
- *     l_ij = a_ij - sum_k l_ik u_kj  for j <= i,      u_ij = (a_ij - sum_k l_ik u_kj) / l_ii  for j > i. */
+ *     l_ij = a_ij - sum_k l_ik u_kj  for j <= i,      u_ij = (a_ij - sum_k l_ik u_kj) / l_ii  for j > i.
+ *
+ * Full rows come last, and are eliminated together, column by column: none waits for the one before. */
 #include "pivots.h"
 
 #include <string.h>
@@ -214,6 +216,28 @@ static int write_factors(const remainder_block *r, mbs_stages_pivots *p)
     return 0;
 }
 
+/* Sort the nonzeros of the lower factor that are in full rows, and in columns that are not, by columns. */
+static void write_columns(mbs_stages_pivots *p)
+{
+    int i, j, t;
+    for (j = 0; j <= p->dense; ++j)
+        p->below[j] = 0;
+    for (i = p->dense; i < p->n; ++i)
+        for (t = p->lower[i]; t < p->lower[i + 1] && p->lower_place[t] < p->dense; ++t)
+            ++p->below[p->lower_place[t] + 1];
+    for (j = 0; j < p->dense; ++j)
+        p->below[j + 1] += p->below[j];
+    for (i = p->dense; i < p->n; ++i)
+        for (t = p->lower[i]; t < p->lower[i + 1] && p->lower_place[t] < p->dense; ++t) {
+            const int at = p->below[p->lower_place[t]]++;
+            p->below_place[at] = i;
+            p->below_at[at] = t;
+        }
+    for (j = p->dense; j > 0; --j)
+        p->below[j] = p->below[j - 1];
+    p->below[0] = 0;
+}
+
 /* Sort the nonzeros of the block by places of rows. Works in `count` and `place` (n each). */
 static void write_entries(mbs_stages_pivots *p, const mbs_stages_matrix *A, int *count, int *place)
 {
@@ -269,27 +293,35 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
     }
     if (write_factors(&r, p))
         return -1;
+    write_columns(p);
     write_entries(p, A, spots, spots + p->n);
     p->ready = 1;
     return 0;
 }
 
-/* Write row i into `row`, with zeros where factors have more nonzeros. Returns its largest entry. */
-static real spread_row(const mbs_stages_pivots *p, const mbs_stages_matrix *A, int i, real *row)
+/* Write the nonzeros of row i. Returns the largest one. */
+static real write_row(const mbs_stages_pivots *p, const mbs_stages_matrix *A, int i, real *row)
 {
     real most = 0;
     int t;
-    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
-        row[p->lower_place[t]] = 0;
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        row[p->upper_place[t]] = 0;
-    row[i] = 0;
     for (t = p->entry[i]; t < p->entry[i + 1]; ++t) {
         const real a = A->value[p->entry_at[t]];
         row[p->entry_place[t]] = a;
         most = real_abs(a) > most ? real_abs(a) : most;
     }
     return most;
+}
+
+/* The same, with zeros where factors have more nonzeros. */
+static real spread_row(const mbs_stages_pivots *p, const mbs_stages_matrix *A, int i, real *row)
+{
+    int t;
+    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
+        row[p->lower_place[t]] = 0;
+    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
+        row[p->upper_place[t]] = 0;
+    row[i] = 0;
+    return write_row(p, A, i, row);
 }
 
 static void add(int n, real factor, const real *restrict a, real *restrict b)
@@ -322,36 +354,116 @@ static void eliminate_row(const mbs_stages_pivots *p, const mbs_stages_factors *
         const int j = p->lower_place[t];
         const real factor = row[j];
         f->lower[t] = -factor;
-        if (j >= p->dense) {
-            add(p->n - j - 1, factor, f->upper + p->upper[j], row + j + 1);
-            continue;
-        }
         for (l = p->upper[j]; l < p->upper[j + 1]; ++l)
             row[p->upper_place[l]] += factor * f->upper[l];
     }
 }
 
-int mbs_stages_factorise_block(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
-                               real *row, real zero_pivot)
+/* Divide row i of the upper factor by its pivot; -1 where that is too small, beside this row or the block's. */
+static int take_pivot(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real pivot, real least)
+{
+    real most = 0, inverse;
+    int t;
+    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
+        most = real_abs(f->upper[t]) > most ? real_abs(f->upper[t]) : most;
+    if (!(real_abs(pivot) > least) || !(most <= LOST * real_abs(pivot)))
+        return -1;
+    inverse = 1 / pivot;
+    f->inverse[i] = inverse;
+    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
+        f->upper[t] *= -inverse;
+    return 0;
+}
+
+static int factorise_sparse_rows(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
+                                 real *row, real zero_pivot)
 {
     int i, t;
-    for (i = 0; i < p->n; ++i) {
+    for (i = 0; i < p->dense; ++i) {
         const real size = spread_row(p, A, i, row);
-        real most = 0, inverse;
         eliminate_row(p, f, i, row);
-        for (t = p->upper[i]; t < p->upper[i + 1]; ++t) {
-            const real a = row[p->upper_place[t]];
-            f->upper[t] = a;
-            most = real_abs(a) > most ? real_abs(a) : most;
-        }
-        if (!(real_abs(row[i]) > zero_pivot * size) || !(most <= LOST * real_abs(row[i])))
-            return i;
-        inverse = 1 / row[i];
-        f->inverse[i] = inverse;
         for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-            f->upper[t] *= -inverse;
+            f->upper[t] = row[p->upper_place[t]];
+        if (take_pivot(p, f, i, row[i], zero_pivot * size))
+            return i;
     }
     return -1;
+}
+
+/* Write full rows of the block into `rows`, and their largest entries into `size`. */
+static void spread_full_rows(const mbs_stages_pivots *p, const mbs_stages_matrix *A, real *rows, real *size)
+{
+    int i;
+    memset(rows, 0, (size_t)(p->n - p->dense) * (size_t)p->n * sizeof *rows);
+    for (i = p->dense; i < p->n; ++i)
+        size[i] = write_row(p, A, i, rows + (size_t)(i - p->dense) * (size_t)p->n);
+}
+
+/* Add four multiples of columns to those rows that have an entry in column j. */
+static void add_columns(const mbs_stages_pivots *p, int j, const int *restrict column, const real *restrict factor,
+                        real *restrict rows)
+{
+    const size_t a = (size_t)column[0], b = (size_t)column[1], c = (size_t)column[2], d = (size_t)column[3];
+    int t;
+    for (t = p->below[j]; t < p->below[j + 1]; ++t) {
+        real *restrict row = rows + (size_t)(p->below_place[t] - p->dense) * (size_t)p->n;
+        const real x = row[j];
+        row[a] += x * factor[0];
+        row[b] += x * factor[1];
+        row[c] += x * factor[2];
+        row[d] += x * factor[3];
+    }
+}
+
+/* Eliminate the sparse columns of full rows: column by column, so that rows need not wait for each other. */
+static void eliminate_columns(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *rows)
+{
+    int j, t, l;
+    for (j = 0; j < p->dense; ++j) {
+        for (l = p->upper[j]; l + 4 <= p->upper[j + 1]; l += 4)
+            add_columns(p, j, p->upper_place + l, f->upper + l, rows);
+        for (t = p->below[j]; t < p->below[j + 1]; ++t) {
+            real *row = rows + (size_t)(p->below_place[t] - p->dense) * (size_t)p->n;
+            int k;
+            for (k = l; k < p->upper[j + 1]; ++k)
+                row[p->upper_place[k]] += row[j] * f->upper[k];
+            f->lower[p->below_at[t]] = -row[j];
+        }
+    }
+}
+
+/* Factorise what is left of full rows. Zeros before a pivot let vectors begin at multiples of 4. */
+static int factorise_full_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *rows, const real *size,
+                               real zero_pivot)
+{
+    int i, j, k;
+    for (k = p->dense; k < p->n; ++k) {
+        real *row = rows + (size_t)(k - p->dense) * (size_t)p->n, *upper = f->upper + p->upper[k];
+        const int begin = k - (k - p->dense) % 4;
+        for (j = p->dense; j < k; ++j)
+            f->lower[p->lower[k + 1] - k + j] = -row[j];
+        memcpy(upper, row + k + 1, (size_t)(p->n - k - 1) * sizeof *upper);
+        if (take_pivot(p, f, k, row[k], zero_pivot * size[k]))
+            return k;
+        memset(row + begin, 0, (size_t)(k + 1 - begin) * sizeof *row);
+        memcpy(row + k + 1, upper, (size_t)(p->n - k - 1) * sizeof *row);
+        for (i = k + 1; i < p->n; ++i) {
+            real *to = rows + (size_t)(i - p->dense) * (size_t)p->n;
+            add(p->n - begin, to[k], row + begin, to + begin);
+        }
+    }
+    return -1;
+}
+
+int mbs_stages_factorise_block(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
+                               real *row, real *rows, real zero_pivot)
+{
+    const int failed = factorise_sparse_rows(p, A, f, row, zero_pivot);
+    if (failed >= 0)
+        return failed;
+    spread_full_rows(p, A, rows, row);
+    eliminate_columns(p, f, rows);
+    return factorise_full_rows(p, f, rows, row, zero_pivot);
 }
 
 void mbs_stages_solve_block(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *b, real *x,

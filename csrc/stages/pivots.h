@@ -19,6 +19,7 @@ typedef struct {
     int *upper, *upper_place;            /* nonzeros right of it */
     int *upper_column;                   /* the same as columns of the block */
     int dense;                           /* from this place on the factors are full */
+    int *below, *below_place, *below_at; /* sparse columns of the lower factor in full rows: places, and where it is */
 } mbs_stages_pivots;
 
 /* Factors of a stage: negative lower entries, the inverse of pivots, negative upper entries after the lower ones. */
@@ -32,9 +33,9 @@ typedef struct {
 int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, real *block, real *sizes, char *marks,
                              int *spots, real zero_pivot);
 
-/* Factorise; returns -1, or the place where the pivot is too small. Works in `row` (n). */
+/* Factorise; returns -1, or the place where the pivot is too small. Works in `row` (n) and `rows` (n by n). */
 int mbs_stages_factorise_block(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
-                               real *row, real zero_pivot);
+                               real *row, real *rows, real zero_pivot);
 
 /* x = B^-1 b: b by rows and x by columns of the block; x = B^-T b: b by columns (overwritten), x by rows. Both work in
  * `work` (n). */
