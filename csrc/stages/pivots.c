@@ -432,7 +432,7 @@ static void eliminate_columns(const mbs_stages_pivots *p, const mbs_stages_facto
     }
 }
 
-/* Factorise what is left of full rows. Zeros before a pivot let vectors begin at multiples of 4. */
+/* Factorise the rest of full rows. Zeros before a pivot let vectors begin at multiples of 4. */
 static int factorise_full_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *rows, const real *size,
                                real zero_pivot)
 {
