@@ -15,7 +15,7 @@ from sympy import ImmutableMatrix, eye
 
 from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Ball, Drawing, Element, Grip, Mass, Point, Seat, Tension, Touch
+from mbsgen.manifest import Appearance, Axle, Ball, Drawing, Element, Foot, Grip, Mass, Point, Seat, Tension, Touch
 from mbsgen.model.model import (
     BASE,
     HERE,
@@ -30,6 +30,7 @@ from mbsgen.model.model import (
     Plane,
     Triple,
     Visual,
+    Wrench,
 )
 from mbsgen.model.placements import centre_inertia
 from mbsgen.model.quantities import find_read_frames
@@ -54,9 +55,7 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
         elements=tuple(_describe_element(x, seats, values) for x in model.forces),
         contacts=tuple(_describe_contact(x, seats, values) for x in model.contacts),
         wrenches=tuple(
-            _point(seats.find(x.body).place(_floats(x.position, values)))
-            for x in model.wrenches
-            if x.force is None or x.moment is None
+            _describe_foot(x, seats.find(x.body), values) for x in model.wrenches if x.force is None or x.moment is None
         ),
         drawings=tuple(
             _describe_visual(body.name, x, seats.find(body.name), texts, values)
@@ -153,6 +152,14 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
 
 def _describe_body(name: str, seat: _Seat) -> Seat:
     return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=tuple(seat.axes.T.ravel().tolist()))
+
+
+def _describe_foot(wrench: Wrench, seat: _Seat, values: Mapping[str, float]) -> Foot:
+    """Return the point of an open wrench; the axes of its body where they are not the axes of the frame."""
+    frame, at = seat.place(_floats(wrench.position, values))
+    is_turned = bool(seat.axes_symbols.free_symbols) or not np.array_equal(seat.axes, np.eye(3))
+    axes = seat.axes.T.ravel().tolist() if is_turned and not wrench.in_base else ()
+    return Foot(frame=frame, at=_triple(at), axes=tuple(axes))
 
 
 def _describe_visual(name: str, visual: Visual, seat: _Seat, texts: Texts, values: Mapping[str, float]) -> Drawing:

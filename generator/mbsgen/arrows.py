@@ -142,6 +142,7 @@ class _Writing:
         for k, wrench in enumerate(x for x in self._model.wrenches if x.force is None or x.moment is None):
             with suppress(ExpressionError):
                 self._formulas += self._write_point(("wrenches", k), wrench.body, HERE, wrench.position)
+                self._formulas += self._write_axes(("wrenches", k), wrench)
         for k, name in enumerate(self._readings):
             moved = self._moved.get(name, [])
             self._formulas += [Formula(place=("readings", k, *x.place), text=x.text) for x in moved]
@@ -205,10 +206,8 @@ class _Writing:
             return
         place = ("given", len(given))
         formulas = [*self._write_point((*place, "at"), wrench.body, HERE, wrench.position)]
+        formulas += self._write_axes(place, wrench)
         seat = self._seats.find(wrench.body)
-        for i, x in enumerate(() if wrench.in_base else seat.axes_symbols.T):
-            text = self._texts.find_changing_symbol(x)
-            formulas += [] if text is None else [Formula(place=(*place, "axes", i), text=text)]
         x, y, z = (seat.position + seat.axes @ [self._texts.present(c) for c in wrench.position]).tolist()
         self._formulas += formulas
         given.append(
@@ -244,6 +243,13 @@ class _Writing:
             text = self._texts.find_changing_symbol(x)
             if text is not None:
                 yield Formula(place=(*place, "at", i), text=text)
+
+    def _write_axes(self, place: tuple[str | int, ...], wrench: Wrench) -> Iterator[Formula]:
+        """Write the axes of a wrench in its body's frame, as far as they depend on parameters."""
+        for i, x in enumerate(() if wrench.in_base else self._seats.find(wrench.body).axes_symbols.T):
+            text = self._texts.find_changing_symbol(x)
+            if text is not None:
+                yield Formula(place=(*place, "axes", i), text=text)
 
     def _read(self, expression: Expression, own: frozenset[str] = frozenset()) -> str:
         """Write a force, and keep the numbers of the state that it reads. Raises ExpressionError for others."""

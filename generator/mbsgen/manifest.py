@@ -245,6 +245,16 @@ class Drawing(_Entry):
     file: str = ""  # of a mesh, below the model's folder
 
 
+class Foot(Point):
+    """The point of an open wrench, with the axes of its components."""
+
+    axes: tuple[float, ...] = ()  # in the frame of the point, one after the other; (): the base's, or the frame's own
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if k != "axes" or x}
+
+
 class Given(_Entry):
     """A wrench on a body, by expressions over run-time parameters and numbers of the state; "" is 0."""
 
@@ -281,7 +291,7 @@ class Appearance(_Entry):
     bodies: tuple[Seat, ...] = ()
     elements: tuple[Element, ...] = ()
     contacts: tuple[Touch, ...] = ()
-    wrenches: tuple[Point, ...] = ()  # where the open wrenches act, in the manifest's order
+    wrenches: tuple[Foot, ...] = ()  # where the open wrenches act, in the manifest's order
     drawings: tuple[Drawing, ...] = ()
     given: tuple[Given, ...] = ()  # wrenches that the model gives
     readings: tuple[Reading, ...] = ()

@@ -233,7 +233,8 @@ def _list_arrows(motion: Motion, times: Array) -> list[Arrow]:
         for kind, is_open in ((Force.FORCE, wrench.force), (Force.MOMENT, wrench.moment)):
             if is_open:
                 if w is not None and w[:, entry : entry + 3].any():
-                    found.append(Arrow(kind, foot, wrench.in_base, w[:, entry : entry + 3]))
+                    axes = np.array(foot.axes or np.eye(3)).reshape(3, 3)  # one a row
+                    found.append(Arrow(kind, foot, wrench.in_base, w[:, entry : entry + 3] @ axes))
                 entry += 3
     return found
 

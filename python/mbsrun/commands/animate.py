@@ -29,9 +29,9 @@ LEEWAY = 1e-3  # s
 
 ANIMATE_HELP = """Animate motions of MODEL: as a page for any browser, a GIF, a picture, or an MP4.
 
-A MOTION is a folder that solve, simulate, track or fit-motion wrote, its solution.json, or a table of the model's
-coordinates over time (CSV, MOT, STO). Several motions are shown at the same time, one over the other, or with --apart
-side by side; NAME=MOTION gives one a name:
+A MOTION is a folder that solve, simulate, track, fit-motion or inverse-dynamics wrote, its solution.json, or a table
+of the model's coordinates over time (CSV, MOT, STO). Several motions are shown at the same time, one over the other,
+or with --apart side by side; NAME=MOTION gives one a name:
 
 \b
   mbsrun animate models/cart_pole.yaml cart_pole_swing_up.solution -o swing.gif

@@ -28,13 +28,14 @@ from mbsrun.recordings.recording import Column
 
 Array = NDArray[np.float64]
 
-# Files of the folders of solve, simulate, track and fit-motion; the first one that is there is read.
+# Files of the folders of solve, simulate, track, fit-motion and inverse-dynamics; the first one that is there is read.
 SOLUTION, TRACK = "solution.json", "track.csv"
-FILES = (SOLUTION, "trajectory.csv", TRACK, "motion.csv")
+FILES = (SOLUTION, "trajectory.csv", TRACK, "motion.csv", "forces.csv")
 SUMMARIES = {
     "trajectory.csv": "simulation.json",
     TRACK: "summary.json",
     "motion.csv": "motion.json",
+    "forces.csv": "forces.json",
 }  # beside tables; they hold parameters
 START = 200  # bytes of a file that show its format
 INPUTS = ("input", "acting", "u")  # names of the columns of inputs
@@ -65,7 +66,7 @@ def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Mark
 def read_parameters(path: Path) -> dict[str, float]:
     """Read the parameters that a motion was made with, from the summary beside its table; {} where there is none.
 
-    simulate, track and fit-motion write one; a solution holds its own parameters. Raises InputError for a summary that
+    simulate, track, fit-motion and inverse-dynamics write one; a solution holds its own parameters. Raises InputError for a summary that
     cannot be read.
     """
     file = _find_file(path)

@@ -20,7 +20,7 @@ from mbsrun.commands.recorded import (
     write_table,
 )
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import load
+from mbsrun.external import Mechanism, load
 from mbsrun.models import INTEGRATED
 from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
@@ -123,7 +123,7 @@ def inverse_dynamics_command(
     header += [f"rest[{name}]" for name in names]
     write_table(out / TABLE, header, np.concatenate((rows, found.forces.rest), axis=1))
     forces = _list_forces(found.forces, manifest)
-    write_json(out / SUMMARY, _summarise(found, manifest, forces))
+    write_json(out / SUMMARY, _summarise(found, mechanism, forces))
     _plot(found.forces, manifest, forces, out / PICTURE)
     _print_summary(found, forces)
     say(f"wrote {list_written(out, (TABLE, SUMMARY, PICTURE))}")
@@ -150,11 +150,12 @@ def _list_forces(forces: Forces, manifest: Manifest) -> dict[str, Array]:
     return found | {name: x for name, x in rests.items() if np.abs(x).max() > 1e-9 * (1 + scale)}
 
 
-def _summarise(found: Recalled, manifest: Manifest, forces: dict[str, Array]) -> dict[str, object]:
+def _summarise(found: Recalled, mechanism: Mechanism, forces: dict[str, Array]) -> dict[str, object]:
     return {
         "format": FORMAT,
-        "model": manifest.model,
-        "model_hash": manifest.model_hash,
+        "model": mechanism.manifest.model,
+        "model_hash": mechanism.manifest.model_hash,
+        "parameters": dict(mechanism.parameters),
         "samples": found.samples,
         "times": len(found.forces.t),
         "gaps_bridged": found.bridged,

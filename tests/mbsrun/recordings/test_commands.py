@@ -75,6 +75,11 @@ def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
     assert list(forces) == ["u[shoulder]", "u[elbow]"]
     assert sorted(x.name for x in Path("forces").iterdir()) == ["forces.csv", "forces.json", "forces.pdf"]
     assert find_kind(Path("forces/forces.pdf")) == "pdf"
+    code, out, err = run("animate", ARM, "forces", "-o", "forces.html")
+    assert (code, "wrote forces.html" in err) == (0, True)
+    assert Path("forces.html").read_text("utf-8").count('"kind": "moment"') == 2  # of both joints
+    code, out, err = run("animate", ARM, "forces", "--parameter", "upper=1", "-o", "forces.html")
+    assert (code, "for some of none" in err) == (2, True)
     code, out, err = run("inverse-dynamics", ARM, "fit/motion.csv", "--gap", "0.02", "-o", "open")
     assert (code, "116 of 121" in out, "1 left out" in out) == (0, True, True)
 

@@ -181,3 +181,60 @@ def test_an_arrow_without_a_value_is_left_out(tmp_path: Path) -> None:
     assert np.isnan(appearance.elements[0].law.stiffness)
     (lift,) = make_film([Motion((Part(plant.with_parameters(k=-1.0), t, q),))]).tracks[0].arrows
     assert lift.values[0] == pytest.approx([0, 0, 5])
+
+
+TURNED = """name: turned
+gravity: [0, 0, 0]
+parameters: {turn: {value: 0.2, kind: runtime}, l: 0.3}
+bodies:
+  - {name: arm, joint: {name: hinge, type: revolute, axis: [1, 0, 2]}, mass: 1, inertia: [0.1, 0.1, 0.1]}
+  - {name: hand, parent: arm, mass: 1,
+     joint: {type: fixed, position: [0, 0, l], orientation: [{axis: x, angle: ANGLE}, {axis: z, angle: 0.7}]}}
+frames:
+  - {name: foot, body: hand, position: [0.1, 0, 0.2]}
+wrenches:
+  - {name: free, body: arm, frame: body, force: input}
+  - {name: push, body: hand, frame: body, position: [0.1, 0, 0.2], force: input, moment: input}
+  - {name: wind, body: hand, frame: base, position: [0.1, 0, 0.2], force: input}
+"""
+
+
+def turn(axis: tuple[float, float, float], angle: float) -> Any:
+    """Return the rotation about an axis, by Rodrigues' formula."""
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+@pytest.mark.parametrize(("text", "angle"), [("1.1", 1.1), ("turn", 0.2), ("turn", -0.6)])
+def test_open_wrenches_have_the_axes_of_their_bodies(tmp_path: Path, text: str, angle: float) -> None:
+    """A body that is fixed to another one moves in its frame; components along its own axes are turned there."""
+    plant = read(tmp_path, "turned", TURNED.replace("ANGLE", text), ("impl", "frames", "sensors"))
+    plant = plant.with_parameters(turn=angle if text == "turn" else 0.2)
+    rng = np.random.default_rng(3)
+    t, q = np.array([0.0, 1.0]), np.array([[0.4], [0.9]])
+    w = np.repeat(rng.normal(size=(1, 12)), 2, axis=0)
+    film = make_film([Motion((Part(plant, t, q, w=w),))])
+    arrows, R = film.tracks[0].arrows, film.tracks[0].R
+    angles = np.interp(film.times, t, q[:, 0])
+    arm = np.stack([turn((1, 0, 2), x) for x in angles])
+    hand = arm @ turn((1, 0, 0), angle) @ turn((0, 0, 1), 0.7)
+    base = np.broadcast_to(np.eye(3), arm.shape)
+    expected = [A @ w[0, k : k + 3] for A, k in ((arm, 0), (hand, 3), (hand, 6), (base, 9))]
+    for arrow, vectors in zip(arrows, expected, strict=True):
+        shown = arrow.values if arrow.in_base else np.einsum("kij,kj->ki", R[:, arrow.foot.frame], arrow.values)
+        assert shown == pytest.approx(vectors, abs=1e-12)
+    foot = film.tracks[0].p[0, arrows[1].foot.frame] + R[0, arrows[1].foot.frame] @ arrows[1].foot.at
+    assert foot == pytest.approx(plant.sensors(q=q[0])["position"][:, 0], abs=1e-12)
+    power = arrow_power(plant, q[0], expected, film.tracks[0].p[0, 0])
+    at_rest = {"q": q[0], "qd": [0.0], "qdd": [0.0], "u": [0.0]}
+    forces = plant.impl(**at_rest, w=np.zeros(12))["Phi"] - plant.impl(**at_rest, w=w[0])["Phi"]
+    assert power == pytest.approx(forces, abs=1e-12)
+
+
+def arrow_power(plant: Mechanism, q: Any, vectors: list[Any], origin: Any) -> Any:
+    """Return the moment of the arrows about the hinge: a force at the arm's origin has none."""
+    axis = np.array([1, 0, 2]) / np.sqrt(5)
+    lever = plant.sensors(q=q)["position"][:, 0] - origin
+    _, push, moment, wind = (x[0] for x in vectors)
+    return axis @ (np.cross(lever, push + wind) + moment)
