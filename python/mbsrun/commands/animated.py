@@ -66,8 +66,8 @@ def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Mark
 def read_parameters(path: Path) -> dict[str, float]:
     """Read the parameters that a motion was made with, from the summary beside its table; {} where there is none.
 
-    simulate, track, fit-motion and inverse-dynamics write one; a solution holds its own parameters. Raises InputError for a summary that
-    cannot be read.
+    simulate, track, fit-motion and inverse-dynamics write one; a solution holds its own parameters. Raises InputError
+    for a summary that cannot be read.
     """
     file = _find_file(path)
     summary = file.parent / SUMMARIES.get(file.name, "")
