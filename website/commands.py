@@ -23,8 +23,8 @@ def write(target: Path) -> None:
 
 def _describe(command: click.Command, name: str, parent: click.Context | None) -> list[str]:
     """Return the help of a command, and of its own commands."""
-    context = click.Context(command, info_name=name, parent=parent, max_content_width=100, terminal_width=100)
-    lines = ["```text", command.get_help(context), "```", ""]
+    context = click.Context(command, info_name=name, parent=parent, max_content_width=96, terminal_width=96)
+    lines = ["``` { .text .help }", command.get_help(context), "```", ""]
     if isinstance(command, click.Group):
         for own in command.list_commands(context):
             found = command.get_command(context, own)

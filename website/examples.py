@@ -28,14 +28,18 @@ def _write_cells(problem: str, *shown: str) -> tuple[str, ...]:
     )
 
 
+def _draw(name: str, model: str, at: float) -> str:
+    """Return the command that draws a model at a time [s] of its motion."""
+    return f"mbsrun animate models/{model}.yaml build/{name} --at {at} --size 640x400 -o build/{name}.png\n"
+
+
 def _simulate(name: str, title: str, text: str, model: str, options: str, at: float = 0.5) -> Example:
     """Return the simulation of a model, with a picture of it at a time [s]."""
     return Example(
         name,
         title,
         text,
-        f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n"
-        f"mbsrun animate models/{model}.yaml build/{name} --at {at} --size 640x400 -o build/{name}.png\n",
+        f"mbsrun simulate models/{model}.yaml {options} -o build/{name}\n{_draw(name, model, at)}",
         f"build/{name}.png",
         (
             f"build/{name}/animation.html",
@@ -46,14 +50,14 @@ def _simulate(name: str, title: str, text: str, model: str, options: str, at: fl
     )
 
 
-def _solve(name: str, title: str, text: str, problem: str, model: str, options: str = "") -> Example:
-    """Return the optimal motion of a model."""
+def _solve(name: str, title: str, text: str, problem: str, model: str, at: float = 0.5) -> Example:
+    """Return the optimal motion of a model, with a picture of it at a time [s]."""
     return Example(
         name,
         title,
         text,
-        f"mbsrun solve models/{problem}.ocp.yaml{options} -o build/{name}\n",
-        f"build/{name}/mechanism.png",
+        f"mbsrun solve models/{problem}.ocp.yaml -o build/{name}\n{_draw(name, model, at)}",
+        f"build/{name}.png",
         (
             f"build/{name}/animation.html",
             f"models/{problem}.ocp.yaml",
@@ -74,14 +78,14 @@ def _play(model: str, title: str, text: str, options: str = "", before: str = ""
     return Example(f"play_{model}", title, text, before + commands, picture, (page, f"models/{model}.yaml"))
 
 
-def _phases(name: str, title: str, text: str, problem: str, models: Sequence[str]) -> Example:
-    """Return an optimal motion in phases; exit code 1 says that a grid is coarser than the accuracy asked for."""
+def _phases(name: str, title: str, text: str, problem: str, models: Sequence[str], at: float) -> Example:
+    """Return an optimal motion in phases, with a picture of it at a time [s]."""
     return Example(
         name,
         title,
         text,
-        f"mbsrun solve models/legged/{problem}.ocp.yaml -o build/{name} || test $? -eq 1\n",
-        f"build/{name}/mechanism.png",
+        f"mbsrun solve models/legged/{problem}.ocp.yaml -o build/{name}\n{_draw(name, f'legged/{models[0]}', at)}",
+        f"build/{name}.png",
         (
             f"build/{name}/animation.html",
             f"models/legged/{problem}.ocp.yaml",
@@ -106,9 +110,23 @@ _MECHANISMS = (
         "double_pendulum",
         "--duration 8 --pose q1=2 --pose q2=1",
     ),
-    _simulate("branched", "A tree with branches", "Two arms on one body, without inputs.", "branched", "--duration 3"),
     _simulate(
-        "quadruped", "A quadruped in free fall", "Eighteen coordinates; the legs swing.", "quadruped", "--duration 1"
+        "branched",
+        "A gantry, a tree with branches",
+        "Two trolleys on one bridge. Their lifts are held by feedback, and the loads sway.",
+        "branched",
+        "--duration 6 --pose 'left lift=1' --pose 'right lift=1.6' --pose 'left trolley=1.5' "
+        "--pose 'right trolley=-1.5' --pose 'left load=0.5' --pose 'right load=-0.4' --input 'bridge=400*cos(t)' "
+        "--input 'left lift=-520 - 500*(q_left_lift - 1) - 300*qd_left_lift' "
+        "--input 'right lift=-520 - 500*(q_right_lift - 1.6) - 300*qd_right_lift'",
+    ),
+    _simulate(
+        "quadruped",
+        "A quadruped in free fall",
+        "Eighteen coordinates; it turns, and its legs swing.",
+        "quadruped",
+        "--duration 0.4 --velocity trunk.ry=2 --velocity 'front left thigh=4' --velocity 'rear right thigh=-4'",
+        at=0.2,
     ),
     _simulate(
         "satellite",
@@ -127,7 +145,14 @@ _MECHANISMS = (
         "--duration 2",
     ),
     _simulate("delta", "A Delta robot", "Three arms with closed loops, released at rest.", "delta", "--duration 1"),
-    _simulate("stewart", "A Stewart platform", "Six legs carry a platform.", "stewart", "--duration 1"),
+    _simulate(
+        "stewart",
+        "A Stewart platform",
+        "Six legs carry a platform, which sinks without their forces.",
+        "stewart",
+        "--duration 0.16",
+        at=0.1,
+    ),
     _simulate(
         "wishbone", "A wheel on two wishbones", "A suspension with spring and damper.", "wishbone", "--duration 3"
     ),
@@ -175,6 +200,7 @@ _OPTIMA = (
         "The horizon is free; torques jump between their bounds.",
         "planar_arm_fastest",
         "planar_arm",
+        at=0.3,
     ),
     _solve(
         "six_axis",
@@ -190,7 +216,9 @@ _OPTIMA = (
         "arm_reach",
         "arm_pendulum",
     ),
-    _solve("leg_step", "A leg makes a step", "Over an obstacle, with a rotor behind a gear.", "leg_step", "leg"),
+    _solve(
+        "leg_step", "A leg makes a step", "Over an obstacle, with a rotor behind a gear.", "leg_step", "leg", at=0.12
+    ),
     _solve(
         "satellite_turn",
         "A satellite turns",
@@ -199,9 +227,14 @@ _OPTIMA = (
         "satellite",
     ),
     _solve(
-        "five_bar_reach", "A five-bar linkage moves", "Optimal control of a closed loop.", "five_bar_reach", "five_bar"
+        "five_bar_reach",
+        "A five-bar linkage moves",
+        "Optimal control of a closed loop.",
+        "five_bar_reach",
+        "five_bar",
+        at=0.15,
     ),
-    _solve("delta_pick", "A Delta robot picks", "Three closed loops in space.", "delta_pick", "delta"),
+    _solve("delta_pick", "A Delta robot picks", "Three closed loops in space.", "delta_pick", "delta", at=0.15),
     _solve(
         "design",
         "A spring, and where the elbow is",
@@ -261,6 +294,7 @@ _WHOLE = (
         "One step, with an impact after which the legs change names, repeated forever.",
         "walker",
         ("walker", "walker_free"),
+        at=0.2,
     ),
     _phases(
         "bound",
@@ -268,6 +302,7 @@ _WHOLE = (
         "Four phases of free duration, with friction under the feet.",
         "bound",
         ("bounder",),
+        at=0.2,
     ),
     _phases(
         "pick_and_place",
@@ -275,6 +310,7 @@ _WHOLE = (
         "The payload is a parameter of each phase.",
         "pick_and_place",
         ("carrier",),
+        at=0.4,
     ),
     Example(
         "brachistochrone",

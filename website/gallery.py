@@ -150,9 +150,10 @@ def _describe(result: Result) -> str:
     lines += ["```sh", example.commands.strip(), "```", ""]
     if not shown:
         picture = Path(example.picture).name
-        lines += [f"![{example.title}]({name}/{picture})", ""]
+        lines += [f"[![{example.title}]({name}/{picture})]({name}/{picture})", ""]
     for file in shown:
-        lines += [f'<iframe src="{name}/{Path(file).name}" title="{html.escape(example.title)}"></iframe>', ""]
+        size = ' class="tall"' if "mbsrun playground" in example.commands else ""
+        lines += [f'<iframe{size} src="{name}/{Path(file).name}" title="{html.escape(example.title)}"></iframe>', ""]
     output = result.output.strip().splitlines()
     if output:
         kept = output[:SHOWN] + ([f"... ({len(output) - SHOWN} more lines)"] if len(output) > SHOWN else [])

@@ -203,7 +203,7 @@ def write(target: Path, most: int | None = None) -> None:
     for each in CLASSES:
         lines = [f"# {each.title}", "", each.text, ""]
         for case in each.cases[:most]:
-            lines += [f"## {case.title}", "", "```text", f"$ {_show(case)}", run(case), "```", ""]
+            lines += [f"## {case.title}", "", "``` { .text .wrap }", f"$ {_show(case)}", run(case), "```", ""]
         (target / "messages" / f"{each.name}.md").write_text("\n".join(lines), encoding="utf-8")
 
 

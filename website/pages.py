@@ -25,8 +25,12 @@ WRITTEN = "written"  # the folder of files that the commands of pages write
 STYLE = """\
 .md-typeset img { max-width: 100%; }
 .md-typeset iframe { width: 100%; height: 480px; border: 1px solid var(--md-default-fg-color--lightest); }
+.md-typeset iframe.tall { height: 860px; }
 .md-typeset table:not([class]) { display: block; overflow-x: auto; }
-.md-typeset :is(code, td, th, p, li) { overflow-wrap: anywhere; }
+.md-typeset :is(code, p, li) { overflow-wrap: anywhere; }
+.md-typeset :is(td, th) { overflow-wrap: break-word; }
+.md-typeset .wrap code { white-space: pre-wrap; }
+.md-typeset .help code { font-size: .6rem; }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
 .cards a { border: 1px solid var(--md-default-fg-color--lightest); border-radius: .3rem; padding: .6rem; }
 .cards a { color: inherit; }
@@ -58,6 +62,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "accuracy.md",
             "laboratory.md",
             "reproduction.md",
+            "study.md",
             "study/README.md",
             "study/slice/README.md",
             "laboratory/verdicts.md",
@@ -67,6 +72,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
         "Project": ["architecture.md", "contributing.md", "changelog.md"],
     },
 ]
+TITLES = {"readme.md": "What there is"}  # of pages whose own title says less
 ELSEWHERE = {  # pages that are not in `docs`
     "README.md": "readme.md",
     "ARCHITECTURE.md": "architecture.md",
@@ -181,10 +187,14 @@ def write(root: Path, target: Path, runs: Mapping[str, Path]) -> list[dict[str, 
 
 def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
     """Return the navigation: start, tutorials in the order of their list, guides."""
-    guides = [{title: [page for page in listed if page in known]} for part in GUIDES for title, listed in part.items()]
+    parts = {title: listed for part in GUIDES for title, listed in part.items()}
+    guides: list[dict[str, Any]] = [
+        {title: [{TITLES[page]: page} if page in TITLES else page for page in listed if page in known]}
+        for title, listed in parts.items()
+    ]
     listed = [f"{TUTORIALS}/README.md"]
     listed += [f"{TUTORIALS}/{link.group(2)}" for link in LINK.finditer(tutorials) if "/" not in link.group(2)]
-    named = {"start.md", *listed} | {page for part in guides for own in part.values() for page in own}
+    named = {"start.md", *listed} | {page for own in parts.values() for page in own}
     others = sorted(page for page in known - named if not page.startswith(FIGURES))
     figures = sorted(page for page in known if page.startswith(FIGURES))
     guides += [{"Figures": figures}, *([{"More": others}] if others else [])]
