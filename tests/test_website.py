@@ -11,6 +11,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+import sympy as sp
 from click.testing import CliRunner
 
 from website import notebooks
@@ -129,6 +130,13 @@ def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:
     broken = replace(EXAMPLES[0], commands="echo seen >&2; exit 3\n")
     with pytest.raises(ExampleError, match="seen"):
         run(broken, ROOT, tmp_path)
+
+
+def test_a_notebook_of_equations_shows_formulas() -> None:
+    """SymPy's objects have a method for pictures that returns none."""
+    shown = notebooks.show(sp.Matrix([sp.Symbol("x")]))
+    assert "".join(shown["text/latex"]) == r"$\displaystyle \left[\begin{matrix}x\end{matrix}\right]$"
+    assert shown.keys() == {"text/plain", "text/latex"}
 
 
 def test_a_page_shows_what_its_commands_wrote(tmp_path: Path) -> None:

@@ -65,14 +65,17 @@ def run(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def show(value: Any) -> dict[str, Any]:
-    """Return a value as a notebook shows it, by type of media."""
+    """Return a value as a notebook shows it, by type of media; a method that returns None has nothing to show."""
+
+    def call(name: str) -> Any:
+        return getattr(value, name, lambda: None)()
+
     data: dict[str, Any] = {"text/plain": _split(repr(value))}
-    if latex := getattr(value, "_repr_latex_", lambda: None)():
-        data["text/latex"] = _split(latex)
-    if hasattr(value, "_repr_html_"):
-        data["text/html"] = _split(value._repr_html_())
-    if hasattr(value, "_repr_png_"):
-        data["image/png"] = base64.b64encode(value._repr_png_()).decode("ascii") + "\n"
+    for media, name in (("text/latex", "_repr_latex_"), ("text/html", "_repr_html_")):
+        if (text := call(name)) is not None:
+            data[media] = _split(text)
+    if (picture := call("_repr_png_")) is not None:
+        data["image/png"] = base64.b64encode(picture).decode("ascii") + "\n"
     return data
 
 
