@@ -25,8 +25,10 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 /* Lower the barrier parameter while its problem is solved well enough; superlinearly near the end. */
 static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 {
-    const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s), zero = s->options.tolerance / (KAPPA_EPSILON + 1);
-    const real least = fixed > zero ? fixed : zero;
+    const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s);
+    const real products = s->options.violation_tolerance * s->cost_scale; /* of distances and multipliers */
+    const real tolerance = s->options.tolerance < products ? s->options.tolerance : products;
+    const real zero = tolerance / (KAPPA_EPSILON + 1), least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
     const real rounding = mbs_stages_rounding(p);
     while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu + rounding) {

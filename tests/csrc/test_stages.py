@@ -215,6 +215,16 @@ def test_violations_of_rows_end_below_their_tolerance_in_the_units_of_rows(libra
     assert abs(1e6 * (answer.w @ answer.w - 1)) <= most
 
 
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2])
+def test_coarse_tolerances_end(library: Library, tolerance: float) -> None:
+    """The barrier parameter falls until products of distances and multipliers are below their own tolerance."""
+    for problem in nonlinear():
+        answer = Solver(library, problem).solve(tolerance=tolerance)
+        assert answer.status == "solved"
+        assert answer.result.complementarity <= 1e-4
+        assert answer.result.iterations <= Solver(library, problem).solve().result.iterations
+
+
 def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
     """It takes the watchdog, and steps that lower the errors alone; IPOPT needs more than 400 iterations.
 
