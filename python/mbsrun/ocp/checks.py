@@ -311,7 +311,8 @@ def _find_wrong_refinement(problem: Problem) -> Iterator[Finding]:
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
-    if not (m or problem.controls or problem.every_component or problem.unknowns):
+    chooses_motion = problem.unknowns or (manifest.driven and problem.horizon_range)
+    if not (m or problem.controls or problem.every_component or chooses_motion):
         yield _UNCONTROLLED
     if left := list_open_inputs(manifest):
         remedy = "give them in the model: here they have no value"

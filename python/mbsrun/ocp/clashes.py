@@ -178,7 +178,10 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
     yield from _name(rows.extras.end, (f"end: {added[i]}" for i in shape.ending))
     for k in range(shape.intervals):
         yield rows.extras.rates[k], f"the states that the problem adds in interval {k + 1}"
-        yield rows.extras.given[k], f"the forces by expressions in interval {k + 1}"
+        given = rows.extras.given[k]
+        forces, motions = np.split(given, [given.shape[1] - len(shape.driven)], axis=1)
+        yield forces, f"the forces by expressions in interval {k + 1}"
+        yield motions, _IN_INTERVALS["driven"].format(k + 1)
         yield rows.extras.contacts[k], f"the contacts in interval {k + 1}"
     yield rows.extras.contacts_at_start, "start: the contacts"
     yield rows.extras.friction, "friction"

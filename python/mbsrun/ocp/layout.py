@@ -151,9 +151,9 @@ class Layout:
     @property
     def every_acceleration(self) -> Indices:
         """List the accelerations that kernels take, (N, S, moved); (N, S, 0) where they are no variables."""
-        if not self.accelerations.size or not self.drives.size:
-            return self.accelerations
         motions = self.motions
+        if not self.drives.size or (motions.independent and not self.accelerations.size):
+            return self.accelerations
         at = {i: self.accelerations[:, :, k] for k, i in enumerate(motions.independent)}
         at |= {i: self.drives[:, :, k] for k, i in enumerate(motions.driven)}
         return np.stack([at[i] for i in motions.moved], axis=2)
@@ -186,7 +186,7 @@ class ExtraRows:
 
     start: Indices  # (ns,)
     rates: Indices  # (N, S, ns)
-    given: Indices  # (N, S, ...): inputs, then components of wrenches, that expressions give
+    given: Indices  # (N, S, ...): inputs, components of wrenches, and driven accelerations, that expressions give
     contacts: Indices  # (N, S, ...): velocities of contacts along the axes that are held, contact by contact
     contacts_at_start: Indices  # the same where the start is free, or empty
     friction: Indices  # (..., points)

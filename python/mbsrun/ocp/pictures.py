@@ -56,7 +56,7 @@ def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
         axes.legend(frameon=False)
         figure.suptitle(write_title(solution))
         return figure
-    rows = 2 + bool(manifest.actuated) + added
+    rows = 2 + bool(manifest.actuated or manifest.driven) + added
     figure = Figure(figsize=(8, 3 * rows), layout="constrained")
     panels = list(figure.subplots(rows, 1, sharex=True))
     if added:
@@ -82,7 +82,7 @@ def read_times(trajectory: Trajectory) -> Array:
 
 
 def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> None:
-    """Plot coordinates, velocities and, if there are any, inputs over time, each in its panel."""
+    """Plot coordinates, velocities and, if there are any, inputs with forces of driven joints, each in its panel."""
     trajectory, t = solution.trajectory, read_times(solution.trajectory)
     q, qd = (
         np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
@@ -90,7 +90,9 @@ def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, 
     )
     coordinates, velocities = panels[:2]
     names = [c.name for c in manifest.coordinates]
-    labels = {c.name: plain(c.name) + ("" if c.actuated else " (passive)") for c in manifest.coordinates}
+    driven = [manifest.coordinates[i] for i in manifest.driven]
+    kinds = {c.name: "" if c.actuated else " (driven)" if c in driven else " (passive)" for c in manifest.coordinates}
+    labels = {c.name: plain(c.name) + kinds[c.name] for c in manifest.coordinates}
     lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
     for i, name in enumerate(manifest.positions):
         own, line = labels.get(name, plain(name)), lines.get(name, "-")
@@ -102,10 +104,13 @@ def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, 
     for k, c in enumerate(actuated):
         points = trajectory.point_u[:, :, k : k + 1]
         _plot_input(panels[2], trajectory, trajectory.u[:, k], points, color=colors[c.name])
+    for k, c in enumerate(driven if solution.driving is not None else ()):
+        panels[2].plot(trajectory.point_t.ravel(), solution.driving[:, :, k].ravel(), "--", color=colors[c.name])
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
-    if actuated:
-        _name(panels[2], "Inputs", "u", _join(c.force_unit for c in actuated))
+    if actuated or driven:
+        title, symbol = ("Inputs, and forces of driven joints dashed", r"u, \tau") if driven else ("Inputs", "u")
+        _name(panels[2], title, symbol, _join(c.force_unit for c in (*actuated, *driven)))
 
 
 @styled

@@ -42,6 +42,7 @@ def summarise(solution: Solution) -> dict[str, str]:
         "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
         + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
         **_describe_loops(solution),
+        **dict(_list_driving_forces(solution)),
         **_describe_grid(solution),
         **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution) if not x.softens},
         **dict(_list_slacks(solution)),
@@ -135,6 +136,13 @@ def _describe_loops(solution: Solution) -> dict[str, str]:
         "loops": LOOPS[loops],
         "closure": f"{violation.closure:.1e} at all points, {violation.closure_rate:.1e} per s{along}",
     }
+
+
+def _list_driving_forces(solution: Solution) -> Iterator[tuple[str, str]]:
+    """List the least and the largest force of each driven joint [N, N m]."""
+    if solution.driving is not None:
+        for name, values in zip(solution.driven, np.moveaxis(solution.driving, -1, 0), strict=True):
+            yield f"tau[{name}]", f"{values.min():.6g} to {values.max():.6g}"
 
 
 def _number(value: float | None, check: Resimulation) -> str:

@@ -300,7 +300,7 @@ class Transcription:
     def _read_accelerations(self, x: Array, mesh: Array, h: Array) -> Array:
         """Return the accelerations (N, d, moved) at the points, or the derivatives of velocities there."""
         layout, motions = self.layout, self.layout.motions
-        if layout.accelerations.size:
+        if layout.every_acceleration.size:
             return np.asarray(x[layout.every_acceleration])
         nodes = np.concatenate((mesh[:-1, None], x[layout.points]), axis=1)
         rates = layout.split(nodes)[1][:, :, motions.moved_velocities]

@@ -47,6 +47,10 @@ class SolvingController:
         if problem.every_state or problem.controls:
             finding = "a sample measures coordinates and velocities, and the problem adds states or controls"
             raise ProblemError(problem.name, [("states", finding, "leave them out")])
+        if problem.driven:
+            finding = "each plan would move driven joints from the start of their motions, and the plant holds them"
+            remedy = "give these joints actuators in the model, and references or constraints that they follow"
+            raise ProblemError(problem.name, [("driven", finding, remedy)])
         self.period, self.horizon = period, horizon
         self._plant, self._problem, self._next = plant, self._shape(problem, 0.0), problem
         self._solver: Solver | None = None

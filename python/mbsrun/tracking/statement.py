@@ -212,6 +212,11 @@ class _Reading(Reading):
         if self.manifest.signals:
             finding = f"its forces read {', '.join(self.manifest.signals)}, which nothing gives in a closed loop"
             self.fault(("plant", "model"), finding, "give the plant forces of the state alone, or wrenches")
+        if self.manifest.driven:
+            finding = (
+                f"it drives {', '.join(self.velocities[i] for i in self.manifest.driven)}, which nothing moves here"
+            )
+            self.fault(("plant", "model"), finding, "give these joints actuators in the model")
         positive = math.ulp(0)
         duration, rate = (self.number((key,), getattr(section, key), positive) for key in ("duration", "rate"))
         if duration * rate > MAX_SAMPLES:
@@ -284,7 +289,7 @@ class _Reading(Reading):
         positive = math.ulp(0)
         if self.manifest.quaternions and not METHODS[section.method].takes_quaternions:
             self.fault(("plant", "method"), f"{section.method} takes no quaternions", "give dop853")
-        if (self.manifest.loops or self.manifest.driven) and METHODS[section.method].closed is None:
+        if self.manifest.loops and METHODS[section.method].closed is None:
             self.fault(("plant", "method"), f"{section.method} takes no loops", "give dop853")
         return Settings(
             duration=period,

@@ -20,12 +20,14 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.driving import Guide
 from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.pictures import make_trajectories
 from mbsrun.ocp.problem import Drive, Form, Loops, Problem, Representation
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution, read_solution, write_solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.statement import read_problem, state_problem
+from mbsrun.ocp.summary import summarise
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
@@ -342,6 +344,119 @@ def test_files_hold_the_force(cart: OnDemand, tmp_path: Path) -> None:
     # the earlier solution is a guess on another grid
     finer = state(cart, {**TASK, "intervals": 18})
     assert isinstance(solve(finer, cart, guess=again.trajectory), Solution)
+
+
+def test_the_force_is_drawn_beside_the_inputs_and_summarised(cart: OnDemand) -> None:
+    found = find(cart, state(cart, TASK))
+    assert found.driving is not None
+    panels = make_trajectories(found, cart.manifest).axes
+    (dashed,) = [line for line in panels[2].lines if line.get_linestyle() == "--"]
+    assert np.asarray(dashed.get_ydata()) == pytest.approx(found.driving.ravel())
+    assert panels[2].get_ylabel() == r"$u, \tau$ [N, N m]"
+    assert [line.get_label() for line in panels[0].lines[:2]] == ["cart (driven)", "pole"]
+    least, most = (float(x) for x in summarise(found)["tau[cart]"].split(" to "))
+    assert (least, most) == pytest.approx((found.driving.min(), found.driving.max()), rel=1e-5)
+
+
+# --- all joints ---
+
+
+SPINNER = """\
+name: spinner
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, joint: {type: revolute, axis: z, actuated: false}, mass: 1, inertia: [1, 1, 0.25]}
+  - {name: arm, parent: wheel, joint: {type: revolute, axis: y, actuated: false}, mass: 1, inertia: [0.5, 0.5, 0.5]}
+driven: [wheel, arm]
+"""
+SPIN: Mapping[str, Any] = {
+    "horizon": {"guess": 1, "range": [0.1, 5]},
+    "intervals": 4,
+    "scheme": "radau",
+    "degree": 2,
+    "driven": {"wheel": "2*(t/T)**2", "arm": "0"},
+    "cost": {"terminal": [{"expression": "T", "weight": 1}]},
+    "start": {"pose": {}},
+    "bounds": {"tau": {"wheel": [-12, 12]}},
+}
+
+
+@pytest.fixture(scope="module")
+def spinner(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> OnDemand:
+    requires("cc")
+    file = tmp_path_factory.mktemp("spinner") / "spinner.yaml"
+    file.write_text(SPINNER, "utf-8")
+    found = load_on_demand(file)
+    assert isinstance(found, OnDemand)
+    return found
+
+
+@pytest.mark.parametrize("method", ["ipopt", "mbs"])
+@pytest.mark.parametrize("representation", EVERY)
+def test_a_mechanism_of_driven_joints_alone_is_timed(
+    spinner: OnDemand, representation: Representation, method: str
+) -> None:
+    """The wheel has the constant acceleration 4/T^2, and the moment 12 = (0.25 + 0.5) 4/T^2 at its bound."""
+    found = resimulate(find(spinner, state(spinner, SPIN, representation), method), spinner)
+    assert found.trajectory.t[-1] == pytest.approx(0.5, rel=1e-7)
+    assert found.trajectory.point_qdd[:, :, 0] == pytest.approx(4 / 0.5**2, rel=1e-6)
+    assert found.resimulation is not None
+    assert found.resimulation.open_loop_error == pytest.approx(0, abs=1e-9)
+
+
+def test_a_mechanism_of_driven_joints_alone_has_unknowns(spinner: OnDemand) -> None:
+    """The wheel turns as far as its moment permits: 12 = 0.75 * 2 a."""
+    task = {
+        **SPIN,
+        "horizon": 1,
+        "unknowns": {"a": {"guess": 1, "range": [0, 50]}},
+        "driven": {"wheel": "a*t**2", "arm": "0"},
+        "cost": {"terminal": [{"expression": "-a", "weight": 1}]},
+    }
+    assert find(spinner, state(spinner, task)).trajectory.unknowns[0] == pytest.approx(8, rel=1e-7)
+
+
+def test_nothing_to_choose_is_refused(spinner: OnDemand) -> None:
+    with pytest.raises(ProblemError, match="there is nothing to control"):
+        state(spinner, {**SPIN, "horizon": 1})
+
+
+TURN: Mapping[str, Any] = {
+    **SPIN,
+    "horizon": {"guess": 0.1, "range": [0.02, 3]},
+    "intervals": 10,
+    "degree": 3,
+    "driven": {"crank": "40 deg + (t/T)**2/2"},
+    "bounds": {"tau": {"crank": [-20, 20]}},
+}
+
+
+@pytest.mark.parametrize("loops", Loops)
+def test_a_driven_mechanism_with_a_loop_is_timed(requires: Callable[[str], str], loops: Loops) -> None:
+    """Both forms find the shortest turn of the compressor's crank, by one torque: the one of inverse dynamics."""
+    requires("cc")
+    compressor = load_on_demand(MODELS / "compressor.yaml")
+    assert isinstance(compressor, OnDemand)
+    task = {**TURN, "loops": loops.value}
+    found = find(compressor, state(compressor, task), "mbs")
+    assert found.driving is not None
+    assert found.driving.max() == pytest.approx(20, abs=1e-6)
+    forces = invert(compressor, found.trajectory).tau
+    assert found.driving.reshape(-1, 1) == pytest.approx(forces, abs=1e-5 if loops is Loops.REDUCED else 1e-2)
+    assert found.violation.closure is not None
+    assert found.violation.closure < 1e-10
+
+
+def test_a_moment_out_of_reach_names_the_given_motions(requires: Callable[[str], str]) -> None:
+    """Twice as far, the gas takes more than the bound of the moment, however slowly the crank turns."""
+    requires("cc")
+    compressor = load_on_demand(MODELS / "compressor.yaml")
+    assert isinstance(compressor, OnDemand)
+    found = solve(state(compressor, {**TURN, "driven": {"crank": "40 deg + (t/T)**2"}}), compressor)
+    assert not isinstance(found, Solution)
+    assert "the given motions in interval" in found.finding
+    assert "forces by expressions" not in found.finding
+    assert "the force of the driven joint crank" in found.finding
 
 
 # --- loops ---

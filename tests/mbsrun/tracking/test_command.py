@@ -15,10 +15,12 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun import Mechanism, cli
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.statement import read_problem, state_problem
 from mbsrun.recordings.references import Reference
 from mbsrun.tracking import record
 from mbsrun.tracking.record import FILES
+from mbsrun.tracking.solving import SolvingController
 from mbsrun.tracking.statement import TrialStatement
 from tests.mbsrun.tracking.tasks import FOLLOW
 from tests.picture_kinds import find_kind
@@ -36,6 +38,14 @@ measures:
   - {name: error, expression: abs(x_middle - sin(t)), most: LIMIT}
 """
 BOUNDED = FOLLOW + "bounds: {inputs: [-9, 9]}\nconstraints: [{expression: q_x - t0, range: [-1, 1]}]\n"
+DRIVEN = """
+name: driven
+gravity: [0, 0, 0]
+bodies:
+  - {name: x, joint: {type: prismatic, axis: x, actuated: false}, mass: 1}
+  - {name: y, parent: x, joint: {type: prismatic, axis: y}, mass: 1}
+driven: [x]
+"""
 Run = Callable[..., tuple[object, str, str]]
 
 
@@ -152,6 +162,22 @@ def test_a_recording_does_not_move_with_the_plans(folder: Path, pushed: Mechanis
     problem = replace(problem, references=(Reference("walk", (), 0.0, 1.0),))
     with pytest.raises(InputError, match="reads the recording walk, each plan from its start; follow an expression"):
         TrialStatement(None, {"duration": "1", "rate": "20"}).trial(problem, pushed.manifest, {"m": 2.0})
+
+
+def test_driven_joints_are_refused(tmp_path: Path) -> None:
+    """Each plan would drive them from the start of the problem's motion, while the plant holds them."""
+    file = tmp_path / "driven.yaml"
+    file.write_text(DRIVEN, encoding="utf-8")
+    model = load_on_demand(file)
+    task = {
+        "horizon": 1, "intervals": 4, "scheme": "radau", "degree": 2, "driven": {"x": "t**2"}, "cost": {"inputs": 1},
+        "start": {"pose": {}},
+    }  # fmt: skip
+    problem = state_problem(task, "task", model, tmp_path)
+    with pytest.raises(ProblemError, match="driven: each plan would move driven joints from the start"):
+        SolvingController(problem, model, 0.05)
+    with pytest.raises(InputError, match=r"plant\.model: it drives x, which nothing moves here; give these joints act"):
+        TrialStatement(None, {"duration": "1", "rate": "20"}).trial(problem, model.manifest, {})
 
 
 def test_a_missing_rate_of_the_command_line_is_named() -> None:
