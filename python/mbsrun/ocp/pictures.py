@@ -104,8 +104,9 @@ def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, 
     for k, c in enumerate(actuated):
         points = trajectory.point_u[:, :, k : k + 1]
         _plot_input(panels[2], trajectory, trajectory.u[:, k], points, color=colors[c.name])
-    for k, c in enumerate(driven if solution.driving is not None else ()):
-        panels[2].plot(trajectory.point_t.ravel(), solution.driving[:, :, k].ravel(), "--", color=colors[c.name])
+    if solution.driving is not None:
+        for k, c in enumerate(driven):
+            panels[2].plot(trajectory.point_t.ravel(), solution.driving[:, :, k].ravel(), "--", color=colors[c.name])
     _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
     _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
     if actuated or driven:

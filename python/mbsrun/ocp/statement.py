@@ -247,8 +247,8 @@ class _Reading(PartReading):
             self.plant = self.plant.with_parameters(**changed)
         self.closure = find_closure(self.plant)
         chosen = section.controls or section.wrenches or section.signals or section.contacts or section.unknowns
-        chosen = chosen or (section.driven and isinstance(section.horizon, HorizonSection))
-        if not (self.inputs.known or chosen or self.is_phase):
+        is_timed = bool(section.driven) and isinstance(section.horizon, HorizonSection)
+        if not (self.inputs.known or chosen or is_timed or self.is_phase):
             remedy = "give it one, or the problem controls: there is nothing to control"
             finding = "the model has no actuated coordinate" if self.coordinates.known else "no model and no controls"
             self.fault(("model",) if self.coordinates.known else ("controls",), finding, remedy)

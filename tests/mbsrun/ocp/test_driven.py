@@ -352,7 +352,7 @@ def test_the_force_is_drawn_beside_the_inputs_and_summarised(cart: OnDemand) -> 
     panels = make_trajectories(found, cart.manifest).axes
     (dashed,) = [line for line in panels[2].lines if line.get_linestyle() == "--"]
     assert np.asarray(dashed.get_ydata()) == pytest.approx(found.driving.ravel())
-    assert panels[2].get_ylabel() == r"$u, \tau$ [N, N m]"
+    assert panels[2].get_ylabel() == r"$u, \tau$ [N m, N]"
     assert [line.get_label() for line in panels[0].lines[:2]] == ["cart (driven)", "pole"]
     least, most = (float(x) for x in summarise(found)["tau[cart]"].split(" to "))
     assert (least, most) == pytest.approx((found.driving.min(), found.driving.max()), rel=1e-5)
