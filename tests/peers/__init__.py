@@ -17,11 +17,13 @@ WHEELS = (
     "idna",
     "certifi",
     "charset-normalizer",
+    "opensim==4.6",
 )
+PACKAGES = ("dymos", "opensim")
 
 
 def make(folder: Path) -> None:
     """Install the wheels beside the packages of this interpreter, unless they are there."""
-    if not (folder / "dymos").exists():
+    if not all((folder / package).exists() for package in PACKAGES):
         options = ("--quiet", "--disable-pip-version-check", "--no-deps", "--target", str(folder))
         subprocess.run([sys.executable, "-m", "pip", "install", *options, *WHEELS], check=True)

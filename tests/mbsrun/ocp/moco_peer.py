@@ -7,13 +7,9 @@ lift by two muscles without activation dynamics.
 from __future__ import annotations
 
 import json
-import sys
 from typing import Any
 
-try:
-    import opensim as osim
-except ImportError:
-    sys.exit("OpenSim is not here")
+import opensim as osim
 
 
 def make_slider() -> Any:

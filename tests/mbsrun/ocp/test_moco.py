@@ -1,6 +1,6 @@
 """Problems of models/moco and models/muscles against closed forms, and against OpenSim Moco where it is installed.
 
-`MBS_OPENSIM_PYTHON` may name another Python that has OpenSim (`pip install opensim`).
+`python -m tests.peers build/peers` installs OpenSim.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mbsrun import load
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
+from tests import peers
 from tests.mbsrun.ocp.muscles import FIBRES, STRENGTHS, TENDONS, pull
 from tests.shipped import FOLDER
 
@@ -28,11 +29,18 @@ from tests.shipped import FOLDER
 @pytest.fixture(scope="module")
 def moco() -> dict[str, Any]:
     """Moco's numbers, from another process."""
-    python = os.environ.get("MBS_OPENSIM_PYTHON", sys.executable)
+    if not (peers.FOLDER / "opensim").exists():
+        pytest.skip("python -m tests.peers build/peers installs OpenSim")
     script = Path(__file__).with_name("moco_peer.py")
-    run = subprocess.run([python, str(script)], capture_output=True, text=True, timeout=300, check=False)
-    if "OpenSim is not here" in run.stderr:
-        pytest.skip("OpenSim is not installed")
+    path = os.pathsep.join([os.environ.get("PYTHONPATH", ""), str(peers.FOLDER)])
+    run = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     found: dict[str, Any] = json.loads(run.stdout.splitlines()[-1])
     return found
