@@ -181,16 +181,24 @@ class _Joints:
         step = self.by_name.get(name)
         if step is None:
             if self.are_known:
-                yield Finding(place, f"there is no joint {abbreviate(name)}", self.suggest(name))
+                yield Finding(
+                    place,
+                    f"there is no joint {abbreviate(name)}",
+                    self.suggest(name, takes_parts=place[:1] == ("assembly",)),
+                )
         elif step.joint.follows is not None:
             leader = abbreviate(step.joint.follows.joint)
             finding = f"joint {abbreviate(name)} has no coordinate: it follows {leader}"
             yield Finding(place, finding, f"name {leader}")
 
-    def suggest(self, name: str) -> str:
-        """Return the remedy for a name that no joint has."""
-        inside = [step for step in self.by_name.values() if step.name.startswith(f"{name}.")]
-        meant = nearest(name, list(self.by_name))
+    def suggest(self, name: str, *, takes_parts: bool) -> str:
+        """Return the remedy for a name that no joint has; parts of a quaternion have rough coordinates alone."""
+        known = [x.name for x in self.by_name.values() if takes_parts or not x.joint.floats]
+        every = [step for step in self.by_name.values() if step.name.startswith(f"{name}.")]
+        inside = [step for step in every if step.name in known]
+        meant = nearest(name, known)
+        if every and not inside:
+            return "a quaternion turns this body, and its parts cannot be named: name another joint"
         if inside:
             shown = ", ".join(step.name for step in inside[:6])
             return f"the joints of this body are {shown}: name one of them"

@@ -192,6 +192,13 @@ def test_a_joint_that_follows_has_no_coordinate(old: str, new: str, path: str, t
     assert fault.remedy == 'name "q2"'
 
 
+def test_parts_of_a_quaternion_are_suggested_where_they_are_taken(tmp_path: Path) -> None:
+    (fault,) = find_faults(LINKAGE.replace("driven: [q1]", "driven: [ball]"), tmp_path)
+    assert fault.remedy == "a quaternion turns this body, and its parts cannot be named: name another joint"
+    (fault,) = find_faults(LINKAGE.replace("q2: 0.1", "ball: 0.1"), tmp_path)
+    assert fault.remedy == "the joints of this body are ball.rx, ball.ry, ball.rz: name one of them"
+
+
 def test_joints_beside_no_loop_have_nothing_to_determine(tmp_path: Path) -> None:
     start = LINKAGE.index("loops:")
     text = LINKAGE[:start] + "independent: [q1]\nassembly: {q2: 0.1}\n"
