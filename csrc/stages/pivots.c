@@ -359,7 +359,7 @@ static void eliminate_row(const mbs_stages_pivots *p, const mbs_stages_factors *
     }
 }
 
-/* Divide row i of the upper factor by its pivot; -1 where that is too small, beside this row or the block's. */
+/* Divide row i of the upper factor by its pivot; -1 where that is below `least`, or small beside the row. */
 static int take_pivot(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real pivot, real least)
 {
     real most = 0, inverse;

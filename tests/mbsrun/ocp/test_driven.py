@@ -71,14 +71,19 @@ FREE: Mapping[str, Any] = {
 EVERY = list(Representation)
 
 
-@pytest.fixture(scope="module")
-def cart(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> OnDemand:
-    requires("cc")
-    file = tmp_path_factory.mktemp("pushed") / "pushed.yaml"
-    file.write_text(CART, "utf-8")
+def load_text(text: str, folder: Path) -> OnDemand:
+    """Load a model from its text."""
+    file = folder / "model.yaml"
+    file.write_text(text, "utf-8")
     found = load_on_demand(file)
     assert isinstance(found, OnDemand)
     return found
+
+
+@pytest.fixture(scope="module")
+def cart(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> OnDemand:
+    requires("cc")
+    return load_text(CART, tmp_path_factory.mktemp("pushed"))
 
 
 @pytest.fixture(scope="module")
@@ -384,11 +389,7 @@ SPIN: Mapping[str, Any] = {
 @pytest.fixture(scope="module")
 def spinner(requires: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> OnDemand:
     requires("cc")
-    file = tmp_path_factory.mktemp("spinner") / "spinner.yaml"
-    file.write_text(SPINNER, "utf-8")
-    found = load_on_demand(file)
-    assert isinstance(found, OnDemand)
-    return found
+    return load_text(SPINNER, tmp_path_factory.mktemp("spinner"))
 
 
 @pytest.mark.parametrize("method", ["ipopt", "mbs"])
