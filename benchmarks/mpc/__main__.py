@@ -1,4 +1,4 @@
-"""Measure: `python -m benchmarks.mpc`; a table to the terminal.
+"""Measure: `python -m benchmarks.mpc`; a table to the terminal, and with `-o` a page.
 
 Each solver starts cold, at rest, and then warm: from its own solution, shifted by a step, at the state that the first
 acceleration leads to. All must find the same optimum.
@@ -10,29 +10,18 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.mpc.acados_peer import AcadosPeer, is_installed
 from benchmarks.mpc.casadi_peers import MODEL, SETTINGS, CasadiPeer, load_torque
 from benchmarks.mpc.own import Latency, OwnRunner
-from benchmarks.mpc.problem import JOINTS, Answer, Iterate, Runner, Task, rest
+from benchmarks.mpc.page import FAR, Horizon, Row, write_page
+from benchmarks.mpc.problem import JOINTS, Iterate, Runner, Task, rest
 
 SAME = 1e-6  # relative difference of costs within which two optima are one
 HORIZONS = (20, 100)
-
-
-@dataclass(frozen=True)
-class Row:
-    """The effort of a solver for a task: the quickest of several rounds."""
-
-    name: str
-    intervals: int
-    cold: Answer
-    warm: Answer
-    cost: float
-    cost_warm: float
 
 
 def make_runners(task: Task) -> Iterator[Runner]:
@@ -81,9 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--horizon", action="append", type=int, default=[], help="intervals; by default 20 and 100")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=1000, help="in real time; by default 1000")
+    parser.add_argument("-o", "--output", type=Path, help="also write a page, if all agree")
     given = parser.parse_args(arguments)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    is_one = True
+    is_one, horizons = True, []
     for intervals in given.horizon or HORIZONS:
         task = Task(intervals=intervals)
         rows = [measure(task, runner, given.rounds) for runner in make_runners(task)]
@@ -94,14 +84,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for answer in (row.cold, row.warm)
             )
             print(f"N = {intervals:3}  {row.name:8} cold {cold}; shifted {warm}; optimum {row.cost:.9g}")
-        print(f"N = {intervals:3}  mbs      in real time: {describe(OwnRunner(task, MODEL).control(given.steps))}")
+        latency = OwnRunner(task, MODEL).control(given.steps)
+        print(f"N = {intervals:3}  mbs      in real time: {describe(latency)}")
+        horizons.append(Horizon(tuple(rows), latency))
+    if given.output and is_one:
+        given.output.write_text(write_page(horizons, given.rounds), "utf-8")
     return 0 if is_one else 1
 
 
 def describe(found: Latency) -> str:
     """Describe times of real-time steps."""
     parts = (
-        f"{name} {1e6 * np.median(times):.0f} us, 99.9th percentile {1e6 * np.quantile(times, 0.999):.0f} us"
+        f"{name} {1e6 * np.median(times):.0f} us, 99.9th percentile {1e6 * np.quantile(times, FAR):.0f} us"
         for name, times in (("preparation", found.prepare), ("feedback", found.feedback))
     )
     return f"{', '.join(parts)}; joints end {found.gap:.2g} rad from the target"

@@ -1,8 +1,8 @@
 """The project's own solver: the task as a program in stages, solved by csrc/stages, and in real time.
 
 Torques u are inner variables of a step, which the equations Phi(q, qd, a) - u = 0 give, so their bounds are bounds of
-variables. Cold solves take multipliers of 0, shifted ones the multipliers of the solution before, as fatrop and IPOPT
-would if CasADi gave them. Times are of the calls in C.
+variables; a guess gets the torques that its motion takes. Cold solves take multipliers of 0, shifted ones the
+multipliers of the solution before, as fatrop and IPOPT would if CasADi gave them. Times are of the calls in C.
 """
 
 from __future__ import annotations
@@ -89,6 +89,7 @@ class OwnRunner:
     def __init__(self, task: Task, model: Path) -> None:
         """Build the tables."""
         self._task, plant = task, OnDemand(model)
+        self._torque = plant.casadi("impl")
         self._tables = Tables(build(write_program(task), plant), plant)
         self._workspace: Workspace | None = None
         self._multipliers: NDArray[np.uint8] | None = None
@@ -161,7 +162,10 @@ class OwnRunner:
         return options
 
     def _pack(self, guess: Iterate) -> Array:
-        stages = np.hstack([guess.x[:-1], guess.a, np.zeros_like(guess.a)])
+        """Add the torques that a guess takes: for the other solvers they are no variables."""
+        q, qd = guess.x[:-1, :JOINTS], guess.x[:-1, JOINTS:]
+        torques = self._torque(q.T, qd.T, guess.a.T, 0).full().T
+        stages = np.hstack([guess.x[:-1], guess.a, torques])
         return np.append(stages.ravel(), guess.x[-1])
 
     def _read(self, result: Any, seconds: float) -> Answer:

@@ -1,0 +1,61 @@
+"""Sentences of the README: they have the numbers of the pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.headlines import PageError, describe_methods, describe_mpc, read_number, read_tables, write_headlines
+
+METHODS = """# Methods
+
+| group | tasks | solved | mean ratio |
+|---|---|---|---|
+| one | 3 | 3, 2 | 1.5 |
+| **all** | 7 | 6, 5 | 0.25 |
+
+| another | table |
+|---|---|
+| 1 | 2 |
+"""
+CONTROL = """# Control
+
+| N | solver | by ours |
+|---:|---|---:|
+| 20 | mbs | 1.0 |
+| 20 | fatrop | 10.2 |
+| 20 | acados | 2.1 |
+| 100 | fatrop | 70.4 |
+
+## In real time
+
+| N | preparation | feedback |
+|---:|---:|---:|
+| 20 | 150 | 17 |
+"""
+
+
+def test_tables_are_read_by_their_headings() -> None:
+    """Of two tables under one heading, the first counts."""
+    assert list(read_tables(METHODS)) == ["Methods"]
+    assert read_tables(METHODS)["Methods"][1] == {"group": "all", "tasks": "7", "solved": "6, 5", "mean ratio": "0.25"}
+    assert read_number("> 114.5") == 114.5
+    assert read_number("28.9 · 27.7") == 28.9
+
+
+def test_sentences_have_the_numbers_of_their_pages() -> None:
+    assert "solves 6 tasks of 7, IPOPT 5, in 0.25 times its iterations" in describe_methods(METHODS)
+    assert "1/10 of the time of fatrop and 1/2.1 of the time of acados" in describe_mpc(CONTROL)
+
+
+@pytest.mark.parametrize("removed", ["| 20 | acados | 2.1 |\n", "| 20 | 150 | 17 |", "| 20 | fatrop | 10.2 |\n"])
+def test_a_page_without_a_number_is_named(tmp_path: Path, removed: str) -> None:
+    """Nothing is written where a page lacks what a sentence needs."""
+    results = Path(__file__).parents[2] / "benchmarks" / "results"
+    for page in results.glob("*.md"):
+        (tmp_path / page.name).write_text(page.read_text("utf-8"), "utf-8")
+    assert write_headlines(tmp_path) == write_headlines(results)
+    (tmp_path / "mpc.md").write_text(CONTROL.replace(removed, ""), "utf-8")
+    with pytest.raises(PageError, match=r"mpc\.md"):
+        write_headlines(tmp_path)
