@@ -125,8 +125,10 @@ class Motion:
         slopes: dict[sp.Symbol, list[sp.Expr]] = {}
 
         def differentiate(expression: sp.Expr) -> list[sp.Expr]:
-            inner = [(sp.diff(expression, name), slope) for name, slope in slopes.items() if expression.has(name)]
-            return [sp.diff(expression, x) + sp.Add(*(a * b[k] for a, b in inner)) for k, x in enumerate(by)]
+            free = expression.free_symbols
+            inner = [(sp.diff(expression, name), slope) for name, slope in slopes.items() if name in free]
+            outer = [sp.diff(expression, x) if x in free else sp.S.Zero for x in by]
+            return [own + sp.Add(*(a * b[k] for a, b in inner)) for k, own in enumerate(outer)]
 
         for line in self.named:
             slopes[line.name] = differentiate(line.expression)
@@ -141,20 +143,44 @@ class Motion:
         for name, numbers in inputs.items():
             found = self.naming.read(name, [float(x) for x in numbers])
             given |= {symbol: sp.Float(number, _DIGITS) for symbol, number in found.items()}
+        reader = _Reader(given)
         for line in keep_used(self.named, value.free_symbols):
-            given[line.name] = _evaluate_one(line.expression, given)
-        entries = [float(_evaluate_one(entry, given)) for entry in value]
+            reader.known[line.name] = reader.read(line.expression)
+        entries = [float(reader.read(entry)) for entry in value]
         return np.array(entries, dtype=np.float64).reshape(value.shape)
 
 
 _DIGITS = 30  # sums of trigonometric functions cancel
 
 
-def _evaluate_one(expression: sp.Expr, given: Mapping[sp.Symbol, sp.Float]) -> sp.Expr:
-    missing = sorted(x.name for x in expression.free_symbols - given.keys())
-    if missing:
-        raise EvaluationError(f"no number for {', '.join(missing)}; give q, qd, qdd, u, w or lam, whichever has it")
-    return sp.N(expression.xreplace(given), _DIGITS)
+class _UnknownError(Exception):
+    """Raised for a symbol without a number."""
+
+
+class _Reader:
+    """Evaluates expressions at given numbers, what they share once."""
+
+    def __init__(self, given: Mapping[sp.Symbol, sp.Float]) -> None:
+        self.known: dict[sp.Basic, sp.Basic] = dict(given)
+
+    def read(self, expression: sp.Expr) -> sp.Expr:
+        """Return a number. Raises EvaluationError for symbols that have none."""
+        try:
+            return sp.N(self._read(expression), _DIGITS)
+        except _UnknownError:
+            names = ", ".join(sorted(x.name for x in expression.free_symbols - self.known.keys()))
+            raise EvaluationError(f"no number for {names}; give q, qd, qdd, u, w or lam, whichever has it") from None
+
+    def _read(self, node: sp.Basic) -> sp.Basic:
+        found = self.known.get(node)
+        if found is None:
+            if node.is_Symbol:
+                raise _UnknownError
+            found = node.func(*map(self._read, node.args)) if node.args else node
+            if found.is_number and not found.is_Rational:
+                found = sp.N(found, _DIGITS)
+            self.known[node] = found
+        return found
 
 
 def name_symbols(tree: Tree) -> Naming:
