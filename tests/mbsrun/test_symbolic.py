@@ -109,7 +109,7 @@ def test_contacts_springs_and_parameters_at_run_time(tmp_path: Path, numbers: bo
     file.write_text(CRATE, encoding="utf-8")
     crate = load(file, extent=EXTENT)
     heavier = crate.with_parameters(m=2.5, r=-0.2)
-    _check(heavier, numbers=numbers, by=("qd",) if numbers else ("q", "u"))
+    _check(heavier, numbers=numbers, by=("qdd",) if numbers else ("qd", "u"))
     values = {symbol.name: number for symbol, number in heavier.symbolic(numbers=numbers).values.items()}
     assert values["m"] == 2.5
     assert values.get("d", -0.6) == pytest.approx(-0.6)
