@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import zlib
@@ -16,6 +17,11 @@ Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
 
 LONG = ("tests/test_documentation.py", "tests/test_website.py", "tests/test_golden.py", "tests/mbsrun/test_cli.py")
+
+
+def pytest_sessionstart() -> None:
+    """Search for cycles of objects rarely: most tests make tapes, which have none."""
+    gc.set_threshold(100_000, 50, 50)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

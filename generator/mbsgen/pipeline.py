@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import warnings
 from collections.abc import Iterator, Mapping
@@ -49,6 +50,9 @@ from mbsgen.verification.verify import Verification, verify
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
 
+OBJECTS = 100_000  # that are made between two searches for cycles
+
+
 @dataclass(frozen=True)
 class Product:
     """Everything made from one model; nothing is written yet."""
@@ -72,6 +76,22 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
     OptionError for unknown functions, VerificationError for a function with wrong results.
     """
+    with _collecting_rarely():
+        return _make(model, options, tell)
+
+
+@contextmanager
+def _collecting_rarely() -> Iterator[None]:
+    """Search for cycles of objects less often: tapes have millions of objects, and no cycles."""
+    before = gc.get_threshold()
+    gc.set_threshold(max(before[0], OBJECTS) if before[0] else 0, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
+def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
     tell("reading the model")
     whole = read(model)
     request = merge(options, _read_scene(options.scene, whole))
@@ -218,7 +238,8 @@ def derive_equations(
     with _locating(model):
         tree = build_numeric(shown) if numbers else build_symbolic(shown)
     try:
-        return derive(tree), identify_mechanism(staged)
+        with _collecting_rarely():
+            return derive(tree), identify_mechanism(staged)
     except SizeError as error:
         remedy = "" if numbers else "there are fewer with numbers in place of names; "
         raise SizeError(f"{error}; {remedy}`mbsgen equations --form lines` prints any equations") from None
