@@ -87,7 +87,7 @@ def _write_chosen(
         tell(name)
         function = entry.build(tree, request.reductions)
         assert function.name == name, "the catalogue calls a function by its own name"
-        order = min(entry.order, request.derivatives)
+        order = 0 if name in request.values else min(entry.order, request.derivatives)
         if entry.iterated and order:
             families += _write_staged(function, entry.iterated(tree), entry.title, order)
             continue

@@ -36,6 +36,7 @@ class Options:
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
     optional: tuple[str, ...] = ()  # beside these, the ones of the catalogue that the model has
+    values: tuple[str, ...] = ()  # the ones that are written without derivatives
     derivatives: int = 2  # the highest order; the scene may lower it
     scene: Path | Scene = EVERYTHING  # the part of the model to generate
     tolerance: float | None = None  # allowed relative error; None: the scene's
@@ -56,6 +57,7 @@ class Request:
 
     functions: tuple[str, ...] | None = None  # of the catalogue; None: all that the model has
     optional: tuple[str, ...] = ()  # beside these, the ones that the model has
+    values: tuple[str, ...] = ()  # the ones that are written without derivatives
     derivatives: int = 2  # up to which order
     targets: tuple[str, ...] = ()  # beside C
     runtime: bool = False  # every number of the model a run-time parameter
@@ -95,9 +97,13 @@ def merge(options: Options, scene: Scene) -> Request:
     if tolerance and options.runtime:
         finding = "with every number a run-time parameter, no value decides what can be left out"
         raise OptionError(f"tolerance: {finding}; leave one of the options out")
+    named = (*(options.functions or ()), *options.optional)
+    if strange := [name for name in options.values if name not in named]:
+        raise OptionError(f"values: {', '.join(strange)} is not among the functions; name it there too")
     return Request(
         functions=scene.functions if options.functions is None else options.functions,
         optional=options.optional,
+        values=options.values,
         derivatives=min(options.derivatives, scene.derivatives),
         targets=options.targets,
         runtime=options.runtime,

@@ -33,6 +33,7 @@ class Extent:
     without: tuple[str, ...] = ()  # reductions of the operation count that are switched off, by their fields' names
     runtime: bool = False  # every number of the model a run-time parameter, by its path in the file
     optional: tuple[str, ...] = ()  # functions beside the named ones, if the model has them: of loops, of sensors
+    values: tuple[str, ...] = ()  # functions among these that are written without derivatives
 
 
 WHOLE = Extent()
@@ -77,6 +78,7 @@ def _make_options(extent: Extent) -> Any:
         runtime=extent.runtime,
         functions=extent.functions,
         optional=extent.optional,
+        values=extent.values,
         derivatives=extent.derivatives,
         targets=extent.targets,
     )

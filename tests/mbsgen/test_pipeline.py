@@ -216,6 +216,13 @@ def test_derivatives_are_generated_up_to_an_order(order: int, prefixes: set[str]
     assert set(names) - {"setup"} == {*(p + f for p in prefixes for f in ("impl", "sensors", "exp2"))}
 
 
+def test_derivatives_of_single_functions_are_left_out(model: Path) -> None:
+    names = kernels(model, functions=("impl", "exp1"), derivatives=1, values=("exp1",))
+    assert names == ["setup", "impl", "jac_impl", "adj1_impl", "lin_impl", "exp1"]
+    with pytest.raises(OptionError, match=r"^values: exp2 is not among the functions"):
+        make(model, Options(functions=("impl", "exp1"), values=("exp2",)))
+
+
 @pytest.mark.parametrize("functions", [("frames",), ("impl", "semi"), ("sensors", "frames")])
 @pytest.mark.parametrize("order", [0, 1])
 def test_a_part_passes_its_own_check(
