@@ -43,6 +43,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     navigation = pages.write(ROOT, source, {path: result.folder for path, result in zip(shown, results, strict=False)})
     results = results[len(shown) :]
     gallery.write(results, source)
+    pages.write_front(source, gallery.write_front_cards(results))
     messages.write(source, 1 if quick else None)
     commands.write(source)
     listed = [] if quick else reference.PAGES

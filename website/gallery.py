@@ -21,6 +21,7 @@ RECORD = "run.json"  # in the folder of a run
 SOURCES = ("generator", "python", "csrc", "templates", "models")  # what decides the result of a run
 LONGEST = 600  # seconds
 SHOWN = 40  # lines of a command's output
+FRONT = ("bound", "delta_pick", "stewart")  # examples on the front page
 
 
 class ExampleError(Exception):
@@ -124,22 +125,33 @@ def list_pages(results: Sequence[Result]) -> list[str | dict[str, str]]:
 def write(results: Sequence[Result], target: Path) -> None:
     """Write the gallery's pages, and copy the files that they show."""
     (target / "gallery").mkdir(parents=True, exist_ok=True)
-    cards = []
     for result in results:
-        name = result.example.name
-        files = target / "gallery" / name
+        files = target / "gallery" / result.example.name
         files.mkdir(parents=True, exist_ok=True)
         for each in result.files:
             shutil.copyfile(result.folder / each, files / Path(each).name)
         (target / result.page).write_text(_describe(result), encoding="utf-8")
-        cards.append(
-            f'<a href="{name}.html"><img src="{name}/{Path(result.example.picture).name}" '
-            f'alt="{html.escape(result.example.title)}"><br><b>{html.escape(result.example.title)}</b><br>'
-            f"{html.escape(result.example.text.split('. ')[0].rstrip('.'))}.</a>"
-        )
     page = ["---", "hide: [toc]", "---", "# Gallery", "", "Each example was run when this site was built.", ""]
-    page += ['<div class="cards">', *cards, "</div>", ""]
+    page += [write_cards(results, ""), ""]
     (target / "gallery" / "index.md").write_text("\n".join(page), encoding="utf-8")
+
+
+def write_front_cards(results: Sequence[Result]) -> str:
+    """Write cards of a few examples, for the site's front page; of others where these were not run."""
+    chosen = [result for result in results if result.example.name in FRONT]
+    return write_cards(chosen or results[: len(FRONT)], "gallery/")
+
+
+def write_cards(results: Sequence[Result], folder: str) -> str:
+    """Write a card for each example: a picture and a sentence, with a link; `folder` is the gallery's."""
+    cards = (
+        f'<a href="{folder}{result.example.name}.html">'
+        f'<img src="{folder}{result.example.name}/{Path(result.example.picture).name}" '
+        f'alt="{html.escape(result.example.title)}"><br><b>{html.escape(result.example.title)}</b><br>'
+        f"{html.escape(result.example.text.split('. ')[0].rstrip('.'))}.</a>"
+        for result in results
+    )
+    return "\n".join(['<div class="cards">', *cards, "</div>"])
 
 
 def _describe(result: Result) -> str:

@@ -181,7 +181,6 @@ def write(root: Path, target: Path, runs: Mapping[str, Path]) -> list[dict[str, 
     pages |= {f"benchmarks/{path.as_posix()}": f"{FIGURES}/{path.as_posix()}" for path in measured}
     Staging(root, target, pages, runs).write()
     (target / "site.css").write_text(STYLE, encoding="utf-8")
-    (target / "index.md").write_text(_write_front(), encoding="utf-8")
     return _navigate(set(pages.values()), (root / "docs" / TUTORIALS / "README.md").read_text(encoding="utf-8"))
 
 
@@ -201,8 +200,12 @@ def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
     return [{"mbsgen": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
 
 
-def _write_front() -> str:
-    return """\
+def write_front(target: Path, cards: str) -> None:
+    """Write the front page, with cards of examples."""
+    (target / "index.md").write_text(FRONT.format(cards=cards), encoding="utf-8")
+
+
+FRONT = """\
 ---
 hide: [navigation, toc]
 ---
@@ -211,8 +214,10 @@ hide: [navigation, toc]
 The description of a mechanism in, C code for its dynamics out: the equations of motion in four forms, with exact first
 and second derivatives. Simulation, optimal control and controllers are built on it.
 
-[Start here](start.md){ .md-button .md-button--primary } [Gallery](gallery/index.md){ .md-button }
-[Architecture](architecture.md){ .md-button }
+[Start here](start.md){{ .md-button .md-button--primary }} [Gallery](gallery/index.md){{ .md-button }}
+[Architecture](architecture.md){{ .md-button }}
+
+{cards}
 
 | I want to | |
 |---|---|
