@@ -21,8 +21,10 @@ class Mark:
 
     @property
     def name(self) -> str:
-        """Return series and label, which may be the same."""
-        return self.series if self.label in ("", self.series) else f"{self.series} ({self.label})"
+        """Return series and label; the label alone where it begins with the series."""
+        if self.label.startswith(self.series):
+            return self.label
+        return f"{self.series} ({self.label})" if self.label else self.series
 
 
 def find_front(marks: Sequence[Mark]) -> list[Mark]:

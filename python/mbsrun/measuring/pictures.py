@@ -29,6 +29,7 @@ from mbsrun.measuring.points import KernelPoint, MotionPoint
 
 COLORS = PALETTE
 SHADES = 128  # colours of a picture
+LEFT = 0.3  # of the axis: a label has no room to the left of it
 LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
 LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s", DOUBLE_DOUBLE: "^", DIGITS: "D"}
@@ -317,10 +318,11 @@ def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Seque
     x, y = zip(*places, strict=True)
     axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
     heights: list[float] = []
+    low, high = axes.get_xlim()
     for place, label in zip(places, labels, strict=True):
         height = math.log10(place[1])
         if all(abs(height - other) >= LABELS_APART for other in heights):
             heights.append(height)
-            axes.annotate(
-                label, place, (-5, -5), textcoords="offset points", fontsize=6, color="0.2", ha="right", va="top"
-            )
+            is_left = math.log(place[0] / low) < LEFT * math.log(high / low)
+            offset, ha, va = ((5, 3), "left", "bottom") if is_left else ((-5, -5), "right", "top")
+            axes.annotate(label, place, offset, textcoords="offset points", fontsize=6, color="0.2", ha=ha, va=va)

@@ -21,3 +21,8 @@ def test_no_mark_of_the_front_is_beaten_in_both() -> None:
     )
     assert describe_front([slow], "s").startswith("c (label) is both the fastest and the most accurate: 5 s")
     assert describe_front(lost, "s") == "Nothing was measured here."
+
+
+def test_a_label_that_names_its_series_is_the_name() -> None:
+    assert Mark("no gravity", "no gravity, 43%", None, None).name == "no gravity, 43%"
+    assert Mark("exp1", "", None, None).name == "exp1"
