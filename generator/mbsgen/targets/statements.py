@@ -122,14 +122,15 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     taken = {*names.values(), *(x.name for x in arguments(tape))}
     free = (name for k in count(1) if (name := f"t{k}") not in taken)
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-        if syntax.turns and op in (Op.SIN, Op.COS) and uses[value]:
+        is_turn = syntax.turns and op in (Op.SIN, Op.COS) and bool(uses[value])
+        if turning and not (is_turn and places[a] <= len(statements)):  # an angle may be a sine of these
+            statements.append(_write_turns(turning))
+            turning = {}
+        if is_turn:
             texts.append(names.get(value) or next(free))
             turning.setdefault(_bare(texts[a]), {})[op] = texts[value]
             places.append(len(statements) + 1)
             continue
-        if turning:
-            statements.append(_write_turns(turning))
-            turning = {}
         if op is Op.ADD and b in going_on and b not in named:  # a sum that continues is first: sums commute
             a, b = b, a
         expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")

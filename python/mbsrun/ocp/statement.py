@@ -318,9 +318,9 @@ class _Reading(PartReading):
             relaxation=relaxation if touching else None,
             integrals=self.integrals(section.integrals),
         )
+        problem = self.rewriting.apply(problem)
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
         problem = replace(problem, constants=used, references=self.referring.references())
-        problem = self.rewriting.apply(problem)
         problem = replace(problem, controls=(*problem.controls, *slips))
         self.check_given(problem)
         is_driven = bool(drives) and not self.faults

@@ -223,6 +223,21 @@ def test_a_high_price_is_exact(read: Callable[[str], Problem]) -> None:
     assert summarise(soft)["slack of qd_x "] == "not used"
 
 
+@pytest.mark.parametrize(
+    "part",
+    [
+        "constraints: [{expression: qd_x - limit, range: [null, 0.2], soft: 3}]\ncost: {inputs: 1}\n",
+        "cost: {inputs: 1, largest: [{expression: qd_x - limit}]}\n",
+    ],
+)
+def test_constants_that_only_a_slack_or_a_largest_value_reads_are_kept(
+    part: str, read: Callable[[str], Problem]
+) -> None:
+    problem = read(f"{PUSH}constants: {{limit: 1, unused: 2}}\n{part}")
+    assert problem.constants == (("limit", 1.0),)
+    find(problem)
+
+
 def test_a_soft_end_is_a_compromise(read: Callable[[str], Problem]) -> None:
     """Of 12 x^2 + 30 (1 - x)^2, the cost to come to rest at x, the minimum is at x = 30 / 42; either side is soft."""
     text = PUSH.replace("pose: {x: 1}, ", "") + "inputs: linear\ncost: {inputs: 1}\n"

@@ -21,6 +21,7 @@ from mbsrun.ocp.stages.tables import Derivative
 
 # Every function and operator, of entries of two inputs, a parameter and a number of data.
 TEXTS = (
+    "cos(sin(sin(x0)) + y0)",  # angles that are sines
     "sin(x0) + cos(x0*y0) - tan(x1/2)",
     "asin(x0/2)*acos(y1/2)*atan(x1 + p0)",
     "atan2(x0 - 2, y0*x1)/sqrt(x1**2 + d0)",
