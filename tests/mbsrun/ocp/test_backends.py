@@ -21,7 +21,7 @@ from mbsrun.ocp.backends.evaluations import FormulaEvaluation
 from mbsrun.ocp.backends.places import make_function
 from mbsrun.ocp.functions import Formula, Input
 from mbsrun.ocp.problem import Form, Problem, Representation
-from mbsrun.ocp.program import COMMON, Program
+from mbsrun.ocp.program import COMMON, Block, Program
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.programs import rich
@@ -74,6 +74,28 @@ def test_numpy_and_casadi_make_the_same_functions(
     if not transcription.program.solved:
         assert ours.jacobian(x, p).nnz == theirs.jacobian.nnz_out(0)
         assert ours.hessian(x, p, 0.7, lam).nnz == theirs.hessian.nnz_out(0)
+
+
+@pytest.mark.parametrize("text", ["(s0*a0)**2 + a1", "exp(s0*a0)*a1 + s0*sin(a1)", "s0*a0*a1"])
+@pytest.mark.parametrize("places", [1, 3])
+def test_derivatives_that_a_number_makes_zero_keep_their_places(
+    text: str, places: int, rng: np.random.Generator
+) -> None:
+    """CasADi drops products with a number that is 0, such as the time at the start; other entries must not move up."""
+    names = {"a0": ("a", 0), "a1": ("a", 1), "s0": ("s", 0)}
+    formula = Formula((parse(text),), names, (Input("a", 2),), data=Input("s", 1))
+    at, columns = np.arange(places), np.arange(2 * places).reshape(2, places)
+    blocks = tuple(
+        Block(formula, (columns,), row[None], at, data=np.full((1, places), value))
+        for row, value in ((at, 0.0), (places + at, 0.7))
+    )
+    nothing = sparse.csc_array((2 * places, 2 * places))
+    program = Program(nothing, (nothing,), blocks)
+    ours, theirs = (backend.build(program, double_integrator()) for backend in (in_numpy, condensation))
+    x, lam, p = rng.uniform(0.5, 1, 2 * places), rng.uniform(0.5, 1, 2 * places), np.ones(1)
+    assert theirs.constraint(x, p).full().ravel() == pytest.approx(ours.constraint(x, p))
+    assert theirs.jacobian(x, p).full() == pytest.approx(ours.jacobian(x, p).toarray())
+    assert theirs.hessian(x, p, 0.7, lam).full() == pytest.approx(ours.hessian(x, p, 0.7, lam).toarray())
 
 
 TEXTS = [f"{name}(a0*b0 + 0.3)" for name, count in FUNCTIONS.items() if count == 1] + [

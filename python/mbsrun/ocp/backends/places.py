@@ -176,13 +176,13 @@ class PlacedFunction:
 
     def value(self, arguments: Sequence[ca.MX]) -> ca.MX:
         """Return the results, (size, places)."""
-        return self._function.map(self._places)(*arguments)
+        return ca.densify(self._function.map(self._places)(*arguments))
 
     def jacobian(self, arguments: Sequence[ca.MX]) -> list[Nonzeros]:
         """Return the derivatives by each input."""
         function = self._function.jacobian()
         parts = self._call(function, dict(enumerate(arguments)))
-        return [_read(function, i, parts[i]) for i in range(self._inputs)]
+        return [_read(function, i, parts[i], self._places) for i in range(self._inputs)]
 
     def gradient(self, arguments: Sequence[ca.MX], weights: ca.MX) -> list[Nonzeros]:
         """Return the derivatives of the weighted sum of results by each input, as columns."""
@@ -193,8 +193,7 @@ class PlacedFunction:
             # an adjoint may be dense where F's Jacobian is not
             read = sorted(set(jacobian.sparsity_out(i).get_triplet()[1]))
             pattern = ca.Sparsity.triplet(product.size1(), 1, read, [0] * len(read))
-            values = ca.project(product, ca.repmat(pattern, 1, self._places))
-            parts.append(Nonzeros(read_pattern(pattern), ca.vec(values.nz[:])))
+            parts.append(_take(pattern, product, self._places))
         return parts
 
     def hessian(self, arguments: Sequence[ca.MX], weights: ca.MX) -> Mapping[tuple[int, int], Nonzeros]:
@@ -203,7 +202,7 @@ class PlacedFunction:
         n = len(arguments)
         parts = self._call(function, {**dict(enumerate(arguments)), n + 1: weights})
         which = {(i, j): i * (n + 2) + j for i in range(self._inputs) for j in range(self._inputs)}
-        return {pair: _read(function, k, parts[k]) for pair, k in which.items() if function.nnz_out(k)}
+        return {pair: _read(function, k, parts[k], self._places) for pair, k in which.items() if function.nnz_out(k)}
 
     def _call(self, function: ca.Function, given: Mapping[int, ca.MX]) -> Sequence[ca.MX]:
         """Call a function at all places; other inputs are not read."""
@@ -344,7 +343,7 @@ class PlacedFormula:
         read = read or dict([next(iter(symbols.items()))])  # a function needs an input
         function = ca.Function("expressions", list(read.values()), list(results))
         found = function.map(self._places).call([given[name] for name in read])
-        return [_read(function, i, part) for i, part in enumerate(found)]
+        return [_read(function, i, part, self._places) for i, part in enumerate(found)]
 
 
 def _list_symbols(expression: Symbol) -> set[str]:
@@ -357,8 +356,15 @@ def _join(kind: str, name: str) -> str:
     return f"{kind}'{name}"
 
 
-def _read(function: ca.Function, i: int, part: ca.MX) -> Nonzeros:
-    return Nonzeros(read_pattern(function.sparsity_out(i)), ca.vec(part.nz[:]))
+def _read(function: ca.Function, i: int, part: ca.MX, places: int) -> Nonzeros:
+    """Take the nonzeros of result i of a function at all places."""
+    return _take(function.sparsity_out(i), part, places)
+
+
+def _take(pattern: ca.Sparsity, part: ca.MX, places: int) -> Nonzeros:
+    """Take the entries of a pattern at all places; where CasADi has found that some are 0, it holds fewer."""
+    values = ca.project(part, ca.repmat(pattern, 1, places))
+    return Nonzeros(read_pattern(pattern), ca.vec(values.nz[:]))
 
 
 def read_pattern(sparsity: ca.Sparsity) -> Pattern:
