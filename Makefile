@@ -23,13 +23,14 @@ track: $(VENV)/installed
 	    $(BIN)/mbsrun track models/track/$$name.ocp.yaml --settings $$file -o build/track/$$name || exit 1; \
 	done
 
-# Changes the files that ship, draws mechanisms, and draws states for bounds, to find faults: some hours. FUZZ="--count 100"
-# is quick, and goes to all searches; FUZZ_INPUTS="--kind models", FUZZ_MECHANISMS="--seed 1000", FUZZ_LOOPS="--seed 200"
-# and FUZZ_BOUNDS="--case F05" go to one.
+# Changes the files that ship, draws mechanisms and optimal control problems, and draws states for bounds, to find faults:
+# some hours. FUZZ="--count 100" is quick, and goes to all searches; FUZZ_INPUTS="--kind models",
+# FUZZ_MECHANISMS="--seed 1000", FUZZ_LOOPS="--seed 200", FUZZ_PROBLEMS="--seed 3000" and FUZZ_BOUNDS="--case F05" go to one.
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz inputs $(FUZZ) $(FUZZ_INPUTS)
 	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ) $(FUZZ_MECHANISMS)
 	$(BIN)/python -m tests.fuzz loops $(FUZZ) $(FUZZ_LOOPS)
+	$(BIN)/python -m tests.fuzz problems $(FUZZ) $(FUZZ_PROBLEMS)
 	$(BIN)/python -m tests.fuzz bounds $(FUZZ) $(FUZZ_BOUNDS)
 
 lint: $(VENV)/installed-dev

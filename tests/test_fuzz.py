@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, problems
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
 
@@ -17,6 +17,7 @@ SOUND = 1  # the seed of a mechanism that is accepted
 DRIVEN = 2  # the seed of a mechanism with a loop and a driven joint
 CONTACT = 13  # the seed of a mechanism with a loop and a contact
 LINKAGE = 0  # the seed of a planar linkage
+PROBLEMS = 1000  # the seed of the first of several problems of one mechanism
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
 
 
@@ -121,6 +122,24 @@ def test_a_closed_mechanism_that_is_wrong_is_found() -> None:
     with fifty_digits():
         found = loops.Comparison(replace(mechanism, model=other), tree, tapes, DRIVEN).run()
     assert all(f"{name} by" in found for name in ("impl", "exp1: qdd", "exp1: tau", "exp2: lam", "semi_red: c"))
+
+
+def test_problems_agree_with_another_transcription() -> None:
+    """Costs, limits and derivatives of problems for one mechanism, in several forms."""
+    tally = problems.search(4, seed=PROBLEMS)
+    assert tally.findings == []
+    assert tally.agreed >= 3
+
+
+def test_a_problem_that_is_wrong_is_found() -> None:
+    """Otherwise agreement would show nothing: the program's problem has another cost, or another start."""
+    drawn, plant = problems.draw(PROBLEMS)
+    stated, equipped = problems.state(drawn, plant)
+    weight = replace(stated.cost, inputs=stated.cost.inputs + 1)
+    start = (stated.start_q[0] + 0.1, *stated.start_q[1:])
+    for changed in (replace(stated, cost=weight), replace(stated, start_q=start)):
+        comparison, sections = problems.compare(drawn, plant, changed, equipped)
+        assert comparison.run(sections) != ""
 
 
 @pytest.mark.parametrize(("name", "precision"), [("force laws at ties", "double"), ("F05 elbow", "float")])

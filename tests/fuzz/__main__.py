@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, problems
 
 
 @click.group()
@@ -51,6 +51,15 @@ def loops_command(count: int, seed: int, keep: Path | None) -> None:
     failed = run(loops.search, count, seed, keep)
     click.echo("linkages, cut at two places:")
     sys.exit(run(linkages.search, count // 4, seed, None if keep is None else keep / "linkages") or failed)
+
+
+@cli.command("problems")
+@click.option("--count", default=600, show_default=True, help="Problems to try; every few share a mechanism.")
+@click.option("--seed", default=0, show_default=True, help="The first seed; each problem has the next.")
+@click.option("--keep", type=click.Path(path_type=Path), help="A folder for the problems that disagree.")
+def problems_command(count: int, seed: int, keep: Path | None) -> None:
+    """Draw optimal control problems: their programs agree with a transcription of another hand."""
+    sys.exit(run(problems.search, count, seed, keep))
 
 
 @cli.command("bounds")
