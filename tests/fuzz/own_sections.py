@@ -1,4 +1,4 @@
-"""What the sections of a drawn problem ask of a motion: the terms of its cost, and numbers with their limits."""
+"""The sections of a drawn problem along a motion: the terms of its cost, and numbers with their limits."""
 
 from __future__ import annotations
 
@@ -349,7 +349,7 @@ class Sections:
         yield Demand(title, compute(first, 1), limits, is_optional=not self.has_free_start)
 
     def list_jumping(self) -> list[str]:
-        """List the names of what jumps where an interval ends."""
+        """List the names of quantities that jump where an interval ends."""
         own = self.own
         names = [f"u_{spell(x)}" for x in own.inputs] + [f"qdd_{spell(x)}" for x in own.velocities]
         return [*names, *self.problem.list_components(), *self.problem.controls]

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 SHARED = 12  # problems of one mechanism, which is compiled once
 BODIES = 3  # at most
-WITH_TABLES = 3  # one problem in so many is written as tables of stages, which compiles its formulas
+WITH_TABLES = 3  # one problem of this number is written as tables of stages, which compiles its formulas
 SAME = 1e-8  # relative, and absolute below 1: numbers that count as equal
 
 
@@ -224,7 +224,7 @@ def match(values: Array, limit: float) -> NDArray[np.bool_]:
 
 
 def convert(motion: Motion, stated: Stated) -> Trajectory:
-    """Return a motion as the program takes it, by the names of what the problem adds."""
+    """Return a motion as the program takes it, by the names that the problem adds."""
     names, added = stated.added, motion.states
     N, d = motion.point_t.shape
     is_constant = stated.inputs == "constant"
@@ -280,7 +280,7 @@ def search(
 
 
 def keep_files(folder: Path, drawn: Drawn, finding: str) -> None:
-    """Keep a problem and its model, with what differs."""
+    """Keep a problem and its model, with the finding."""
     own = folder / f"problem_{drawn.seed}"
     own.mkdir(parents=True, exist_ok=True)
     (own / "model.yaml").write_text(yaml.safe_dump(drawn.model, sort_keys=False), encoding="utf-8")
