@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedFailure, Phase
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
-from mbsrun.ocp.problem import Refinement
+from mbsrun.ocp.problem import Problem, Refinement
 from mbsrun.ocp.solution import Round
 from mbsrun.ocp.solve import Progress
 
@@ -30,15 +31,18 @@ def solve_file(
     file: Path,
     out: Path | None,
     other: Path | None,
+    choose: Callable[[Problem], Problem],
     solver: str | None,
     accuracy: float | None = None,
     wish: Wish | None = None,
 ) -> int:
     """Solve the problem of a file, write and print the solution; return the exit code.
 
-    With an accuracy, the grids of all phases are refined until it holds. With a wish, it is solved from many starts.
+    `choose` changes the problem of each phase. With an accuracy, the grids of all phases are refined until it holds.
+    With a wish, it is solved from many starts.
     """
     problem, plants = read_phased_problem(file, load_on_demand)
+    problem = replace(problem, phases=tuple(replace(p, problem=choose(p.problem)) for p in problem.phases))
     if solver is not None and solver != problem.solver.method:
         problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
     if accuracy is not None:

@@ -56,6 +56,7 @@ PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanis
 FILES = (*PLAIN_FILES, MECHANISM, ANIMATION)
 STARTS = "starts.sqlite"  # of a search from many starts
 MAX_STARTS = 100_000
+SINGLE = ("target", "hops", "workers", "sensitivities")  # options that a problem in phases does not take
 
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
@@ -80,8 +81,8 @@ A solver finds a local minimum near its guess. --starts 20 solves from 20 starts
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
-A problem with `phases` or `links` takes --out, --guess, --solver, --refine, and --starts with --seed and --minutes; its
-search keeps no starts.sqlite. Each phase has a table NAME.csv.
+For a problem with `phases` or `links`, an option holds for every phase; there is no --target, --hops, --workers and
+--sensitivities, and a search keeps no starts.sqlite. Each phase has a table NAME.csv.
 
 \b
 Exit codes
@@ -240,14 +241,18 @@ def _describe_round(last: Round) -> str:
 
 
 def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish | None, choices: dict[str, Any]) -> int:
-    """Solve a problem in phases; of the other options, it takes `--solver` and `--refine`."""
-    solver, accuracy = choices.pop("solver"), choices.pop("refine")
-    given = [f"--{name.replace('_', '-')}" for name, value in choices.items() if value is not None]
+    """Solve a problem in phases; what an option says, it says of every phase."""
+    given = [f"--{name}" for name in SINGLE if choices.pop(name) is not None]
     if given:
-        raise click.UsageError(f"{', '.join(given)}: for problems of one phase; write it into the file's phases")
+        raise click.UsageError(f"{', '.join(given)}: for problems of one phase")
+    solver, accuracy = choices.pop("solver"), choices.pop("refine")
     if accuracy is not None:
         _check_accuracy(accuracy)
-    return solve_file(file, out, other, solver, accuracy, wish)
+
+    def choose(problem: Problem) -> Problem:
+        return _choose_way(problem, **choices)
+
+    return solve_file(file, out, other, choose, solver, accuracy, wish)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -261,20 +266,35 @@ def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
 
 def _choose(
     problem: Problem,
+    solver: str | None,
+    refine: float | None,
+    **ways: Any,
+) -> Problem:
+    """Replace parts of the problem by options. Another method drops the options of the former one.
+
+    Raises UsageError for conflicts.
+    """
+    problem = _choose_way(problem, **ways)
+    if solver is not None:
+        problem = problem.with_solver(solver)
+    if refine is not None:
+        _check_accuracy(refine)
+        rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds
+        problem = replace(problem, refine=Refinement(refine, rounds))
+    check_conflicts(problem)
+    return problem
+
+
+def _choose_way(
+    problem: Problem,
     representation: str | None,
     form: str | None,
     loops: str | None,
     integrator: str | None,
     steps: int | None,
-    solver: str | None,
     guess_inputs: Inputs | None,
-    refine: float | None,
 ) -> Problem:
-    """Replace parts of the problem by options.
-
-    Another method drops the options of the former one; another form, its integrator and steps. Raises UsageError for
-    conflicts.
-    """
+    """Replace what options say of a phase. Another form drops its integrator and steps."""
     if representation is not None:
         problem = replace(problem, representation=Representation(representation))
     if form is not None and Form(form) is not problem.form:
@@ -284,13 +304,6 @@ def _choose(
     problem = replace(problem, integrator=integrator or problem.integrator, steps=steps or problem.steps)
     if guess_inputs is not None:
         problem = replace(problem, guess=replace(problem.guess, inputs=guess_inputs))
-    if solver is not None:
-        problem = problem.with_solver(solver)
-    if refine is not None:
-        _check_accuracy(refine)
-        rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds
-        problem = replace(problem, refine=Refinement(refine, rounds))
-    check_conflicts(problem)
     return problem
 
 

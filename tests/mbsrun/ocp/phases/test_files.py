@@ -16,6 +16,7 @@ from mbsrun.ocp.phases.files import write_files
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
 from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.problem import Form, Representation
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 from tests.mbsrun.peer import Peer, double_integrator
@@ -127,9 +128,27 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     assert f"{place}: mbs cannot read inputs at a start" in str(unstaged.exception)
     assert "here: start_u_cart - end_u_cart; take solver.method: ipopt" in str(unstaged.exception)
     (tmp_path / "split.ocp.yaml").write_text(TEXT)
-    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--form", "integral"])
+    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--target", "1", "0", "0"])
     assert refused.exit_code == 2
-    assert "--hops, --form: for problems of one phase" in refused.output
+    assert "--target, --hops: for problems of one phase" in refused.output
     searched = CliRunner().invoke(cli, [*command, "--starts", "2"])
     assert "in 2 starts; lower ones may exist" in searched.output
     assert (tmp_path / "out" / "starts.png").is_file()
+
+
+def test_options_hold_for_every_phase(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """The optimum stays; what the phases do not take together is refused, phase by phase."""
+    requires("cc")
+    (tmp_path / "cart_pole.yaml").write_text((MODELS / "cart_pole.yaml").read_text())
+    (tmp_path / "split.ocp.yaml").write_text(TEXT)
+    command = ["solve", str(tmp_path / "split.ocp.yaml"), "-o", str(tmp_path / "out")]
+    CliRunner().invoke(cli, command)
+    usual = read_phased_solution(tmp_path / "out" / "solution.json")
+    CliRunner().invoke(cli, [*command, "--form", "shooting", "--representation", "exp2-o"])
+    shot = read_phased_solution(tmp_path / "out" / "solution.json")
+    assert [phase.problem.form for phase in shot.problem.phases] == [Form.SHOOTING] * 2
+    assert [phase.problem.representation for phase in shot.problem.phases] == [Representation.EXP2_O] * 2
+    assert shot.cost == pytest.approx(usual.cost, rel=1e-7)
+    refused = CliRunner().invoke(cli, [*command, "--integrator", "rk4"])
+    assert "phases[0].integrator: rk4 with 1 steps is for shooting" in str(refused.exception)
+    assert "phases[1].integrator: rk4 with 1 steps is for shooting" in str(refused.exception)
