@@ -291,6 +291,14 @@ class Closure:
         """Choose the first entries of qd that can have any value in a pose (nq,), whatever the chosen before have."""
         return [i for (i,) in _choose(self.jacobian(q), [([i], 1) for i in candidates])]
 
+    def list_held(self, q: Array, given: Sequence[int]) -> list[int]:
+        """List the entries of qd that stay where some are given, in a pose (nq,): these, and independent ones left."""
+        return sorted({*given, *self.choose(q, [*given, *self.independent])})
+
+    def list_held_places(self, q: Array, given: Sequence[int]) -> list[int]:
+        """List the entries of q that stay likewise."""
+        return sorted({*given, *self.choose_places(q, [*given, *self.places_independent])})
+
     def choose_places(self, q: Array, candidates: Sequence[int]) -> list[int]:
         """Choose the first entries of q likewise; the four of a quaternion are chosen whole, or none of them is."""
         turns = {x.first: x.entries for x in list_quaternions(self.manifest)}

@@ -40,6 +40,21 @@ def test_trees_are_compared_without_their_loops(tmp_path: Path) -> None:
     assert found.named[0].startswith("loops and constraints weld, belt: Pinocchio's reader has none")
 
 
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_a_joint_that_follows_a_sum_is_compared(base: str, tmp_path: Path) -> None:
+    """Coupled as 2 (za + zb) = -zc in URDF+, where a follower that has no bounds has no coordinate."""
+    joints = {"a": ("root", ""), "b": ("a", 'independent="false"'), "c": ("root", "")}
+    text = link("root") + "".join(link(name) for name in joints)
+    for name, (parent, more) in joints.items():
+        axis = '<axis xyz="0 1 0"/>' if name != "b" else '<axis xyz="0 0 1"/>'
+        text += joint(f"z{name}", "continuous", parent, name, axis).replace("<joint ", f"<joint {more} ")
+    ends = '<predecessor link="b"/><successor link="c"/><ratio value="-2"/>'
+    path = write(tmp_path, f'{text}<coupling name="sum">{ends}</coupling>')
+    found = compare_with_pinocchio(path, Choices(base=base))  # type: ignore[arg-type]
+    assert max(found.imported.values()) < TOLERANCE
+    assert not [line for line in found.named if "constraints" in line]
+
+
 def test_what_differs_is_named(tmp_path: Path) -> None:
     """Damping is in Phi and qdd, a rotor in M too; without them all agrees."""
     loss = LOSSES.replace("<dynamics", '<dynamics armature="0.4"')

@@ -22,8 +22,9 @@ from mbsrun.models import INTEGRATED
 
 LINEARISE_HELP = """Linearise the equations of motion of MODEL about a pose at rest.
 
-The pose is the model's own, or the one of --pose; loops give the other coordinates. By default the inputs keep it at
-rest, beside the ones of --input. With --settle the inputs stay, and the pose moves to an equilibrium near it.
+The pose is the model's own, or the one of --pose; loops give the other coordinates. Driven joints stand still. By
+default the inputs keep the pose at rest, beside the ones of --input. With --settle the inputs stay, and the pose moves
+to an equilibrium near it.
 
 \b
   mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1
@@ -33,7 +34,7 @@ frames show it. Names in its last column move the most.
 
 \b
 The output folder gets
-  linearisation.json   pose, inputs, M, C, K, F, A, B, G, poles, zeros, gains
+  linearisation.json   pose, inputs, forces of driven joints, M, C, K, F, A, B, G, poles, zeros, gains
   poles.png            poles in the complex plane
   responses.png        transfer functions from inputs to coordinates
 
@@ -94,6 +95,8 @@ def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains
     click.echo("pose    " + ", ".join(f"{name} = {value:.6g}" for name, value in zip(positions, at.q, strict=True)))
     if found.inputs:
         click.echo("inputs  " + ", ".join(f"{name} = {u:.6g}" for name, u in zip(found.inputs, at.u, strict=True)))
+    if found.driven:
+        click.echo("driven  " + ", ".join(f"{name} = {x:.6g}" for name, x in zip(found.driven, at.tau, strict=True)))
     table = Table(box=None, pad_edge=False)
     for heading in ("pole [1/s]", "frequency [Hz]", "damping", "controllable", "observable", "moves"):
         table.add_column(heading, justify="left" if heading == "moves" else "right")
@@ -130,6 +133,7 @@ def _summarise(found: Linearisation, positions: Sequence[str], gains: NDArray[np
     return {
         "pose": dict(zip(positions, at.q.tolist(), strict=True)),
         "inputs": dict(zip(found.inputs, at.u.tolist(), strict=True)),
+        "driven": dict(zip(found.driven, at.tau.tolist(), strict=True)),
         "multipliers": at.multipliers.tolist(),
         "freedoms": found.freedoms,
         "outputs": found.outputs,

@@ -1,7 +1,7 @@
 """Small motions about a pose at rest: equilibria, linear equations, modes, transfer functions, controllability.
 
-With velocities qd = Z s along the motions Z that loops admit (1 without loops), coordinates q' = N qd, and a force on
-every joint Phi(q, qd, qdd) - S u - J^T lam = 0, small changes obey
+With velocities qd = Z s along the motions Z that loops admit while driven joints stand still (1 without both),
+coordinates q' = N qd, and a force on every joint Phi(q, qd, qdd) - S u - D tau - J^T lam = 0, small changes obey
 
     M s' + C s + K x = F u,    x' = s,    M = ZT Phi_qdd Z,   C = ZT Phi_qd Z,   K = ZT Phi_q N Z,   F = ZT S
 
@@ -27,7 +27,7 @@ from scipy import linalg
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
-from mbsrun.quaternions import neutral, normalise
+from mbsrun.quaternions import list_entries, neutral, normalise
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -51,6 +51,7 @@ class Equilibrium:
     q: Array  # (nq,)
     u: Array  # (m,)
     multipliers: Array  # (e,)
+    tau: Array  # (d,): of the driven joints, which stand still
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Linearisation:
     equilibrium: Equilibrium
     freedoms: tuple[str, ...]  # names of x
     inputs: tuple[str, ...]
+    driven: tuple[str, ...]
     outputs: tuple[str, ...]
     M: Array  # (d, d)
     C: Array
@@ -169,6 +171,7 @@ def linearise(kernels: Kernels, equilibrium: Equilibrium) -> Linearisation:
         equilibrium=equilibrium,
         freedoms=freedoms,
         inputs=tuple(manifest.coordinates[i].name for i in manifest.actuated),
+        driven=tuple(manifest.coordinates[i].name for i in manifest.driven),
         outputs=tuple(outputs),
         M=Z.T @ blocks["jac_Phi_qdd"] @ Z,
         C=Z.T @ blocks["jac_Phi_qd"] @ Z,
@@ -190,9 +193,9 @@ def balance(kernels: Kernels, q: Array, given: Mapping[int, float]) -> Equilibri
     u = np.zeros(len(manifest.actuated))
     u[list(given)] = list(given.values())
     free = [k for k in range(u.size) if k not in given]
-    forces, scale = _find_forces(kernels, Equilibrium(q, u, np.zeros(closure.count)))
+    at_rest = _unload(kernels, q, u)
+    forces, scale = _find_forces(kernels, at_rest)
     Z, _, names = _list_motions(kernels, q)
-    at_rest = Equilibrium(q, u, np.zeros(closure.count))
     S = np.zeros((len(Z), 0)) if not u.size else -kernels("jac_impl", **_state(kernels, at_rest))["jac_Phi_u"]
     u[free] += np.linalg.lstsq(Z.T @ S[:, free], Z.T @ forces, rcond=RANK)[0] if free else 0.0
     rest = forces - S[:, free] @ u[free]
@@ -203,7 +206,7 @@ def balance(kernels: Kernels, q: Array, given: Mapping[int, float]) -> Equilibri
             f"the pose is no equilibrium: a force of {left[worst]:.3g} along {names[worst]} is not balanced; "
             "settle it, or give another pose"
         )
-    return Equilibrium(q, u, _carry(closure, q, rest))
+    return Equilibrium(q, u, *_carry(closure, q, rest))
 
 
 def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
@@ -213,19 +216,20 @@ def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
     """
     check_kernels(kernels)
     closure, given = Closure(kernels), dict(enumerate(u))
+    held = list_entries(kernels.manifest, kernels.manifest.driven)
     for _ in range(ITERATIONS):
-        q = closure.close(normalise(q, kernels.manifest))
+        q = closure.close(normalise(q, kernels.manifest), held)
         if not closure.is_closed(q):
             raise closure.tell_open(q)
         Z, N, _ = _list_motions(kernels, q)
-        forces, scale = _find_forces(kernels, Equilibrium(q, u, np.zeros(closure.count)))
-        state = _state(kernels, Equilibrium(q, u, _carry(closure, q, forces)))
+        forces, scale = _find_forces(kernels, _unload(kernels, q, u))
+        state = _state(kernels, Equilibrium(q, u, *_carry(closure, q, forces)))
         K = Z.T @ kernels("jac_impl", **state)["jac_Phi_q"] @ N @ Z
         step = -np.asarray(np.linalg.lstsq(K, Z.T @ forces, rcond=RANK)[0])
         longest = np.abs(step).max(initial=0.0)
         q = q + N @ Z @ step * min(1.0, LONGEST / max(longest, CLOSED))
         if longest <= CLOSED and np.abs(Z.T @ forces).max(initial=0.0) <= BALANCED * max(1.0, scale):
-            return balance(kernels, closure.close(normalise(q, kernels.manifest)), given)
+            return balance(kernels, closure.close(normalise(q, kernels.manifest), held), given)
     raise BalanceError("no equilibrium was found near the pose; give another pose, or other inputs")
 
 
@@ -246,18 +250,27 @@ def _state(kernels: Kernels, at: Equilibrium) -> dict[str, Any]:
     """Return the inputs of `impl` at rest."""
     manifest = kernels.manifest
     rest = np.zeros(len(manifest.coordinates))
-    given = {"q": at.q, "qd": rest, "qdd": rest, "u": at.u, "lam": at.multipliers}
+    given = {"q": at.q, "qd": rest, "qdd": rest, "u": at.u, "lam": at.multipliers, "tau": at.tau}
     taken = {argument.name for argument in kernels.describe("impl").inputs}
     if "w" in taken:
         given["w"] = np.zeros(len(manifest.inputs) - at.u.size)
     return {name: value for name, value in given.items() if name in taken}
 
 
-def _carry(closure: Closure, q: Array, forces: Array) -> Array:
-    """Return the multipliers of the loops that carry some forces."""
-    if not closure.count:
-        return np.zeros(0)
-    return np.asarray(np.linalg.lstsq(closure.jacobian(q).T, forces, rcond=RANK)[0])
+def _unload(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
+    """Return a pose under inputs alone: loops and driven joints bear nothing."""
+    return Equilibrium(q, u, np.zeros(len(kernels.manifest.owners)), np.zeros(len(kernels.manifest.driven)))
+
+
+def _carry(closure: Closure, q: Array, forces: Array) -> tuple[Array, Array]:
+    """Return the multipliers of the loops, and the forces of the driven joints, that carry some forces together."""
+    driven = list(closure.manifest.driven)
+    J = closure.jacobian(q)
+    free = np.delete(J, driven, axis=1)
+    multipliers = np.zeros(0)
+    if closure.count:
+        multipliers = np.asarray(np.linalg.lstsq(free.T, np.delete(forces, driven), rcond=RANK)[0])
+    return multipliers, (forces - J.T @ multipliers)[driven]
 
 
 def _find_forces(kernels: Kernels, at: Equilibrium) -> tuple[Array, float]:
@@ -274,10 +287,15 @@ def _list_motions(kernels: Kernels, q: Array) -> tuple[Array, Array, tuple[str, 
     N = np.eye(n)
     if manifest.configuration:
         N = kernels("jac_rates", q=q, qd=np.zeros(n))["jac_rate_qd"]
-    if not closure.count:
-        return np.eye(n), N, tuple(names)
-    chosen = closure.independent
-    Z = np.array([closure.complete_velocities(q, chosen, row) for row in np.eye(len(chosen))]).T
+    driven = list(manifest.driven)
+    chosen = [i for i in (closure.independent if closure.count else range(n)) if i not in driven]
+    if not chosen:
+        raise BalanceError(
+            f"driven joints determine the whole motion of {manifest.model}, so nothing moves about a pose; "
+            "linearise the model without `driven`"
+        )
+    given = [*chosen, *driven]
+    Z = np.array([closure.complete_velocities(q, given, row) for row in np.eye(len(given))[: len(chosen)]]).T
     return Z, N, tuple(names[i] for i in chosen)
 
 

@@ -36,8 +36,9 @@ class Start:
 def close_start(kernels: Kernels, start: Start, course: Course) -> tuple[Array, Array, str]:
     """Return q and qd with closed loops, and a note where given coordinates were changed.
 
-    Given entries are kept, the others follow. A pose that is nearly closed is moved as a whole. Raises
-    OpenError where the loops stay open.
+    Given entries are kept, and the others follow. Where these leave freedoms, independent joints stay where they are,
+    or at rest; in a pose they move too where the loops do not close else. A pose that is nearly closed is moved as a
+    whole. Raises OpenError where the loops stay open.
     """
     manifest, closure = kernels.manifest, Closure(kernels)
     q, qd, placed, moving = start.q.copy(), start.qd.copy(), place_driven(manifest), list(manifest.driven)
@@ -47,7 +48,7 @@ def close_start(kernels: Kernels, start: Start, course: Course) -> tuple[Array, 
         return q, qd, note
     given = sorted(start.placed | set(placed))
     try:
-        closed = closure.move(start.base, given, q[given])
+        closed = _move(closure, start.base, given, q)
     except OpenError:
         if closure.measure(q) > ROUGH:
             raise
@@ -57,7 +58,19 @@ def close_start(kernels: Kernels, start: Start, course: Course) -> tuple[Array, 
     change = float(np.abs(closed - q)[given].max(initial=0.0))
     if change > OPEN:
         note = f"the loops were not closed at the given start: coordinates were changed by up to {change:.2g}"
-    return closed, complete_velocities(closure, closed, qd, start.moving | set(moving)), note
+    still = closure.list_held(closed, sorted(start.moving | set(moving)))
+    return closed, complete_velocities(closure, closed, qd, still), note
+
+
+def _move(closure: Closure, base: Array, given: list[int], q: Array) -> Array:
+    """Return a closed pose with given entries as in q, and if possible with the independent ones that are left, too."""
+    held = closure.list_held_places(base, given)
+    try:
+        return closure.move(base, held, q[held])
+    except OpenError:
+        if held == given:
+            raise
+        return closure.move(base, given, q[given])
 
 
 def complete_velocities(closure: Closure, q: Array, qd: Array, given: Collection[int]) -> Array:
