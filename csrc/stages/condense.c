@@ -48,22 +48,25 @@ static void review_orders(mbs_stages_recursion *r)
         if (y->n == 0)
             continue;
         ++y->pivots->stages;
-        if (y->own && y->missing == 0 && ++y->pivots->failed == 1 && y->pivots->ready)
+        if (y->poor && ++y->pivots->failed == 1 && y->pivots->ready)
             y->pivots->stage = k;
     }
     for (k = 0; k < r->stages; ++k) {
         mbs_stages_pivots *p = r->stage[k].inner.pivots;
-        if (r->stage[k].inner.n > 0 && OFTEN * p->failed > p->stages)
+        if (r->stage[k].inner.n > 0 && OFTEN * p->failed > p->stages) {
             p->ready = 0;
+            r->stage[k].inner.stale = 1;
+        }
     }
 }
 
 static int choose(mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_scratch *m = &r->scratch[0];
     mbs_stages_pivots *p = s->inner.pivots;
     int l;
-    if (mbs_stages_choose_pivots(p, &s->E, r->block, r->vector[5], r->marks, r->spots, r->zero_pivot))
+    if (mbs_stages_choose_pivots(p, &s->E, m->block, m->vector[5], r->marks, m->spots, r->zero_pivot))
         return -1;
     for (l = 0; l < r->stages; ++l)
         if (r->stage[l].inner.n > 0 && r->stage[l].inner.pivots == p)
@@ -96,26 +99,27 @@ void mbs_stages_forget_orders(mbs_stages_recursion *r)
         if (y->n == 0)
             continue;
         y->pivots->ready = y->pivots->stage = 0;
-        y->own = y->missing = 0;
+        y->own = y->missing = y->poor = 0;
         y->stale = 1;
     }
 }
 
-static mbs_stages_complete complete(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+static mbs_stages_complete complete(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     mbs_stages_complete c;
     c.n = s->inner.n;
     c.rank = 0;
-    c.a = r->block;
-    c.row = r->spots;
-    c.column = r->spots + c.n;
-    c.work = r->vector[5];
+    c.a = m->block;
+    c.row = m->spots;
+    c.column = m->spots + c.n;
+    c.work = m->vector[5];
     return c;
 }
 
-static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, const mbs_stages_scratch *m,
+                                                const mbs_stages_stage *s)
 {
-    mbs_stages_complete c = complete(r, s);
+    mbs_stages_complete c = complete(m, s);
     mbs_stages_factorise_completely(&c, &s->E, s->nx, r->zero_pivot);
     return c;
 }
@@ -142,22 +146,22 @@ static void set_outer_sizes(mbs_stages_stage *s)
 }
 
 /* B = -r_u, in the order of the rows of r. */
-static void write_right(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_matrix *E = &s->E;
     const size_t width = (size_t)y->width;
     int i, j, l;
-    memset(r->right, 0, (size_t)y->n * width * sizeof *r->right);
+    memset(m->right, 0, (size_t)y->n * width * sizeof *m->right);
     for (j = 0; j < s->n; ++j) {
         const int at = mbs_stages_outer(s, j);
         for (l = E->begin[j]; at >= 0 && l < E->end[j] && E->row[l] < y->n; ++l)
-            r->right[(size_t)E->row[l] * width + (size_t)at] = -E->value[l];
+            m->right[(size_t)E->row[l] * width + (size_t)at] = -E->value[l];
     }
     for (i = 0; i < y->deferred; ++i) {
         j = s->nx + y->variable[i];
         for (l = E->begin[j]; l < E->end[j] && E->row[l] < y->n; ++l)
-            r->right[(size_t)E->row[l] * width + (size_t)(s->n - y->n + i)] = -E->value[l];
+            m->right[(size_t)E->row[l] * width + (size_t)(s->n - y->n + i)] = -E->value[l];
     }
 }
 
@@ -177,13 +181,13 @@ static void write_units(const mbs_stages_stage *s)
 }
 
 /* S by the factors of the stage. */
-static void solve_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s)
+static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_pivots *p = y->pivots;
     const mbs_stages_factors *f = &y->factors;
     const size_t width = (size_t)y->width;
-    real *B = r->right, *S = row_of_v(s, s->nx);
+    real *B = m->right, *S = row_of_v(s, s->nx);
     int i;
     for (i = 0; i < y->n; ++i)
         mbs_stages_combine(y->width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
@@ -197,23 +201,23 @@ static void solve_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 }
 
 /* Factorise the inner equations, and find V. */
-static void find_variation(mbs_stages_recursion *r, mbs_stages_stage *s)
+static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     mbs_stages_inner *y = &s->inner;
     y->deferred = y->missing = 0;
     y->factors.upper = y->factors.lower + (y->pivots->ready ? y->pivots->lower[y->n] : 0);
-    y->own = !y->pivots->ready || mbs_stages_factorise_block(y->pivots, &s->E, &y->factors, r->vector[5],
-                                                             r->block, r->zero_pivot) >= 0;
+    y->own = !y->pivots->ready || mbs_stages_factorise_block(y->pivots, &s->E, &y->factors, m->vector[5],
+                                                             m->block, r->zero_pivot) >= 0;
     if (y->own) {
-        const mbs_stages_complete c = factorise_completely(r, s);
+        const mbs_stages_complete c = factorise_completely(r, m, s);
         defer(s, &c);
         set_outer_sizes(s);
-        write_right(r, s);
-        mbs_stages_solve_rows_completely(&c, y->width, r->right, row_of_v(s, s->nx));
+        write_right(m, s);
+        mbs_stages_solve_rows_completely(&c, y->width, m->right, row_of_v(s, s->nx));
     } else {
         set_outer_sizes(s);
-        write_right(r, s);
-        solve_rows(r, s);
+        write_right(m, s);
+        solve_rows(m, s);
     }
     write_units(s);
 }
@@ -227,27 +231,28 @@ static void add_row(int width, real factor, const real *restrict a, real *restri
 }
 
 /* `to` = rows of A V; row i of A comes to place[i], or nowhere if that is -1; `count` rows in all. */
-static void reduce_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, const mbs_stages_matrix *A,
+static void reduce_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s, const mbs_stages_matrix *A,
                         const int *place, int count, real *to)
 {
     const int width = s->inner.width;
     int j, l;
     if (count == 0)
         return;
-    memset(r->right, 0, (size_t)count * (size_t)width * sizeof *r->right);
+    memset(m->right, 0, (size_t)count * (size_t)width * sizeof *m->right);
     for (j = 0; j < s->n; ++j)
         for (l = A->begin[j]; l < A->end[j]; ++l) {
             const int i = place ? place[A->row[l]] : A->row[l];
             if (i >= 0)
-                add_row(width, A->value[l], row_of_v(s, j), r->right + (size_t)i * (size_t)width);
+                add_row(width, A->value[l], row_of_v(s, j), m->right + (size_t)i * (size_t)width);
         }
-    mbs_stages_transpose(s->dense.n, count, r->right, width, to, count);
+    mbs_stages_transpose(s->dense.n, count, m->right, width, to, count);
 }
 
 /* Rows of e of which rounding alone is left are 0, so that none of it becomes a pivot. */
-static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_stage *s, const int *place)
+static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s,
+                           const int *place)
 {
-    real *size = r->vector[5], *left = r->vector[0];
+    real *size = m->vector[5], *left = m->vector[0];
     int i, j;
     mbs_stages_matrix_row_maxima(&s->E, size);
     for (i = 0; i < s->dense.ne; ++i)
@@ -273,14 +278,14 @@ static void place_rows(const mbs_stages_stage *s, int *place)
         place[y->row[i]] = s->ne - y->n + i;
 }
 
-static void reduce_jacobians(mbs_stages_recursion *r, mbs_stages_stage *s)
+static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    place_rows(s, r->spots);
-    reduce_rows(r, s, &s->E, r->spots, s->dense.ne, s->dense.E);
+    place_rows(s, m->spots);
+    reduce_rows(m, s, &s->E, m->spots, s->dense.ne, s->dense.E);
     if (s->dense.ne > 0)
-        clear_rounding(r, s, r->spots);
-    reduce_rows(r, s, &s->F, NULL, s->next, s->dense.F);
-    reduce_rows(r, s, &s->G, NULL, s->ng, s->dense.G);
+        clear_rounding(r, m, s, m->spots);
+    reduce_rows(m, s, &s->F, NULL, s->next, s->dense.F);
+    reduce_rows(m, s, &s->G, NULL, s->ng, s->dense.G);
 }
 
 /* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal. */
@@ -299,20 +304,20 @@ static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, 
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */
-static void reduce_cost(mbs_stages_recursion *r, mbs_stages_stage *s)
+static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    const int n = s->dense.n, m = s->inner.n;
+    const int n = s->dense.n, inner = s->inner.n;
     const size_t width = (size_t)s->inner.width;
-    real *M = r->product, *Z = r->right;
+    real *M = m->product, *Z = m->right;
     int i, j;
     memset(M, 0, width * width * sizeof *M);
     for (j = 0; j < s->nx; ++j)
         find_half(r, s, j, M + (size_t)j * width);
-    for (j = s->nx + m; j < s->n; ++j)
-        find_half(r, s, j, M + (size_t)(j - m) * width);
-    for (j = 0; j < m; ++j)
+    for (j = s->nx + inner; j < s->n; ++j)
+        find_half(r, s, j, M + (size_t)(j - inner) * width);
+    for (j = 0; j < inner; ++j)
         find_half(r, s, s->nx + j, Z + (size_t)j * width);
-    mbs_stages_gram(m, s->inner.width, row_of_v(s, s->nx), Z, M);
+    mbs_stages_gram(inner, s->inner.width, row_of_v(s, s->nx), Z, M);
     for (j = 0; j < n; ++j)
         for (i = j; i < n; ++i)
             s->dense.H[(size_t)j * (size_t)n + (size_t)i] =
@@ -331,7 +336,7 @@ static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stag
         mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
 }
 
-void mbs_stages_condense(mbs_stages_recursion *r, int k)
+void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k)
 {
     mbs_stages_stage *s = &r->stage[k];
     if (s->inner.n == 0) {
@@ -339,44 +344,47 @@ void mbs_stages_condense(mbs_stages_recursion *r, int k)
         return;
     }
     if (s->inner.stale) {
-        find_variation(r, s);
-        reduce_jacobians(r, s);
+        find_variation(r, m, s);
+        reduce_jacobians(r, m, s);
         s->inner.stale = 0;
     }
-    reduce_cost(r, s);
+    reduce_cost(r, m, s);
 }
 
 /* s = -r_y^-1 r; deferred variables are 0. */
-static void solve_inner(mbs_stages_recursion *r, const mbs_stages_stage *s, const real *rc)
+static void solve_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s,
+                        const real *rc)
 {
-    const mbs_stages_inner *y = &s->inner;
+    mbs_stages_inner *y = &s->inner;
     real *x = y->constant;
     int i;
+    y->left = 0;
     if (y->own) {
-        const mbs_stages_complete c = factorise_completely(r, s);
+        const mbs_stages_complete c = factorise_completely(r, m, s);
         const real left = mbs_stages_solve_completely(&c, rc + s->e, x);
-        if (y->missing > y->deferred && left > r->left)
-            r->left = left;
+        if (y->missing > y->deferred)
+            y->left = left;
     } else {
-        mbs_stages_solve_block(y->pivots, &y->factors, rc + s->e, x, r->vector[5]);
+        mbs_stages_solve_block(y->pivots, &y->factors, rc + s->e, x, m->vector[5]);
     }
     for (i = 0; i < y->n; ++i)
         x[i] = -x[i];
 }
 
-const real *mbs_stages_correct_inner(mbs_stages_recursion *r, int k, const real *rc)
+const real *mbs_stages_correct_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc)
 {
-    solve_inner(r, &r->stage[k], rc);
+    solve_inner(r, m, &r->stage[k], rc);
     return r->stage[k].inner.constant;
 }
 
-void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows)
+void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc,
+                               real *gradient, real *rows)
 {
-    const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
-    real *z = r->vector[5];
+    real *z = m->vector[5];
     int i;
-    solve_inner(r, s, rc);
+    solve_inner(r, m, s, rc);
     memset(z, 0, (size_t)s->n * sizeof *z);
     memcpy(z + s->nx, y->constant, (size_t)y->n * sizeof *z);
     if (!r->plain)
@@ -421,12 +429,12 @@ void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
                               : outer[mbs_stages_outer(s, i)];
 }
 
-void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,
-                                   real *dy)
+void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
+                                   const real *z, real *force, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
-    real *gradient = force + s->nx, *found = r->vector[0];
+    real *gradient = force + s->nx, *found = m->vector[0];
     int i;
     for (i = s->nx; i < s->nx + y->n; ++i)
         force[i] += (rw ? rw[s->w + i] : 0) + r->diagonal[s->w + i] * z[i];
@@ -437,10 +445,10 @@ void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *r
     mbs_stages_matrix_apply_transposed(&s->F, dy + s->d, force);
     mbs_stages_matrix_apply_transposed(&s->G, dy + s->g, force);
     if (y->own) {
-        const mbs_stages_complete c = factorise_completely(r, s);
+        const mbs_stages_complete c = factorise_completely(r, m, s);
         mbs_stages_solve_completely_transposed(&c, gradient, found);
     } else {
-        mbs_stages_solve_block_transposed(y->pivots, &y->factors, gradient, found, r->vector[5]);
+        mbs_stages_solve_block_transposed(y->pivots, &y->factors, gradient, found, m->vector[5]);
     }
     for (i = 0; i < y->deferred; ++i)
         found[y->row[i]] = -dy[s->e + y->row[i]];

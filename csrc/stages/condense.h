@@ -10,8 +10,9 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r);
 /* Forget all orders, so that a solve does not depend on the solves before it. */
 void mbs_stages_forget_orders(mbs_stages_recursion *r);
 
-/* Write the dense matrices of stage k, by the diagonal that is there. */
-void mbs_stages_condense(mbs_stages_recursion *r, int k);
+/* Write the dense matrices of stage k, by the diagonal that is there. Here and below, other stages may be worked on at
+ * the same time, in other memory `m`. */
+void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k);
 
 /* The place of variable i in the recursion; -1 for an inner one. */
 int mbs_stages_outer(const mbs_stages_stage *s, int i);
@@ -20,11 +21,12 @@ int mbs_stages_outer(const mbs_stages_stage *s, int i);
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
 
 /* Newton's corrections of the inner variables of stage k for all rows `rc`, by the factors that are there. */
-const real *mbs_stages_correct_inner(mbs_stages_recursion *r, int k, const real *rc);
+const real *mbs_stages_correct_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc);
 
 /* Right-hand sides of stage k where the inner equations hold with all outer variables 0: gradient += (H + diagonal) z,
  * rows (e, d, g) += J z. */
-void mbs_stages_condense_right(mbs_stages_recursion *r, int k, const real *rc, real *gradient, real *rows);
+void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc,
+                               real *gradient, real *rows);
 
 /* out = VT gradient; `out` has room for the width. */
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
@@ -34,7 +36,7 @@ void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z);
 
 /* Multipliers of the inner equations, where dy holds all others; `force` takes the part of fixed variables in the gradient
  * (n numbers, overwritten). */
-void mbs_stages_expand_multipliers(mbs_stages_recursion *r, int k, const real *rw, const real *z, real *force,
-                                   real *dy);
+void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
+                                   const real *z, real *force, real *dy);
 
 #endif

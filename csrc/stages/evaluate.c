@@ -14,10 +14,34 @@ static int is_finite(int n, const real *x)
     return finite;
 }
 
+/* An evaluation of all stages. */
+typedef struct {
+    mbs_stages *s;
+    const real *w, *y;
+    real factor, *rows, *gradient;
+} evaluation;
+
+/* Do a task for all stages. Returns the first stage whose callback failed, or the number of stages. */
+static int evaluate(mbs_stages *s, mbs_stages_task task, evaluation *t)
+{
+    int k;
+    t->s = s;
+    memset(s->failed, 0, (size_t)s->problem->stages);
+    mbs_stages_for_all(&s->recursion, task, t);
+    for (k = 0; k < s->problem->stages && !s->failed[k]; ++k)
+        ;
+    return k;
+}
+
 static int fail(mbs_stages *s, int k)
 {
     s->failed_stage = k;
     return -1;
+}
+
+static void *context_of(const mbs_stages_problem *p, int worker)
+{
+    return p->team && p->team->contexts ? p->team->contexts[worker] : p->context;
 }
 
 static const real *unscale(mbs_stages *s, const mbs_stages_stage *t, const real *w)
@@ -37,20 +61,19 @@ static void subtract_states(const mbs_stages *s, const mbs_stages_stage *t, cons
         rows[t->d + i] = rows[t->d + i] * s->row_scale[t->d + i] - w[next->w + i];
 }
 
-static int stage_values(mbs_stages *s, int k, const real *w, real *cost, real *rows)
+static int stage_values(mbs_stages *s, void *context, int k, const real *w, real *rows)
 {
     const mbs_stages_stage *t = &s->recursion.stage[k];
     const mbs_stages_problem *p = s->problem;
     const real *x = unscale(s, t, w);
     const int count = t->ne + t->next + t->ng;
-    real f = 0;
     int i;
+    s->costs[k] = 0;
     memset(rows + t->e, 0, (size_t)count * sizeof *rows);
-    if (p->values(p->context, k, x, x + t->nx, &f, rows + t->e, rows + t->d, rows + t->g))
+    if (p->values(context, k, x, x + t->nx, &s->costs[k], rows + t->e, rows + t->d, rows + t->g))
         return -1;
-    if (!is_finite(1, &f) || !is_finite(count, rows + t->e))
+    if (!is_finite(1, &s->costs[k]) || !is_finite(count, rows + t->e))
         return -1;
-    *cost += f * s->cost_scale;
     for (i = 0; i < t->ne; ++i)
         rows[t->e + i] *= s->row_scale[t->e + i];
     for (i = 0; i < t->ng; ++i)
@@ -59,15 +82,34 @@ static int stage_values(mbs_stages *s, int k, const real *w, real *cost, real *r
     return 0;
 }
 
+static void values_of_stages(void *data, int from, int to, int worker)
+{
+    const evaluation *t = data;
+    mbs_stages *s = t->s;
+    int k;
+    for (k = from; k < to; ++k)
+        if (stage_values(s, context_of(s->problem, worker), k, t->w, t->rows)) {
+            s->failed[k] = 1;
+            return;
+        }
+}
+
+/* Where a stage fails, later ones may have numbers or not; their rows are 0 then. */
 int mbs_stages_values(mbs_stages *s, const real *w, real *cost, real *rows)
 {
-    int k;
+    evaluation t = {0};
+    int k, failed;
+    t.w = w;
+    t.rows = rows;
     ++s->result.evaluations;
+    failed = evaluate(s, values_of_stages, &t);
     *cost = 0;
-    for (k = 0; k < s->problem->stages; ++k)
-        if (stage_values(s, k, w, cost, rows))
-            return fail(s, k);
-    return is_finite(1, cost) ? 0 : fail(s, s->problem->stages - 1);
+    for (k = 0; k < failed; ++k)
+        *cost += s->costs[k] * s->cost_scale;
+    if (failed == s->problem->stages)
+        return is_finite(1, cost) ? 0 : fail(s, failed - 1);
+    memset(rows + s->recursion.stage[failed].e, 0, (size_t)(s->rows - s->recursion.stage[failed].e) * sizeof *rows);
+    return fail(s, failed);
 }
 
 static void clear(const mbs_stages_matrix *A)
@@ -87,7 +129,7 @@ static int is_finite_symmetric(const mbs_stages_matrix *H)
     return 1;
 }
 
-static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
+static int stage_jacobians(mbs_stages *s, void *context, int k, const real *w, real *gradient)
 {
     const mbs_stages_stage *t = &s->recursion.stage[k];
     const mbs_stages_problem *p = s->problem;
@@ -98,7 +140,7 @@ static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
     clear(&t->E);
     clear(&t->F);
     clear(&t->G);
-    if (p->jacobians(p->context, k, x, x + t->nx, gradient + t->w, t->E.value, t->F.value, t->G.value))
+    if (p->jacobians(context, k, x, x + t->nx, gradient + t->w, t->E.value, t->F.value, t->G.value))
         return -1;
     if (!is_finite(t->n, gradient + t->w) || !is_finite(t->E.count, t->E.value) ||
         !is_finite(t->F.count, t->F.value) || !is_finite(t->G.count, t->G.value))
@@ -111,16 +153,38 @@ static int stage_jacobians(mbs_stages *s, int k, const real *w, real *gradient)
     return 0;
 }
 
-int mbs_stages_jacobians(mbs_stages *s, const real *w, real *gradient)
+static void jacobians_of_stages(void *data, int from, int to, int worker)
 {
+    const evaluation *t = data;
+    mbs_stages *s = t->s;
     int k;
-    for (k = 0; k < s->problem->stages; ++k)
-        if (stage_jacobians(s, k, w, gradient))
-            return fail(s, k);
-    return 0;
+    for (k = from; k < to; ++k)
+        if (stage_jacobians(s, context_of(s->problem, worker), k, t->w, t->gradient)) {
+            s->failed[k] = 1;
+            return;
+        }
 }
 
-static int stage_hessian(mbs_stages *s, int k, const real *w, real factor, const real *y)
+/* Where a stage fails, its derivatives and later ones are 0. */
+int mbs_stages_jacobians(mbs_stages *s, const real *w, real *gradient)
+{
+    evaluation t = {0};
+    int k, failed;
+    t.w = w;
+    t.gradient = gradient;
+    failed = evaluate(s, jacobians_of_stages, &t);
+    for (k = failed; k < s->problem->stages; ++k) {
+        mbs_stages_stage *stage = &s->recursion.stage[k];
+        memset(gradient + stage->w, 0, (size_t)stage->n * sizeof *gradient);
+        clear(&stage->E);
+        clear(&stage->F);
+        clear(&stage->G);
+        stage->inner.stale = 1;
+    }
+    return failed < s->problem->stages ? fail(s, failed) : 0;
+}
+
+static int stage_hessian(mbs_stages *s, void *context, int k, const real *w, real factor, const real *y)
 {
     const mbs_stages_stage *t = &s->recursion.stage[k];
     const mbs_stages_problem *p = s->problem;
@@ -129,7 +193,7 @@ static int stage_hessian(mbs_stages *s, int k, const real *w, real factor, const
     for (i = t->e; i < t->g + t->ng; ++i)
         s->raw_rows[i] = y[i] * s->row_scale[i];
     clear(&t->H);
-    if (p->hessian(p->context, k, x, x + t->nx, factor * s->cost_scale, s->raw_rows + t->e, s->raw_rows + t->d,
+    if (p->hessian(context, k, x, x + t->nx, factor * s->cost_scale, s->raw_rows + t->e, s->raw_rows + t->d,
                    s->raw_rows + t->g, t->H.value))
         return -1;
     if (!is_finite_symmetric(&t->H))
@@ -138,11 +202,26 @@ static int stage_hessian(mbs_stages *s, int k, const real *w, real factor, const
     return 0;
 }
 
+static void hessians_of_stages(void *data, int from, int to, int worker)
+{
+    const evaluation *t = data;
+    mbs_stages *s = t->s;
+    int k;
+    for (k = from; k < to; ++k)
+        if (stage_hessian(s, context_of(s->problem, worker), k, t->w, t->factor, t->y)) {
+            s->failed[k] = 1;
+            return;
+        }
+}
+
+/* Nobody reads Hessians where a stage fails. */
 int mbs_stages_hessian(mbs_stages *s, const real *w, real factor, const real *y)
 {
-    int k;
-    for (k = 0; k < s->problem->stages; ++k)
-        if (stage_hessian(s, k, w, factor, y))
-            return fail(s, k);
-    return 0;
+    evaluation t = {0};
+    int failed;
+    t.w = w;
+    t.factor = factor;
+    t.y = y;
+    failed = evaluate(s, hessians_of_stages, &t);
+    return failed < s->problem->stages ? fail(s, failed) : 0;
 }

@@ -35,7 +35,7 @@ static int larger(int a, int b)
     return a > b ? a : b;
 }
 
-static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity)
+static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity, int next)
 {
     const int n = nx + nv, pivots = smaller(nv, capacity);
     p->nx = nx;
@@ -58,6 +58,9 @@ static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity)
     p->t = numbers(a, pivots, 1);
     p->l = numbers(a, nv, 1);
     p->qp = numbers(a, pivots, 1);
+    p->linear = numbers(a, mbs_stages_width(n), 1);
+    p->constant = numbers(a, capacity, 1);
+    p->ahead = numbers(a, next, 1);
 }
 
 static void lay_soft(arena *a, mbs_stages_soft *p, int n)
@@ -305,18 +308,32 @@ static void extend(extent *e, const mbs_stages_stage *t)
     e->width = larger(e->width, mbs_stages_width(outer));
 }
 
-static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e)
+static int count_workers(const mbs_stages_problem *problem)
 {
+    return problem->team ? problem->team->workers : 1;
+}
+
+static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
+{
+    int i;
+    for (i = 0; i < 8; ++i)
+        m->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
+    m->block = numbers(a, e->inner, e->inner);
+    m->right = numbers(a, e->inner_rows, e->width);
+    m->product = numbers(a, e->width, e->width);
+    m->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
+}
+
+static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int workers)
+{
+    mbs_stages_scratch spare;
     int i;
     for (i = 0; i < 4; ++i)
         r->work[i] = numbers(a, e->outer + e->outer_rows, e->outer);
-    for (i = 0; i < 8; ++i)
-        r->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
-    r->block = numbers(a, e->inner, e->inner);
-    r->right = numbers(a, e->inner_rows, e->width);
-    r->product = numbers(a, e->width, e->width);
     r->marks = take(a, (size_t)e->inner * (size_t)e->inner, 1);
-    r->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
+    r->scratch = take(a, (size_t)workers, sizeof spare);
+    for (i = 0; i < workers; ++i)
+        lay_scratch(a, a->base ? &r->scratch[i] : &spare, e);
 }
 
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
@@ -331,13 +348,15 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         mbs_stages_soft soft, *q = r->soft ? &r->soft[k] : &soft;
         lay_stage(a, s, problem, k, t);
         t->equal = count_equal(problem, t);
-        lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next);
+        lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next,
+                 t->next);
         lay_soft(a, q, t->next);
         if (k == 0)
-            lay_step(a, &r->root, 0, t->nx, 2 * t->nx); /* rows passed to it, and fixed states */
+            lay_step(a, &r->root, 0, t->nx, 2 * t->nx, 0); /* rows passed to it, and fixed states */
         extend(&most, t);
     }
-    lay_work(a, r, &most);
+    lay_work(a, r, &most, count_workers(problem));
+    r->team = problem->team;
     r->diagonal = numbers(a, s->variables, 1);
     r->compliance = numbers(a, s->rows, 1);
 }
@@ -358,6 +377,8 @@ static void lay_solver(arena *a, mbs_stages *s)
     lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
     s->fixed = take(a, (size_t)(n + s->slacks + 2 * m), 1);
     s->softened = take(a, (size_t)m, 1);
+    s->failed = take(a, (size_t)s->problem->stages, 1);
+    s->costs = numbers(a, s->problem->stages, 1);
     for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)
         *of_w[i] = numbers(a, n, 1);
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)
@@ -417,6 +438,8 @@ static int is_possible(const mbs_stages_problem *problem)
 {
     int k;
     if (problem->stages < 1 || !problem->size || !problem->values || !problem->jacobians || !problem->hessian)
+        return 0;
+    if (problem->team && (problem->team->workers < 1 || !problem->team->spread))
         return 0;
     for (k = 0; k < problem->stages; ++k) {
         const mbs_stages_size *z = &problem->size[k];

@@ -48,6 +48,21 @@ typedef struct {
     mbs_stages_real step, curvature; /* length of the last step; what was added to its Hessian */
 } mbs_stages_progress;
 
+/* Work on stages from .. to - 1 by one worker. */
+typedef void (*mbs_stages_task)(void *data, int from, int to, int worker);
+
+/* Threads of the caller, that work on stages at once; it must live as long as the solver, and `workers` must stay.
+ *
+ * `spread` calls `task` for parts that together are the stages 0 .. count - 1, each of them once, and returns when all
+ * of these calls have. Calls at the same time have different workers, from 0 to workers - 1. The solver calls it from
+ * the thread that calls the solver. No number depends on how the stages are divided. */
+typedef struct {
+    int workers; /* at least 1 */
+    void (*spread)(void *pool, int count, mbs_stages_task task, void *data);
+    void *pool;            /* goes to `spread` */
+    void *const *contexts; /* of values, jacobians and hessian, one for each worker; NULL: all get the problem's */
+} mbs_stages_team;
+
 /* A problem; it must live as long as its solver.
  *
  * Variables are stage by stage, x before v. Rows are stage by stage, e before d before g; the last stage has no d.
@@ -74,6 +89,7 @@ typedef struct {
     const mbs_stages_real *lower, *upper; /* of the variables; NULL: none */
     const mbs_stages_real *least, *most;  /* of the rows of g, stage by stage; NULL: none */
     const mbs_stages_real *scale;         /* usual size of each variable, above 0; NULL: 1 */
+    const mbs_stages_team *team;          /* NULL: the solver works in the caller's thread alone */
 } mbs_stages_problem;
 
 typedef enum {

@@ -186,23 +186,31 @@ static void reduce_right(mbs_stages *s, const mbs_stages_phase *p, const real *c
     }
 }
 
-/* Residuals of the reduced system, of opposite sign: what a correction must solve for. */
-static void find_residual(mbs_stages *s)
+/* Residuals of the reduced system in stage k, of opposite sign: what a correction must solve for. */
+static void find_stage_residual(mbs_stages *s, int k)
 {
     const mbs_stages_recursion *r = &s->recursion;
-    int k, i;
-    memcpy(s->residual_w, s->rw, (size_t)s->variables * sizeof *s->rw);
-    memcpy(s->residual_c, s->rc, (size_t)s->rows * sizeof *s->rc);
-    for (k = 0; !r->plain && k < s->problem->stages; ++k) {
-        const mbs_stages_stage *t = &r->stage[k];
+    const mbs_stages_stage *t = &r->stage[k];
+    const int w = t->w + t->n, rows = t->g + t->ng;
+    int i;
+    memcpy(s->residual_w + t->w, s->rw + t->w, (size_t)t->n * sizeof *s->rw);
+    memcpy(s->residual_c + t->e, s->rc + t->e, (size_t)(rows - t->e) * sizeof *s->rc);
+    if (!r->plain)
         mbs_stages_matrix_apply_symmetric(&t->H, s->dw + t->w, s->residual_w + t->w);
-    }
-    mbs_stages_add_transposed(r, s->dy, s->residual_w);
-    mbs_stages_add_rows(r, s->dw, s->residual_c);
-    for (i = 0; i < s->variables; ++i)
+    mbs_stages_add_stage_transposed(r, k, s->dy, s->residual_w);
+    mbs_stages_add_stage_rows(r, k, s->dw, s->residual_c);
+    for (i = t->w; i < w; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
-    for (i = 0; i < s->rows; ++i)
+    for (i = t->e; i < rows; ++i)
         s->residual_c[i] -= s->softened[i] ? 0 : r->compliance[i] * s->dy[i];
+}
+
+static void find_residuals(void *solver, int from, int to, int worker)
+{
+    int k;
+    (void)worker;
+    for (k = from; k < to; ++k)
+        find_stage_residual(solver, k);
 }
 
 /* Largest residuals of the gradient and of rows, these beside the compliance, if that is large: such a row is an
@@ -259,7 +267,7 @@ static int solve_reduced(mbs_stages *s)
     s->left = s->recursion.left;
     for (i = 0;; ++i) {
         real error;
-        find_residual(s);
+        mbs_stages_for_all(&s->recursion, find_residuals, s);
         error = rate(s, measure(s, s->residual_w, s->residual_c), right, MBS_STAGES_REFINED);
         if (!(error < last) && i > 0)
             break;

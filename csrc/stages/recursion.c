@@ -1,11 +1,21 @@
 /* The recursion over stages: assemble each step from the stage, and from the cost and rows of the next state.
  *
  * A row of e or g that gives (compliance D > 0) costs (J dw + rc)^2 / (2 D), and dy = (J dw + rc) / D. Where d gives,
- * the next state is the prediction and a deviation t at a cost of t.t / (2 D): see soft.h. */
+ * the next state is the prediction and a deviation t at a cost of t.t / (2 D): see soft.h.
+ *
+ * Work within stages comes before a pass through them, or after it, and may be done for several stages at once. */
 #include "condense.h"
 #include "step.h"
 
 #include <string.h>
+
+void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data)
+{
+    if (r->team)
+        r->team->spread(r->team->pool, r->stages, task, data);
+    else
+        task(data, 0, r->stages, 0);
+}
 
 /* A row of (e, g) of a stage: its place in flat rows, and its derivatives, `stride` apart. */
 typedef struct {
@@ -135,6 +145,7 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
             add_row(p, mbs_stages_variation(s, i), 1, mbs_stages_outer(s, i));
+    p->own = p->rows;
     if (s->next > 0) {
         const entrance q = enter(r, k + 1);
         for (j = 0; j < s->dense.n; ++j) {
@@ -146,12 +157,23 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
     }
 }
 
+static void condense_stages(void *recursion, int from, int to, int worker)
+{
+    const mbs_stages_recursion *r = recursion;
+    int k;
+    for (k = from; k < to; ++k)
+        mbs_stages_condense(r, &r->scratch[worker], k);
+}
+
+/* Without a team, a stage is condensed while it is in the cache. */
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
-    const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_stage *s = &r->stage[k];
     mbs_stages_step *p = &r->step[k];
     real *Q = r->work[3];
-    mbs_stages_condense(r, k);
+    if (!r->team)
+        condense_stages(r, k, k + 1, 0);
+    s->inner.poor = s->inner.own && s->inner.missing == 0;
     p->n = s->dense.n;
     p->nv = s->dense.nv;
     start_cost(r, s, Q);
@@ -193,6 +215,8 @@ int mbs_stages_factorise(mbs_stages_recursion *r)
 {
     int k;
     mbs_stages_order_pivots(r);
+    if (r->team)
+        mbs_stages_for_all(r, condense_stages, r);
     r->dependent = r->singular = 0;
     for (k = r->stages - 1; k >= 0; --k) {
         if (factorise_stage(r, k))
@@ -210,10 +234,10 @@ int mbs_stages_factorise(mbs_stages_recursion *r)
 
 /* gradient += AT (rows / compliance), of rows that give, from `first` on; the constants of the others follow each other.
  * Row 0 has the compliance at `place`. Returns how many constants there are. */
-static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A, int first, int place,
-                        const real *rows, real *gradient, real *constant)
+static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_matrix *A,
+                        int first, int place, const real *rows, real *gradient, real *constant)
 {
-    real *force = r->vector[5];
+    real *force = m->vector[5];
     int i, exact = 0;
     for (i = 0; i < first; ++i)
         force[i] = 0;
@@ -229,77 +253,132 @@ static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *
 }
 
 /* Rows of stage k, and the derivatives of its cost. */
-static int collect_all_rows(const mbs_stages_recursion *r, int k, const real *rows, real *gradient, real *constant)
+static void collect_all_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rows,
+                             real *gradient, real *constant)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
-    int i, at = collect_rows(r, &s->E, y->n, s->e, rows, gradient, constant);
+    int i, at = collect_rows(r, m, &s->E, y->n, s->e, rows, gradient, constant);
     for (i = 0; i < y->deferred; ++i)
         constant[at++] = rows[y->row[i]];
-    at += collect_rows(r, &s->G, 0, s->g, rows + s->ne + s->next, gradient, constant + at);
+    at += collect_rows(r, m, &s->G, 0, s->g, rows + s->ne + s->next, gradient, constant + at);
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
             constant[at++] = mbs_stages_outer(s, i) < 0 ? y->constant[i - s->nx] : 0;
-    return at;
 }
 
-/* Right-hand sides of stage k: of its cost, and of its rows. */
-static void collect_stage(mbs_stages_recursion *r, int k, const real *rw, const real *rc, real *linear, real *constant)
+/* Right-hand sides and solutions of a sweep; `rw` may be NULL where there is no sweep back: 0. */
+typedef struct {
+    const mbs_stages_recursion *r;
+    const real *rw, *rc;
+    real *dw, *dy;
+    int first; /* fixed variables from here on do not move */
+} sweep;
+
+/* Right-hand sides of stage k, of its cost and of its rows, without the stages after it. */
+static void collect_stage(const sweep *t, const mbs_stages_scratch *m, int k)
+{
+    const mbs_stages_recursion *r = t->r;
+    const mbs_stages_stage *s = &r->stage[k];
+    mbs_stages_step *p = &r->step[k];
+    real *gradient = s->inner.n > 0 ? m->vector[6] : p->linear, *rows = m->vector[7];
+    memcpy(gradient, t->rw + s->w, (size_t)s->n * sizeof *gradient);
+    memcpy(rows, t->rc + s->e, (size_t)(s->ne + s->next + s->ng) * sizeof *rows);
+    if (s->inner.n > 0)
+        mbs_stages_condense_right(r, m, k, t->rc, gradient, rows);
+    collect_all_rows(r, m, k, rows, gradient, p->constant);
+    memcpy(p->ahead, rows + s->ne, (size_t)s->next * sizeof *rows);
+    if (s->inner.n > 0)
+        mbs_stages_condense_gradient(s, gradient, p->linear);
+}
+
+static void collect_stages(void *data, int from, int to, int worker)
+{
+    const sweep *t = data;
+    int k;
+    for (k = from; k < to; ++k)
+        collect_stage(t, &t->r->scratch[worker], k);
+}
+
+/* Add what the next state costs, and what it must meet. */
+static void collect_next(const mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    real *gradient = s->inner.n > 0 ? r->vector[6] : linear, *rows = r->vector[7], *p = r->vector[2];
-    const real *ahead = rows + s->ne;
-    int at;
-    memcpy(gradient, rw + s->w, (size_t)s->n * sizeof *gradient);
-    memcpy(rows, rc + s->e, (size_t)(s->ne + s->next + s->ng) * sizeof *rows);
-    if (s->inner.n > 0)
-        mbs_stages_condense_right(r, k, rc, gradient, rows);
-    at = collect_all_rows(r, k, rows, gradient, constant);
-    if (s->next > 0) {
-        const entrance q = enter(r, k + 1);
-        memcpy(p, q.p, (size_t)s->next * sizeof *p);
-        mbs_stages_apply(s->next, s->next, 1, q.P, s->next, ahead, p);
-        mbs_stages_matrix_apply_transposed(&s->F, p, gradient);
-        memcpy(constant + at, q.c, (size_t)q.rows * sizeof *constant);
-        mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, ahead, constant + at);
-    }
-    if (s->inner.n > 0)
-        mbs_stages_condense_gradient(s, gradient, linear);
+    const mbs_stages_step *p = &r->step[k];
+    const entrance q = enter(r, k + 1);
+    real *price = r->scratch[0].vector[2];
+    memcpy(price, q.p, (size_t)s->next * sizeof *price);
+    mbs_stages_apply(s->next, s->next, 1, q.P, s->next, p->ahead, price);
+    mbs_stages_apply_transposed(s->next, s->dense.n, 1, s->dense.F, s->next, price, p->linear);
+    memcpy(p->constant + p->own, q.c, (size_t)q.rows * sizeof *q.c);
+    mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, p->ahead, p->constant + p->own);
 }
 
-static void note_left(mbs_stages_recursion *r, const mbs_stages_step *p)
+static void note_left(mbs_stages_recursion *r, real left)
 {
-    r->left = p->left > r->left ? p->left : r->left;
+    r->left = left > r->left ? left : r->left;
 }
 
 /* Fixed first states change by `first`, or not at all if it is NULL. */
 static void sweep_root(mbs_stages_recursion *r, const real *first)
 {
     const mbs_stages_step *q = &r->step[0];
-    real *constant = r->vector[1];
+    real *constant = r->scratch[0].vector[1];
     int i, at = q->passed;
     memcpy(constant, q->c, (size_t)q->passed * sizeof *constant);
     for (i = 0; i < q->nx; ++i)
         if (r->fixed[r->stage[0].w + i])
             constant[at++] = first ? -first[i] : 0;
-    mbs_stages_step_back(&r->root, q->p, constant, r->vector[3]);
+    mbs_stages_step_back(&r->root, q->p, constant, r->scratch[0].vector[3]);
 }
 
-static void sweep_back(mbs_stages_recursion *r, const real *rw, const real *rc)
+static void sweep_back(mbs_stages_recursion *r)
 {
-    real *linear = r->vector[0], *constant = r->vector[1], *work = r->vector[3];
     int k;
     r->left = 0;
     for (k = r->stages - 1; k >= 0; --k) {
-        const mbs_stages_step *p = &r->step[k];
-        collect_stage(r, k, rw, rc, linear, constant);
-        mbs_stages_step_back(&r->step[k], linear, constant, work);
-        note_left(r, p);
+        mbs_stages_step *p = &r->step[k];
+        if (r->stage[k].next > 0)
+            collect_next(r, k);
+        mbs_stages_step_back(p, p->linear, p->constant, r->scratch[0].vector[3]);
+        note_left(r, r->stage[k].inner.left);
+        note_left(r, p->left);
         if (k > 0 && r->soft_dynamics)
             mbs_stages_soften_linear(&r->soft[k - 1], p->p, r->compliance + r->stage[k - 1].d);
     }
     sweep_root(r, NULL);
-    note_left(r, &r->root);
+    note_left(r, r->root.left);
+}
+
+/* The next state `x`, and its multipliers of conditions on it. Where the dynamics give, fixed states are the only rows of
+ * the next state, and nobody asks for their multipliers. */
+static void advance(const mbs_stages_recursion *r, int k, real *x, real *passed, real *dy)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_step *p = &r->step[k];
+    memcpy(passed, p->constant + p->own, (size_t)enter(r, k + 1).rows * sizeof *passed);
+    memcpy(x, p->ahead, (size_t)s->next * sizeof *x);
+    mbs_stages_apply(s->next, s->dense.n, 1, s->dense.F, s->next, p->linear, x);
+    if (r->soft_dynamics) {
+        mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
+        memset(passed, 0, (size_t)r->step[k + 1].passed * sizeof *passed);
+    }
+}
+
+/* The step of the recursion's variables, and the multipliers of rows that hold exactly. */
+static void sweep_ahead(const mbs_stages_recursion *r, real *dy)
+{
+    real *const *vector = r->scratch[0].vector;
+    real *exact = vector[1], *x = vector[2], *passed = vector[4];
+    int k;
+    mbs_stages_step_ahead(&r->root, x, passed, x, exact, vector[3]);
+    memcpy(passed, exact, (size_t)r->step[0].passed * sizeof *passed);
+    for (k = 0; k < r->stages; ++k) {
+        const mbs_stages_step *p = &r->step[k];
+        mbs_stages_step_ahead(p, x, passed, p->linear, p->constant, vector[3]);
+        if (r->stage[k].next > 0)
+            advance(r, k, x, passed, dy);
+    }
 }
 
 /* Multipliers of rows from `first` on: of rows that give from their residuals, of the others from `exact`. Row 0 has its
@@ -323,10 +402,9 @@ static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A
     return taken;
 }
 
-/* Multipliers of rows of stage k except inner ones; `force`: multipliers of fixed inner variables, 0 for others. Returns
- * how many of `exact` it took. */
-static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
-                              real *force, real *dy)
+/* Multipliers of rows of stage k except inner ones; `force`: multipliers of fixed inner variables, 0 for others. */
+static void spread_multipliers(const mbs_stages_recursion *r, int k, const real *z, const real *rc, const real *exact,
+                               real *force, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
@@ -339,64 +417,64 @@ static int spread_multipliers(const mbs_stages_recursion *r, int k, const real *
         force[i] = fixed && mbs_stages_outer(s, i) < 0 ? exact[at] : 0;
         at += fixed;
     }
-    return at;
 }
 
-/* The next state, and the multipliers of its dynamics. Where these give, fixed states are the only rows of the next
- * state, and nobody asks for their multipliers. */
-static void advance(const mbs_stages_recursion *r, int k, const real *z, const real *rc, real *x, real *passed,
-                    real *dy)
+/* Multipliers of the dynamics from stage k, where these hold exactly. */
+static void price_next(const mbs_stages_recursion *r, int k, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
-    const mbs_stages_step *q = &r->step[k + 1];
-    memcpy(x, rc + s->d, (size_t)s->next * sizeof *x);
-    mbs_stages_matrix_apply(&s->F, z, x);
-    if (r->soft_dynamics) {
-        mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
-        memset(passed, 0, (size_t)q->passed * sizeof *passed);
-        return;
-    }
+    const mbs_stages_step *p = &r->step[k], *q = &r->step[k + 1];
     memcpy(dy + s->d, q->p, (size_t)s->next * sizeof *dy);
-    mbs_stages_apply(s->next, s->next, 1, q->P, s->next, x, dy + s->d);
-    mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, passed, dy + s->d);
+    mbs_stages_apply(s->next, s->next, 1, q->P, s->next, q->linear, dy + s->d);
+    mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, p->constant + p->own, dy + s->d);
 }
 
-/* `rw` may be NULL: 0. */
-static void sweep_ahead(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy)
+/* All variables and multipliers of stage k, from the recursion's. */
+static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
 {
-    real *exact = r->vector[1], *x = r->vector[2], *passed = r->vector[4], *outer = r->vector[6];
-    real *force = r->vector[7];
+    const mbs_stages_recursion *r = t->r;
+    const mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_step *p = &r->step[k];
+    real *z = t->dw + s->w, *force = m->vector[7];
+    int i;
+    if (s->inner.n > 0)
+        mbs_stages_expand(s, p->linear, z);
+    else
+        memcpy(z, p->linear, (size_t)s->n * sizeof *z);
+    spread_multipliers(r, k, z, t->rc, p->constant, force, t->dy);
+    if (s->next > 0 && !r->soft_dynamics)
+        price_next(r, k, t->dy);
+    if (s->inner.n > 0)
+        mbs_stages_expand_multipliers(r, m, k, t->rw, z, force, t->dy);
+    for (i = s->w; i < s->w + s->n; ++i)
+        if (i >= t->first && r->fixed[i])
+            t->dw[i] = 0;
+}
+
+static void expand_stages(void *data, int from, int to, int worker)
+{
+    const sweep *t = data;
     int k;
-    mbs_stages_step_ahead(&r->root, x, passed, x, exact, r->vector[3]);
-    memcpy(passed, exact, (size_t)r->step[0].passed * sizeof *passed);
-    for (k = 0; k < r->stages; ++k) {
-        const mbs_stages_stage *s = &r->stage[k];
-        real *z = dw + s->w;
-        int at;
-        mbs_stages_step_ahead(&r->step[k], x, passed, s->inner.n > 0 ? outer : z, exact, r->vector[3]);
-        if (s->inner.n > 0)
-            mbs_stages_expand(s, outer, z);
-        at = spread_multipliers(r, k, z, rc, exact, force, dy);
-        if (s->next > 0) {
-            memcpy(passed, exact + at, (size_t)enter(r, k + 1).rows * sizeof *passed);
-            advance(r, k, z, rc, x, passed, dy);
-        }
-        if (s->inner.n > 0)
-            mbs_stages_expand_multipliers(r, k, rw, z, force, dy);
-    }
+    for (k = from; k < to; ++k)
+        expand_stage(t, &t->r->scratch[worker], k);
 }
 
 void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy)
 {
-    int i;
-    sweep_back(r, rw, rc);
-    sweep_ahead(r, rw, rc, dw, dy);
-    for (i = 0; i < r->variables; ++i)
-        if (r->fixed[i])
-            dw[i] = 0;
+    sweep t;
+    t.r = r;
+    t.rw = rw;
+    t.rc = rc;
+    t.dw = dw;
+    t.dy = dy;
+    t.first = 0;
+    mbs_stages_for_all(r, collect_stages, &t);
+    sweep_back(r);
+    sweep_ahead(r, dy);
+    mbs_stages_for_all(r, expand_stages, &t);
 }
 
-static void clear_sweep(mbs_stages_step *p)
+static void clear_sweep(mbs_stages_step *p, int next)
 {
     const size_t pivots = (size_t)p->pivots;
     memset(p->p, 0, (size_t)p->nx * sizeof *p->p);
@@ -404,45 +482,73 @@ static void clear_sweep(mbs_stages_step *p)
     memset(p->l, 0, (size_t)p->nv * sizeof *p->l);
     memset(p->t, 0, pivots * sizeof *p->t);
     memset(p->qp, 0, pivots * sizeof *p->qp);
+    memset(p->ahead, 0, (size_t)next * sizeof *p->ahead);
 }
 
 void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy)
 {
-    int k, i;
+    sweep t;
+    int k;
+    t.r = r;
+    t.rw = NULL;
+    t.rc = zero;
+    t.dw = dw;
+    t.dy = dy;
+    t.first = r->stage[0].nx;
     for (k = 0; k < r->stages; ++k) {
-        clear_sweep(&r->step[k]);
+        clear_sweep(&r->step[k], r->stage[k].next);
         if (r->stage[k].inner.n > 0)
             memset(r->stage[k].inner.constant, 0, (size_t)r->stage[k].inner.n * sizeof *dw);
     }
     sweep_root(r, first);
-    sweep_ahead(r, NULL, zero, dw, dy);
-    for (i = r->stage[0].nx; i < r->variables; ++i)
-        if (r->fixed[i])
-            dw[i] = 0;
+    sweep_ahead(r, dy);
+    mbs_stages_for_all(r, expand_stages, &t);
+}
+
+/* The state of stage k is subtracted in the rows of d before it. */
+void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    int i;
+    for (i = 0; k > 0 && i < s->nx; ++i)
+        out[s->w + i] -= y[r->stage[k - 1].d + i];
+    mbs_stages_matrix_apply_transposed(&s->E, y + s->e, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->F, y + s->d, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
+}
+
+void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    int i;
+    mbs_stages_matrix_apply(&s->E, w + s->w, out + s->e);
+    mbs_stages_matrix_apply(&s->F, w + s->w, out + s->d);
+    mbs_stages_matrix_apply(&s->G, w + s->w, out + s->g);
+    for (i = 0; i < s->next; ++i)
+        out[s->d + i] -= w[r->stage[k + 1].w + i];
+}
+
+/* What is added to what. */
+typedef struct {
+    const mbs_stages_recursion *r;
+    const real *y;
+    real *out;
+} addition;
+
+static void add_transposed(void *data, int from, int to, int worker)
+{
+    const addition *a = data;
+    int k;
+    (void)worker;
+    for (k = from; k < to; ++k)
+        mbs_stages_add_stage_transposed(a->r, k, a->y, a->out);
 }
 
 void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out)
 {
-    int k, i;
-    for (k = 0; k < r->stages; ++k) {
-        const mbs_stages_stage *s = &r->stage[k];
-        mbs_stages_matrix_apply_transposed(&s->E, y + s->e, out + s->w);
-        mbs_stages_matrix_apply_transposed(&s->F, y + s->d, out + s->w);
-        mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
-        for (i = 0; i < s->next; ++i)
-            out[r->stage[k + 1].w + i] -= y[s->d + i];
-    }
-}
-
-void mbs_stages_add_rows(const mbs_stages_recursion *r, const real *w, real *out)
-{
-    int k, i;
-    for (k = 0; k < r->stages; ++k) {
-        const mbs_stages_stage *s = &r->stage[k];
-        mbs_stages_matrix_apply(&s->E, w + s->w, out + s->e);
-        mbs_stages_matrix_apply(&s->F, w + s->w, out + s->d);
-        mbs_stages_matrix_apply(&s->G, w + s->w, out + s->g);
-        for (i = 0; i < s->next; ++i)
-            out[s->d + i] -= w[r->stage[k + 1].w + i];
-    }
+    addition a;
+    a.r = r;
+    a.y = y;
+    a.out = out;
+    mbs_stages_for_all(r, add_transposed, &a);
 }

@@ -23,6 +23,8 @@ typedef struct {
     int stale;      /* Jacobians are newer than V */
     int own;        /* pivots by the order were too small: complete pivoting, each time anew */
     int missing;    /* inner variables without pivot */
+    int poor;       /* the last factorisation that came to this stage found pivots by the order too small, and others */
+    real left;      /* largest residual of rows without pivot, by the last right-hand side */
     int deferred, spare; /* as many of them are outer variables now; at most */
     int *variable, *row;  /* these, and the rows without pivot, as they are counted in the block */
 } mbs_stages_inner;
@@ -50,8 +52,19 @@ typedef struct {
     real *L;                   /* Cholesky factor of the free ones, and below it the coupling with x */
     real *P, *C;               /* cost and rows of x: x.P x / 2 + p.x, C x + c = 0 */
     real *p, *c, *t, *l, *qp;  /* of the last right-hand side */
+    int own;                   /* rows that are not conditions on the next state; they come first */
+    real *linear;              /* the cost's derivatives by (x, v); then the step of these */
+    real *constant;            /* of the rows; then their multipliers */
+    real *ahead;               /* of d, where the step of (x, v) is 0 */
     real left;                 /* largest residual of rows without pivot */
 } mbs_stages_step;
+
+/* Memory of one worker. */
+typedef struct {
+    real *vector[8];               /* rows and variables of the largest stage */
+    real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
+    int *spots;
+} mbs_stages_scratch;
 
 /* Everything that one factorisation and its solutions share:
  *
@@ -71,11 +84,13 @@ typedef struct {
     real zero_pivot, zero_curvature;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */
     real *work[4];   /* blocks of the largest step */
-    real *vector[8]; /* its rows and variables */
-    real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
-    char *marks;
-    int *spots;
+    char *marks;     /* of a block of inner variables */
+    const mbs_stages_team *team;
+    mbs_stages_scratch *scratch; /* of each worker; the caller's thread has the first one between tasks */
 } mbs_stages_recursion;
+
+/* Do a task for all stages. */
+void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data);
 
 /* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. */
 int mbs_stages_factorise(mbs_stages_recursion *r);
@@ -87,8 +102,9 @@ void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, r
  * sides `zero` are 0. A sweep ahead alone; it needs hard dynamics. */
 void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy);
 
-/* out += JT y, and out += J w */
+/* out += JT y; the same for variables of stage k alone; out += J w for its rows */
 void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out);
-void mbs_stages_add_rows(const mbs_stages_recursion *r, const real *w, real *out);
+void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out);
+void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out);
 
 #endif

@@ -125,10 +125,11 @@ static int is_accepted(const mbs_stages_phase *p, search *t, real alpha)
 /* Correct all inner variables of the trial by their equations, with the factors of the iterate. */
 static void correct_inner(mbs_stages *s, mbs_stages_phase *p)
 {
+    const mbs_stages_recursion *r = &s->recursion;
     int k, i;
     for (k = 0; k < s->problem->stages; ++k) {
-        const mbs_stages_stage *t = &s->recursion.stage[k];
-        const real *correction = t->inner.n > 0 ? mbs_stages_correct_inner(&s->recursion, k, p->trial_c) : NULL;
+        const mbs_stages_stage *t = &r->stage[k];
+        const real *correction = t->inner.n > 0 ? mbs_stages_correct_inner(r, &r->scratch[0], k, p->trial_c) : NULL;
         for (i = 0; i < t->inner.n; ++i) {
             const int at = t->w + t->nx + i;
             const real x = p->trial[at];

@@ -107,6 +107,8 @@ struct mbs_stages {
     char *softened; /* rows that the factorisation lets give, although they are hard */
     double began;
     int failed_stage;
+    char *failed; /* stages whose callback gave no result */
+    real *costs;  /* of stages, unscaled */
 };
 
 /* evaluate.c: scaled callbacks; 0, or -1 where `failed_stage` failed */
