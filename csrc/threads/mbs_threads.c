@@ -12,6 +12,7 @@
 #define LINE 64    /* bytes of a cache line */
 #define PORTIONS 4 /* of a share */
 #define AWAKE 1000 /* looks for work before a thread sleeps */
+#define LOCKS 3
 #define OPEN 1
 #define MEMBER 2
 
@@ -29,6 +30,7 @@ typedef struct {
 
 struct mbs_threads {
     int workers, started; /* threads, and the caller's */
+    int locks;            /* that there are: all, or a thread could not wait */
     mbs_stages_task task;
     void *data;
     share *share;
@@ -131,6 +133,26 @@ static void call(mbs_threads *t)
     pthread_mutex_unlock(&t->lock);
 }
 
+/* Return how many there are: the lock, then its conditions. */
+static int make_locks(mbs_threads *t)
+{
+    if (pthread_mutex_init(&t->lock, NULL))
+        return 0;
+    if (pthread_cond_init(&t->work, NULL))
+        return 1;
+    return pthread_cond_init(&t->done, NULL) ? 2 : LOCKS;
+}
+
+static void end_locks(mbs_threads *t)
+{
+    if (t->locks > 2)
+        pthread_cond_destroy(&t->done);
+    if (t->locks > 1)
+        pthread_cond_destroy(&t->work);
+    if (t->locks > 0)
+        pthread_mutex_destroy(&t->lock);
+}
+
 mbs_threads *mbs_threads_start(void *memory, int workers)
 {
     mbs_threads *t = memory;
@@ -139,11 +161,8 @@ mbs_threads *mbs_threads_start(void *memory, int workers)
     t->share = (share *)((char *)memory + round_up(sizeof *t));
     t->member = (member *)(t->share + workers);
     t->state = t->round = t->asleep = t->ending = 0;
-    if (pthread_mutex_init(&t->lock, NULL))
-        return NULL;
-    if (pthread_cond_init(&t->work, NULL) || pthread_cond_init(&t->done, NULL))
-        return NULL;
-    for (; t->started < workers; ++t->started) {
+    t->locks = make_locks(t);
+    for (; t->locks == LOCKS && t->started < workers; ++t->started) {
         member *m = &t->member[t->started];
         m->threads = t;
         m->worker = t->started;
@@ -208,7 +227,5 @@ void mbs_threads_stop(mbs_threads *threads)
     call(threads);
     for (i = 1; i < threads->started; ++i)
         pthread_join(threads->member[i].thread, NULL);
-    pthread_cond_destroy(&threads->done);
-    pthread_cond_destroy(&threads->work);
-    pthread_mutex_destroy(&threads->lock);
+    end_locks(threads);
 }

@@ -17,7 +17,7 @@ typedef struct mbs_threads mbs_threads;
 /* Return how many bytes of memory a team of `workers` needs, the caller's thread among them. */
 size_t mbs_threads_bytes(int workers);
 
-/* Start the threads, in memory that is aligned to 64 bytes. Returns NULL where the system has no lock for them. */
+/* Start the threads, in memory that is aligned to 64 bytes. */
 mbs_threads *mbs_threads_start(void *memory, int workers);
 
 /* Return how many workers there are: fewer where the system started no more threads. */

@@ -400,8 +400,10 @@ class Answer:
 class Solver:
     """The solver in C for one problem."""
 
-    def __init__(self, library: Library, problem: Problem | Quadratic, fault: Fault | None = None) -> None:
-        """`fault` spoils results of a problem with callbacks to CasADi."""
+    def __init__(
+        self, library: Library, problem: Problem | Quadratic, fault: Fault | None = None, team: Any = None
+    ) -> None:
+        """`fault` spoils results of a problem with callbacks to CasADi; `team` is one of C's."""
         self.library, self.problem = library, problem
         self.path: list[tuple[Any, ...]] = []
         self.seconds = 0.0
@@ -414,7 +416,8 @@ class Solver:
         watchers = self._watchers()
         pointers = [library.pointer(a) for a in (self.lower, self.upper, self.least, self.most, self.scale)]
         self.c: Any = ffi.new(
-            "mbs_stages_problem *", [len(problem.sizes), self.size, *self.functions, *watchers, *pointers]
+            "mbs_stages_problem *",
+            [len(problem.sizes), self.size, *self.functions, *watchers, *pointers, team or ffi.NULL],
         )
         self.kept = watchers
         self.bytes = library.lib.mbs_stages_bytes(self.c)

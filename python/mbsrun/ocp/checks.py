@@ -49,6 +49,7 @@ LEAST_TOLERANCE = 1e-14  # of a solver
 LEAST_FRACTION = 1e-6  # of the horizon, of an interval
 LEAST_ACCURACY = 1e-12  # that the re-simulation can confirm
 MAX_ROUNDS = 100  # of a refinement
+MAX_THREADS = 64  # of a solve
 FRACTIONS_SUM = 1e-9  # how far from 1 the sum of all fractions may be
 
 Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
@@ -244,6 +245,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         ("degree", problem.degree, DEGREES[0], DEGREES[-1]),
         ("steps", problem.steps, 1, MAX_STEPS),
         ("solver.max_iterations", solver.max_iterations, 1, None),
+        ("solver.threads", solver.threads, 1, MAX_THREADS),
     ):
         if whole < least or (most is not None and whole > most):
             limit = f"from {least} to {most}" if most is not None else f"of at least {least}"
@@ -258,6 +260,9 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
         if not (math.isfinite(value) and value >= least_value):
             wanted = f"a number of at least {least_value:g}" if place == "solver.tolerance" else "a positive number"
             yield (place, f"found {value:g}", f"give {wanted}")
+    method = choose_method(solver, calls_casadi=bool(problem.functions))
+    if solver.threads > 1 and not METHODS[method].has_threads:
+        yield ("solver.threads", f"found {solver.threads}, but {method} has one thread", "leave it out, or choose mbs")
     yield from _find_wrong_mesh(problem)
     yield from _find_wrong_refinement(problem)
     if problem.horizon_range is not None:

@@ -275,6 +275,7 @@ class SolverOptions:
     objective_scaling: float | None = None  # None: one over the largest weight of the cost
     method: SolverName | None = None  # None: see `methods.choose`
     options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
+    threads: int = 1  # of a solve
 
 
 @dataclass(frozen=True)
@@ -382,10 +383,14 @@ class Problem:
         return replace(self, end=replace(self.end, sensors=sensors))
 
     def with_solver(self, method: SolverName) -> Problem:
-        """Return the same problem for an NLP method; another method drops the options of the former one."""
+        """Return the same problem for an NLP method; another method drops the options of the former one.
+
+        It drops the threads too, except `mbs`, which alone has some.
+        """
         if method == self.solver.method:
             return self
-        return replace(self, solver=replace(self.solver, method=method, options=()))
+        threads = self.solver.threads if method == "mbs" else 1
+        return replace(self, solver=replace(self.solver, method=method, options=(), threads=threads))
 
 
 def list_names(text: str | Expression, functions: Sequence[Symbolic]) -> frozenset[str]:

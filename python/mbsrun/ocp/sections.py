@@ -15,7 +15,7 @@ from mbsgen.documents import (
     read_number,
 )
 from mbsgen.expressions import Expression, Number
-from mbsrun.ocp.checks import MAX_INTERVALS, MAX_ROUNDS, MAX_STEPS
+from mbsrun.ocp.checks import MAX_INTERVALS, MAX_ROUNDS, MAX_STEPS, MAX_THREADS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import (
@@ -305,6 +305,7 @@ class SolverSection(Section):
     objective_scaling: NumberField | None = Field(default=None, examples=[1.0])
     method: Annotated[str, AfterValidator(_check_solver)] | None = Field(default=None, examples=["ipopt"])
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
+    threads: int = Field(default=SolverOptions.threads, ge=1, le=MAX_THREADS, examples=[2])
 
 
 class UnknownSection(Section):

@@ -145,15 +145,23 @@ class Solver:
         )
         if options not in self._solvers:
             scaling = options.objective_scaling or 1.0
-            order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
+            settings = dict(options.options)
+            order = Order(self.program, options.tolerance, options.max_iterations, scaling, settings, options.threads)
             self._solvers[options] = METHODS[methods.choose(options)].make(order)
         return self._solvers[options]
 
 
 def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
-    """Return the solver's options with their method, by default `mbs` where everything is in C."""
+    """Return the solver's options with their method, by default `mbs` where everything is in C.
+
+    Raises ProblemError where that has one thread, and the problem asks for more.
+    """
     is_in_c = is_compiled(plant, problem.representation.kernel) and not problem.functions
-    return methods.settle(problem.solver, calls_casadi=not is_in_c)
+    options = methods.settle(problem.solver, calls_casadi=not is_in_c)
+    if options.threads > 1 and not METHODS[methods.choose(options)].has_threads:
+        finding = f"found {options.threads}, but {options.method} has one thread, and kernels are not all in C"
+        raise ProblemError(problem.name, [("solver.threads", finding, "leave it out")])
+    return options
 
 
 @dataclass(frozen=True)

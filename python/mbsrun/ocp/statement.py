@@ -759,7 +759,16 @@ class _Reading(PartReading):
             else self.number((*place, "objective_scaling"), scaling, least=math.ulp(0)),
             method=section.method,
             options=tuple(self.options(section)),
+            threads=self.threads(section),
         )
+
+    def threads(self, section: SolverSection) -> int:
+        """Check that the method may have as many threads."""
+        method = choose(SolverOptions(method=section.method, options=tuple(section.options.items())))
+        if section.threads > 1 and not METHODS[method].has_threads:
+            finding = f"found {section.threads}, but {method} has one thread"
+            self.fault(("solver", "threads"), finding, "leave it out, or choose mbs")
+        return section.threads
 
     def options(self, section: SolverSection) -> Iterator[tuple[str, float | int | str]]:
         """Check options of the solver against its table."""

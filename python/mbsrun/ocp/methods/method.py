@@ -21,6 +21,7 @@ class Order:
     max_iterations: int
     scaling: float  # of the objective, as the solver sees it
     options: Settings
+    threads: int = 1
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,4 @@ class Method:
     make: Callable[[Order], Solver]
     warm: Settings = field(default_factory=dict)  # options of starts near a solution
     calls_casadi: bool = True  # whether programs may hold expressions of CasADi
+    has_threads: bool = False  # whether a solve may have several

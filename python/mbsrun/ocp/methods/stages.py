@@ -77,7 +77,7 @@ def make_stages(order: Order) -> Solver:
         if crossed:
             return Answer(start.x, INFEASIBLE, 0, clash=crossed)
         with lock:
-            solver = free[key].pop() if free[key] else binding.Solver(tables[key])
+            solver = free[key].pop() if free[key] else binding.Solver(tables[key], order.threads)
 
         def show(progress: binding.Progress) -> None:
             assert start.watch is not None, "only a watch is shown iterates"
@@ -142,7 +142,7 @@ def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome) ->
     x[tables.variables[known]] = outcome.w[known]
     status = STATUSES.get(outcome.status, outcome.status)
     clash = tuple(row for clash in outcome.clashes if (row := _find_row(tables, clash)) >= 0)
-    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.evaluating, clash=clash)
+    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.cpu_evaluating, clash=clash)
 
 
 def _find_row(tables: StageProgram, clash: binding.Clash) -> int:
@@ -160,4 +160,5 @@ STAGES = Method(
     make_stages,
     {"barrier": 1e-5},
     calls_casadi=False,
+    has_threads=True,
 )

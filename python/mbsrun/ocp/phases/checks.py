@@ -102,6 +102,9 @@ def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
     if calls_casadi and not METHODS[method].calls_casadi:
         finding = f"{method} takes no expressions of CasADi, which a phase has"
         yield PhaseFault(("solver", "method"), finding, "take ipopt")
+    if problem.solver.threads > 1 and not METHODS[method].has_threads:
+        finding = f"found {problem.solver.threads}, but {method} has one thread"
+        yield PhaseFault(("solver", "threads"), finding, "leave it out, or choose mbs")
 
 
 @dataclass(frozen=True)

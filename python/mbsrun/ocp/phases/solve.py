@@ -186,7 +186,8 @@ class PhasedSolver:
     def _make_method(self) -> methods.Solver:
         options = self._options
         scaling = options.objective_scaling or 1 / self.problem.weight
-        order = Order(self.program, options.tolerance, options.max_iterations, scaling, dict(options.options))
+        settings = dict(options.options)
+        order = Order(self.program, options.tolerance, options.max_iterations, scaling, settings, options.threads)
         return METHODS[methods.choose(options)].make(order)
 
     def _call(self, solver: methods.Solver, x: Array, watch: Watch | None) -> Outcome:

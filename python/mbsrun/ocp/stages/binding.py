@@ -11,7 +11,6 @@ from typing import Any
 
 import cffi
 import numpy as np
-from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsgen.errors import MbsError
@@ -24,6 +23,7 @@ from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.interface import load
 from mbsrun.ocp.stages.tables import FormulaFunction, KernelFunction, Kind, Nonzeros, Script, StageProgram, Step, Terms
+from mbsrun.ocp.stages.threads import Team, make_memory
 
 INFINITE = 1e20
 _NEVER = 1e300  # s
@@ -261,7 +261,8 @@ class Outcome:
     status: str  # of the C enumeration
     stage: int
     iterations: int
-    evaluating: float  # s in functions and derivatives
+    evaluating: float  # s in functions and derivatives, of the thread that took most
+    cpu_evaluating: float  # of all threads
     clashes: tuple[Clash, ...]
 
 
@@ -271,7 +272,7 @@ class Evaluator:
     def __init__(self, tables: Tables, parameters: Array) -> None:
         """Make an instance."""
         self.tables, ffi, lib = tables, tables.ffi, tables.lib
-        self.memory = _make_memory(lib.mbs_program_bytes(tables.program))
+        self.memory = make_memory(lib.mbs_program_bytes(tables.program))
         self.instance = lib.mbs_program_create(tables.program, ffi.cast("void *", self.memory.ctypes.data))
         self.parameters = np.concatenate((parameters, tables.filled, [0.0]))
         self.numbers = np.ascontiguousarray(np.append(tables.data.numbers.ravel(), 0.0))
@@ -322,8 +323,9 @@ class Evaluator:
 class Solver:
     """A solver of tables for bounds of one structure: the same ones are equal."""
 
-    def __init__(self, tables: Tables) -> None:
+    def __init__(self, tables: Tables, threads: int = 1) -> None:
         """Take the tables; memory follows with the first solve."""
+        self._threads = threads
         self.tables, self.ffi, self.lib = tables, tables.ffi, tables.lib
         self._made: tuple[bytes, Workspace] | None = None
 
@@ -342,15 +344,15 @@ class Solver:
         for name, value in settings.values.items():
             setattr(options, name, int(value) if isinstance(getattr(options, name), int) else value)
         options.seconds = settings.seconds or (0.0 if watch is None else _NEVER)
-        memory.timed.seconds = 0.0
-        result = self.lib.mbs_stages_solve(memory.solver, options)
+        with memory.team.at_work():
+            result = self.lib.mbs_stages_solve(memory.solver, options)
         observer.end()
         status = self.ffi.typeof("mbs_stages_status").elements[result.status]
         clashes = tuple(
             Clash(clash.stage, int(clash.kind), clash.row)
             for clash in (result.clash[i] for i in range(min(result.clashes, len(result.clash))))
         )
-        return Outcome(memory.w.copy(), status, result.stage, result.iterations, memory.timed.seconds, clashes)
+        return Outcome(memory.w.copy(), status, result.stage, result.iterations, *memory.team.seconds, clashes)
 
     def _prepare(self, numbers: Numbers) -> Workspace:
         """Set the bounds; make the solver where other ones are equal than before."""
@@ -358,7 +360,7 @@ class Solver:
         bounds = set_bounds(data, numbers)
         key = b"".join((low == high).tobytes() for low, high in (bounds[:2], bounds[2:]))
         if self._made is None or self._made[0] != key:
-            self._made = key, Workspace(self.tables, numbers.parameters, bounds)
+            self._made = key, Workspace(self.tables, numbers.parameters, bounds, self._threads)
         memory = self._made[1]
         for held, given in zip(memory.bounds, bounds, strict=True):
             held[: given.size] = given
@@ -390,23 +392,25 @@ def set_bounds(data: StageProgram, numbers: Numbers) -> tuple[Array, Array, Arra
 
 
 class Workspace:
-    """The memory of one solver."""
+    """The memory of one solver. With threads, it solves while its team is at work."""
 
-    def __init__(self, tables: Tables, parameters: Array, bounds: tuple[Array, Array, Array, Array]) -> None:
+    def __init__(
+        self, tables: Tables, parameters: Array, bounds: tuple[Array, Array, Array, Array], threads: int = 1
+    ) -> None:
         ffi, lib = tables.ffi, tables.lib
         self.evaluator = Evaluator(tables, parameters)
         self.bounds = [np.append(part, 0.0) for part in bounds]
         problem = self.problem = ffi.new("mbs_stages_problem *")
         problem.stages, problem.size = len(tables.data.kind_of_stage), tables.sizes
-        self.timed = problem.context = ffi.new("mbs_timed_program *")
-        self.timed.instance = self.evaluator.instance
+        self.team = Team(self.evaluator.instance, threads)
+        problem.context, problem.team = self.team.contexts, self.team.c
         for name in ("values", "jacobians", "hessian"):
             setattr(problem, name, ffi.addressof(lib, f"mbs_timed_{name}"))
         for name, held in zip(("lower", "upper", "least", "most"), self.bounds, strict=True):
             setattr(problem, name, ffi.from_buffer("double[]", held))
         size = lib.mbs_stages_bytes(problem)
         assert size, "the tables are a problem"
-        self.memory = _make_memory(size)
+        self.memory = make_memory(size)
         self.solver = lib.mbs_stages_create(problem, ffi.cast("void *", self.memory.ctypes.data), size)
         point = lib.mbs_stages_iterate(self.solver)
         self.w = np.frombuffer(ffi.buffer(point.w, 8 * point.variables), dtype=np.float64)
@@ -454,10 +458,3 @@ def fill(evaluator: Evaluator, x: Array) -> Array:
 
 
 _LEVELS = 2  # combinations, and results of kernels of these
-
-
-def _make_memory(size: int) -> NDArray[np.uint8]:
-    """Return memory of a size, aligned to 64 bytes."""
-    memory = np.zeros(size + 64, dtype=np.uint8)
-    first = -memory.ctypes.data % 64
-    return memory[first : first + size]

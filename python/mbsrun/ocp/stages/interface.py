@@ -1,4 +1,6 @@
-"""The C of `csrc/stages` and `csrc/program`, compiled once and cached, with the declarations of its headers."""
+"""The C of `csrc/stages`, `csrc/program` and `csrc/threads`, compiled once and cached, with the declarations of its
+headers.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,13 @@ import os
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import cffi
 
 from mbsgen import resources
-from mbsrun.library import compile_library, find_compiler
+from mbsrun.library import CompileError, compile_library, find_compiler
 
 _TIMED = "mbs_timed_program.c"
 _SCALAR = "-fno-tree-slp-vectorize"  # a flag that is good for kernels; rows of the solver want vectors
@@ -32,10 +35,29 @@ def load() -> tuple[Any, Any]:
     """Compile and load the solver and the evaluator. Raises CompileError."""
     folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing")]
     ffi = cffi.FFI()
-    for folder, header in zip(folders, ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h"), strict=True):
-        ffi.cdef(read_declarations((folder / header).read_text(encoding="utf-8")))
+    headers = ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h")
+    for path in (*map(Path.joinpath, folders, headers), _find_threads() / "mbs_threads.h"):
+        ffi.cdef(read_declarations(path.read_text(encoding="utf-8")))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
     compiler = find_compiler(os.environ)
     compiler = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != _SCALAR))
     library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:])
     return ffi, ffi.dlopen(str(library))
+
+
+@cache
+def load_threads() -> Any:
+    """Compile and load the team of threads; its declarations are among those of `load`. Raises CompileError."""
+    compiler = find_compiler(os.environ)
+    compiler = replace(compiler, flags=(*compiler.flags, "-pthread"))
+    try:
+        library = compile_library(
+            _find_threads(), "mbs_threads", ["mbs_threads.c"], compiler, resources.folder("csrc") / "stages"
+        )
+    except CompileError as error:
+        raise CompileError(f"solver.threads: more than one needs POSIX threads; leave it out. {error}") from None
+    return load()[0].dlopen(str(library))
+
+
+def _find_threads() -> Path:
+    return resources.folder("csrc") / "threads"
