@@ -33,6 +33,7 @@ def solve_file(
     other: Path | None,
     choose: Callable[[Problem], Problem],
     solver: str | None,
+    threads: int | None = None,
     accuracy: float | None = None,
     wish: Wish | None = None,
 ) -> int:
@@ -43,8 +44,10 @@ def solve_file(
     """
     problem, plants = read_phased_problem(file, load_on_demand)
     problem = replace(problem, phases=tuple(replace(p, problem=choose(p.problem)) for p in problem.phases))
-    if solver is not None and solver != problem.solver.method:
-        problem = replace(problem, solver=replace(problem.solver, method=solver, options=()))
+    if solver is not None:
+        problem = replace(problem, solver=problem.solver.with_method(solver))
+    if threads is not None:
+        problem = replace(problem, solver=replace(problem.solver, threads=threads))
     if accuracy is not None:
         problem = _ask(problem, accuracy)
     has_own = any(phase.problem.guess.solution is not None for phase in problem.phases)

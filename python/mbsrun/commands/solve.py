@@ -24,7 +24,7 @@ from mbsrun.commands.console import (
 from mbsrun.commands.phases import solve_file
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS
+from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.multistart import Wish, solve_from_many
@@ -136,6 +136,9 @@ Exit codes
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default mbs, the project's own.")
 @click.option(
+    "--threads", type=click.IntRange(1, MAX_THREADS), help="The number of threads of a solve by mbs; by default 1."
+)
+@click.option(
     "--refine",
     type=NumberType(),
     metavar="ACCURACY",
@@ -245,14 +248,14 @@ def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish |
     given = [f"--{name}" for name in SINGLE if choices.pop(name) is not None]
     if given:
         raise click.UsageError(f"{', '.join(given)}: for problems of one phase")
-    solver, accuracy = choices.pop("solver"), choices.pop("refine")
+    solver, threads, accuracy = (choices.pop(name) for name in ("solver", "threads", "refine"))
     if accuracy is not None:
         _check_accuracy(accuracy)
 
     def choose(problem: Problem) -> Problem:
         return _choose_way(problem, **choices)
 
-    return solve_file(file, out, other, choose, solver, accuracy, wish)
+    return solve_file(file, out, other, choose, solver, threads, accuracy, wish)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -267,6 +270,7 @@ def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
 def _choose(
     problem: Problem,
     solver: str | None,
+    threads: int | None,
     refine: float | None,
     **ways: Any,
 ) -> Problem:
@@ -277,6 +281,8 @@ def _choose(
     problem = _choose_way(problem, **ways)
     if solver is not None:
         problem = problem.with_solver(solver)
+    if threads is not None:
+        problem = replace(problem, solver=replace(problem.solver, threads=threads))
     if refine is not None:
         _check_accuracy(refine)
         rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds

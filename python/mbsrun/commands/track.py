@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from mbsrun.commands.console import (
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
+from mbsrun.ocp.checks import MAX_THREADS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
@@ -101,6 +103,9 @@ MAX_STEPS = 100  # of Newton's method in a sample
 @click.option("--method", type=NameType(METHODS), help="How the plant is integrated; by default dop853.")
 @click.option("--solver", type=NameType(SOLVERS), help="The controller's NLP method; by default the problem's.")
 @click.option(
+    "--threads", type=click.IntRange(1, MAX_THREADS), help="The number of threads of a plan by mbs; by default 1."
+)
+@click.option(
     "--controller",
     "folder",
     type=click.Path(file_okay=False, path_type=Path),
@@ -123,6 +128,7 @@ def track_command(
     out: Path | None,
     settings: Path | None,
     solver: str | None,
+    threads: int | None,
     folder: Path | None,
     steps: int | None,
     **given: Any,
@@ -130,6 +136,8 @@ def track_command(
     """Read, run, write, print."""
     if folder is not None and solver is not None:
         raise click.UsageError("--controller has its own solver; leave --solver out")
+    if folder is not None and threads is not None:
+        raise click.UsageError("--controller has its own solver; leave --threads out")
     if folder is None and steps is not None:
         raise click.UsageError("--steps is for a controller in C; give --controller too")
     statement = TrialStatement(settings, _collect_options(given))
@@ -143,6 +151,8 @@ def track_command(
     problem = keep_grid(problem)
     if solver is not None:
         problem = problem.with_solver(solver)
+    if threads is not None:
+        problem = replace(problem, solver=replace(problem.solver, threads=threads))
     with MESSAGES.status("generating and compiling"):
         changes = statement.changes
         other = models[0] if changes.model is None else (settings or file).parent / changes.model

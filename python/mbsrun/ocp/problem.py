@@ -277,6 +277,15 @@ class SolverOptions:
     options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
     threads: int = 1  # of a solve
 
+    def with_method(self, method: SolverName) -> SolverOptions:
+        """Return the same options for a method; another one drops the options of the former one.
+
+        It drops the threads too, except `mbs`, which alone has some.
+        """
+        if method == self.method:
+            return self
+        return replace(self, method=method, options=(), threads=self.threads if method == "mbs" else 1)
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -383,14 +392,8 @@ class Problem:
         return replace(self, end=replace(self.end, sensors=sensors))
 
     def with_solver(self, method: SolverName) -> Problem:
-        """Return the same problem for an NLP method; another method drops the options of the former one.
-
-        It drops the threads too, except `mbs`, which alone has some.
-        """
-        if method == self.solver.method:
-            return self
-        threads = self.solver.threads if method == "mbs" else 1
-        return replace(self, solver=replace(self.solver, method=method, options=(), threads=threads))
+        """Return the same problem for an NLP method; another method drops the options of the former one."""
+        return replace(self, solver=self.solver.with_method(method))
 
 
 def list_names(text: str | Expression, functions: Sequence[Symbolic]) -> frozenset[str]:
