@@ -19,6 +19,11 @@ from pathlib import Path, PurePath
 from mbsgen.errors import MbsError
 
 GRAPHS = "-fcallgraph-info=su"  # GCC's flag
+TASKS = {  # functions of csrc/stages, by file, that recursion.c calls for all stages
+    "recursion.c": ("condense_stages", "collect_stages", "expand_stages", "add_transposed"),
+    "newton.c": ("find_residuals",),
+    "evaluate.c": ("values_of_stages", "jacobians_of_stages", "hessians_of_stages"),
+}
 _INDIRECT = "__indirect_call"
 _NODE = re.compile(r'^node: \{ title: "([^"]*)" label: "[^"]*?\\n([^"]*?):\d+:\d+\\n(\d+) bytes \(([a-z,]+)\)', re.M)
 _EDGE = re.compile(r'^edge: \{ sourcename: "([^"]*)" targetname: "([^"]*)"', re.M)
@@ -87,6 +92,11 @@ def read_graphs(graphs: Sequence[str]) -> dict[str, Function]:
             called = tuple(sorted(callees.get(name, ())))
             functions[name] = Function(PurePath(file).name, int(frame), kind != "dynamic", called)
     return functions
+
+
+def list_tasks(prefix: str = "") -> tuple[str, ...]:
+    """List what recursion.c of csrc/stages calls through pointers where there is no team; files may have a prefix."""
+    return tuple(f"{prefix}{file}:{name}" for file, names in TASKS.items() for name in names)
 
 
 def find_deepest(functions: Mapping[str, Function], roots: Sequence[str], rules: Rules) -> Chain:

@@ -11,7 +11,7 @@ import pytest
 
 from mbsgen.resources import folder
 from mbsrun import bare
-from mbsrun.stack import Rules, compile_graphs, find_deepest
+from mbsrun.stack import Rules, compile_graphs, find_deepest, list_tasks
 from tests.csrc.stages import STATUS, STRICT, sources
 
 CSRC = folder("csrc")
@@ -192,7 +192,7 @@ def test_the_stack_is_bounded_by_call_graphs(pendulum: bare.Image, solver: Path,
     """The bound of the cross-compiler's frames holds in a run and is near it; the host's frames are larger."""
     main = bare.compile_object([EXAMPLE / "bare.c"], tmp_path / "main.o", [*SOLVER, f"-I{CSRC / 'bare'}"])
     callbacks = [f"pendulum.c:{name}" for name in ("values", "jacobians", "hessian")]
-    pointers = {"evaluate.c": callbacks, "finish.c": (), "solve.c": (), "realtime.c": ()}
+    pointers = {"evaluate.c": callbacks, "finish.c": (), "solve.c": (), "realtime.c": (), "recursion.c": list_tasks()}
     rules = Rules(pointers, bare.LIBRARY, bare.OTHER, depth=2)
     target = bare.read_functions(solver)
     found = bare.run(pendulum.path).stack

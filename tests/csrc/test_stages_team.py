@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ import pytest
 from mbsgen.resources import folder
 from mbsrun.library import find_compiler
 from mbsrun.ocp.stages.interface import read_declarations
+from mbsrun.stack import TASKS
 from tests.csrc.stage_arm import arm
 from tests.csrc.stage_problems import chain, collocated, fastest, nonlinear, too_weak
 from tests.csrc.stage_quadratics import random_problem
@@ -216,6 +218,15 @@ def test_a_team_needs_memory_for_each_worker_alone(library: Library) -> None:
     assert sizes[0] == alone
     assert 0 < sizes[1] - sizes[0] <= alone / 5
     assert abs((sizes[2] - sizes[1]) - (sizes[1] - sizes[0])) <= 16
+
+
+def test_bounds_of_stacks_know_all_tasks() -> None:
+    """Each function that is handed on to be called for all stages."""
+    call = re.compile(r"(?:mbs_stages_for_all\(|= evaluate\()[^,;]*, (\w+), ")
+    found = {path.name: set(call.findall(path.read_text("utf-8"))) - {"mbs_stages_task", "task"} for path in sources()}
+    assert {file: names for file, names in found.items() if names} == {
+        file: set(names) for file, names in TASKS.items()
+    }
 
 
 @pytest.mark.parametrize("sanitizer", ["thread", "address,undefined"])

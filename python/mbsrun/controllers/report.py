@@ -24,7 +24,7 @@ from mbsrun.library import Compiler, compile_library
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import FormulaFunction, Kind, Script, StageProgram
-from mbsrun.stack import Rules, StackError, compile_graphs, find_deepest
+from mbsrun.stack import Rules, StackError, compile_graphs, find_deepest, list_tasks
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,7 @@ def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) 
     callbacks = (*(f"{name}.c:find_{x}" for x in ("values", "jacobians", "hessian")), f"{name}.c:read_clock")
     pointers = {source: callbacks for source in manifest.sources if source.startswith("mbs_stages_")}
     pointers |= {"mbs_program.c": manifest.functions, f"{name}.c": ()}  # the clock is the caller's
+    pointers["mbs_stages_recursion.c"] = list_tasks("mbs_stages_")
     rules = Rules(pointers, depth=2)
     roots = ["create", "solve", "prepare", "feedback", *(["predict"] if manifest.predicts else [])]
     return {root: find_deepest(graphs, [f"{name}_{root}"], rules).bytes for root in roots}
