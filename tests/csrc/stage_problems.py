@@ -216,3 +216,26 @@ def far_guesses(count: int) -> list[Problem]:
         for problem in nonlinear()
         for i in range(count)
     ]
+
+
+def steep() -> Problem:
+    """Reach a far point with the force y = sinh(u), which a step along its tangent misses by orders of magnitude."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v", 2)
+    stage = Kind(x, v, v[1] ** 2, x + 0.1 * v[0], e=v[0] - ca.sinh(v[1]), inner=1, sparse=True)
+    last = Kind(x, ca.SX(0, 1), ca.SX(0), e=x - 10)
+    first = np.concatenate([[0.0], -free(2)]), np.concatenate([[0.0], free(2)])
+    bounds = [first, (-free(3), free(3)), (-free(3), free(3)), (-free(1), free(1))]
+    return assemble("steep", [stage, last], [0] * 3 + [1], bounds, [], [np.zeros(3)] * 3 + [np.zeros(1)])
+
+
+def turning() -> Problem:
+    """Two forces y in axes that a state turns: other pivots are large at other angles."""
+    x, v = ca.SX.sym("x", 2), ca.SX.sym("v", 3)
+    c, s = ca.cos(x[0]), ca.sin(x[0])
+    rows = ca.vertcat(c * v[0] + s * v[1] - x[1], c * v[1] - s * v[0] - v[2] * x[1] - 0.3)
+    after = x + 0.2 * ca.vertcat(x[1], v[0] + v[2])
+    stage = Kind(x, v, ca.sumsqr(v) + ca.sumsqr(x - 1), after, e=rows, inner=2, sparse=True)
+    last = Kind(x, ca.SX(0, 1), ca.sumsqr(x))
+    bounds = [(-free(5), free(5))] * 6 + [(-free(2), free(2))]
+    guess = [np.full(5, 0.1)] * 6 + [np.zeros(2)]
+    return assemble("turning", [stage, last], [0] * 6 + [1], bounds, [], guess)

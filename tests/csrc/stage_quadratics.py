@@ -100,3 +100,11 @@ def in_units(problem: Quadratic, units: list[Array]) -> Quadratic:
         lower=np.where(problem.lower > -1e19, problem.lower / every, problem.lower),
         upper=np.where(problem.upper < 1e19, problem.upper / every, problem.upper),
     )
+
+
+SIZES = [(3, 6, 5, 2)] * 5 + [(2, 4, 3, 2)] * 3 + [(3, 2, 2, 1)]
+INNER = [4] * 5 + [2] * 3 + [1]
+
+
+def condensed(problem: Quadratic, inner: list[int] = INNER, *, sparse: bool = True) -> Quadratic:
+    return replace(problem, inner=inner, sparse=sparse)

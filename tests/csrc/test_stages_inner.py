@@ -5,21 +5,13 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from tests.csrc.stage_arm import arm
-from tests.csrc.stage_problems import assemble, collocated, free, nonlinear
-from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem
-from tests.csrc.stages import INFINITE, Answer, Array, Kind, Library, Problem, Quadratic, Solver, clashes, close
-
-SIZES = [(3, 6, 5, 2)] * 5 + [(2, 4, 3, 2)] * 3 + [(3, 2, 2, 1)]
-INNER = [4] * 5 + [2] * 3 + [1]
-
-
-def condensed(problem: Quadratic, inner: list[int] = INNER, *, sparse: bool = True) -> Quadratic:
-    return replace(problem, inner=inner, sparse=sparse)
+from tests.csrc.stage_problems import collocated, nonlinear, steep, turning
+from tests.csrc.stage_quadratics import SIZES, condensed, dense_solution, in_units, random_problem
+from tests.csrc.stages import INFINITE, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close
 
 
 def meet(problem: Quadratic, k: int, w: Array) -> None:
@@ -240,16 +232,6 @@ def test_condensing_in_single_precision(library: Library, single: Library) -> No
         assert answer.result.cost == pytest.approx(exact.result.cost, rel=1e-3)
 
 
-def steep() -> Problem:
-    """Reach a far point with the force y = sinh(u), which a step along its tangent misses by orders of magnitude."""
-    x, v = ca.SX.sym("x"), ca.SX.sym("v", 2)
-    stage = Kind(x, v, v[1] ** 2, x + 0.1 * v[0], e=v[0] - ca.sinh(v[1]), inner=1, sparse=True)
-    last = Kind(x, ca.SX(0, 1), ca.SX(0), e=x - 10)
-    first = np.concatenate([[0.0], -free(2)]), np.concatenate([[0.0], free(2)])
-    bounds = [first, (-free(3), free(3)), (-free(3), free(3)), (-free(1), free(1))]
-    return assemble("steep", [stage, last], [0] * 3 + [1], bounds, [], [np.zeros(3)] * 3 + [np.zeros(1)])
-
-
 def test_inner_variables_may_follow_the_others(library: Library) -> None:
     """Refused trials then meet the inner equations, so longer steps pass; the optimum is the same."""
     usual, followed = (Solver(library, steep()).solve(follow=follow) for follow in (0, 1))
@@ -258,19 +240,6 @@ def test_inner_variables_may_follow_the_others(library: Library) -> None:
     assert followed.path[1][6] >= 2 * usual.path[1][6]  # the first step
     assert 3 * followed.result.iterations < 2 * usual.result.iterations
     assert max(steep().residuals(*followed.point)) < 1e-8
-
-
-def turning() -> Problem:
-    """Two forces y in axes that a state turns: other pivots are large at other angles."""
-    x, v = ca.SX.sym("x", 2), ca.SX.sym("v", 3)
-    c, s = ca.cos(x[0]), ca.sin(x[0])
-    rows = ca.vertcat(c * v[0] + s * v[1] - x[1], c * v[1] - s * v[0] - v[2] * x[1] - 0.3)
-    after = x + 0.2 * ca.vertcat(x[1], v[0] + v[2])
-    stage = Kind(x, v, ca.sumsqr(v) + ca.sumsqr(x - 1), after, e=rows, inner=2, sparse=True)
-    last = Kind(x, ca.SX(0, 1), ca.sumsqr(x))
-    bounds = [(-free(5), free(5))] * 6 + [(-free(2), free(2))]
-    guess = [np.full(5, 0.1)] * 6 + [np.zeros(2)]
-    return assemble("turning", [stage, last], [0] * 6 + [1], bounds, [], guess)
 
 
 def test_a_cold_solve_does_not_depend_on_the_solves_before_it(library: Library) -> None:

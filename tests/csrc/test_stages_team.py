@@ -18,10 +18,9 @@ from mbsrun.library import find_compiler
 from mbsrun.ocp.stages.interface import read_declarations
 from mbsrun.stack import TASKS
 from tests.csrc.stage_arm import arm
-from tests.csrc.stage_problems import chain, collocated, fastest, nonlinear, too_weak
-from tests.csrc.stage_quadratics import random_problem
+from tests.csrc.stage_problems import chain, collocated, fastest, nonlinear, steep, too_weak, turning
+from tests.csrc.stage_quadratics import SIZES, condensed, random_problem
 from tests.csrc.stages import STRICT, Answer, Array, Library, Problem, Quadratic, Solver, sources
-from tests.csrc.test_stages_inner import SIZES, condensed, steep, turning
 
 THREADS = folder("csrc") / "threads"
 Case = Callable[[], Problem | Quadratic]

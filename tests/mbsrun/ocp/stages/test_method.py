@@ -8,20 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbsrun.external import OnDemand, load_on_demand
+from mbsrun.external import OnDemand
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
-from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import SOLVED
-from tests.mbsrun.ocp.conftest import MODELS
-
-
-def read(name: str, **changes: object) -> tuple[Problem, OnDemand]:
-    """Read a problem that ships, to be solved by the method."""
-    problem, plant = read_problem(MODELS / f"{name}.ocp.yaml", load_on_demand)
-    assert isinstance(plant, OnDemand)
-    return replace(problem, solver=replace(problem.solver, method="mbs"), **changes), plant  # type: ignore[arg-type]
+from tests.mbsrun.ocp.stages.shipped import read
 
 
 @pytest.fixture(scope="module")

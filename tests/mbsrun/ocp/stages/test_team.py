@@ -17,7 +17,7 @@ from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
 from mbsrun.ocp.stages import interface
-from tests.mbsrun.ocp.stages.test_method import read
+from tests.mbsrun.ocp.stages.shipped import read
 
 SHOOTING = {"form": Form.SHOOTING, "representation": Representation.EXP1_O}
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
