@@ -30,12 +30,12 @@ typedef struct {
 
 struct mbs_threads {
     int workers, started; /* threads, and the caller's */
-    int locks;            /* that there are: all, or a thread could not wait */
+    int locks;            /* that were made: without all of them there are no threads */
     mbs_stages_task task;
     void *data;
     share *share;
     member *member;
-    pthread_mutex_t lock; /* of those who sleep */
+    pthread_mutex_t lock; /* of sleeping threads */
     pthread_cond_t work, done;
     char apart[LINE];
     int state, round, asleep, ending; /* atomic */
@@ -122,7 +122,7 @@ static void *serve(void *data)
     }
 }
 
-/* Begin a round; wake those who sleep. */
+/* Begin a round; wake sleeping threads. */
 static void call(mbs_threads *t)
 {
     __atomic_add_fetch(&t->round, 1, __ATOMIC_SEQ_CST);

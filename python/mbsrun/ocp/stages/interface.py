@@ -47,7 +47,7 @@ def load() -> tuple[Any, Any]:
 
 @cache
 def load_threads() -> Any:
-    """Compile and load the team of threads; its declarations are among those of `load`. Raises CompileError."""
+    """Compile and load the team of threads, which `load` declares. Raises CompileError."""
     compiler = find_compiler(os.environ)
     compiler = replace(compiler, flags=(*compiler.flags, "-pthread"))
     try:
