@@ -249,8 +249,9 @@ def choose_name(problem: str, model: str) -> str:
 
 
 def hash_problem(problem: Problem) -> str:
-    """Return a hash of a problem's content."""
-    text = json.dumps(TypeAdapter(Problem).dump_python(problem, mode="json"), sort_keys=True)
+    """Return a hash of a problem's content, threads aside: they change no number."""
+    content = TypeAdapter(Problem).dump_python(problem, mode="json", exclude={"solver": {"threads"}})
+    text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

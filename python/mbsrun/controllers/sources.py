@@ -14,6 +14,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Kernel, Manifest
 
 ABI = "mbs_abi.h"
+THREADS = "mbs_threads.c"
 _INCLUDE = re.compile(r'^([ \t]*#[ \t]*include[ \t]*")([^"\n]*)(")', re.MULTILINE)
 _FILE = re.compile(r"[A-Za-z0-9_]+\.[ch]", re.ASCII)
 _SINGLE = """\
@@ -24,15 +25,23 @@ _SINGLE = """\
 
 
 def read_solver() -> dict[str, str]:
-    """Read the solver and the evaluator of tables, and rename them."""
+    """Read the solver, the evaluator of tables and the team of threads, and rename them."""
     folder = resources.folder("csrc")
-    found = [file for part in ("stages", "program") for file in sorted((folder / part).glob("*.[ch]"))]
+    found = [file for part in ("stages", "program", "threads") for file in sorted((folder / part).glob("*.[ch]"))]
     names = {file.name: _rename(file.name) for file in found}
 
     def include(match: re.Match[str]) -> str:
         return f"{match[1]}{names.get(match[2], match[2])}{match[3]}"
 
-    return {names[file.name]: _INCLUDE.sub(include, file.read_text(encoding="utf-8")) for file in found}
+    files = {names[file.name]: _INCLUDE.sub(include, file.read_text(encoding="utf-8")) for file in found}
+    return files | {THREADS: _guard(files[THREADS])}
+
+
+def _guard(threads: str) -> str:
+    """Leave the C of threads out where a controller has none: its system may have none, either."""
+    begin = "#include <pthread.h>\n"
+    assert threads.count(begin) == 1, "the first header of the system"
+    return threads.replace(begin, f"#ifdef MBS_STAGES_WORKERS\n{begin}") + "#endif\n"
 
 
 def _rename(name: str) -> str:

@@ -26,7 +26,7 @@ from mbsrun.controllers import making
 from mbsrun.controllers.emulation import emulate
 from mbsrun.controllers.folder import read
 from mbsrun.controllers.loading import Controller, ControllerError, read_statuses
-from mbsrun.controllers.making import Made, UnsolvedError, choose_name, make
+from mbsrun.controllers.making import Made, UnsolvedError, choose_name, hash_problem, make
 from mbsrun.controllers.report import SINGLE
 from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.library import compile_library, find_compiler
@@ -499,6 +499,77 @@ def test_cmake_builds_checks_and_installs_it(case: Case, tmp_path: Path, require
     flags = run(*query, "--cflags", "--libs").split()
     run(requires("gcc"), "-std=c99", tmp_path / "user.c", *flags, "-o", tmp_path / "again")
     run(tmp_path / "again")
+
+
+@pytest.mark.parametrize("sanitizer", ["thread", "address,undefined"])
+def test_threads_change_no_digit(case: Case, tmp_path: Path, requires: Requires, sanitizer: str) -> None:
+    """A solve, and eight periods in real time, by 1 and by 3 workers in memory of exactly the bytes asked for."""
+    manifest, found = case.made.manifest, []
+    text = LOOP.format(manifest.prefix)
+    ending = f"    {manifest.prefix}_end(c);\n    free(memory);"
+    assert text.count("    free(memory);") == 1
+    (tmp_path / "loop.c").write_text(text.replace("    free(memory);", ending), encoding="utf-8")
+    sources = [tmp_path / "loop.c", *(case.folder / source for source in manifest.sources)]
+    for more in ([], ["-DMBS_STAGES_WORKERS=3", "-pthread"]):
+        flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-fsanitize={sanitizer}"]
+        run(requires("gcc"), *flags, f"-I{case.folder}", *more, *sources, "-lm", "-o", tmp_path / "loop")
+        found.append(run(tmp_path / "loop"))
+    assert found[0] == found[1]
+    assert len(found[0].splitlines()) == 8
+
+
+def test_cmake_builds_threads(case: Case, tmp_path: Path, requires: Requires) -> None:
+    """The check and the example end, too; the example prints what it does without threads."""
+    name, cmake = case.made.manifest.prefix, requires("cmake")
+    said = []
+    for workers in (1, 2):
+        place = tmp_path / str(workers)
+        build(cmake, case.folder, place, "-DCMAKE_BUILD_TYPE=Debug", f"-DMBS_STAGES_WORKERS={workers}")
+        run("ctest", "--test-dir", place)
+        said.append([line for line in run(place / f"{name}_main").splitlines() if "bytes" not in line])
+    assert said[0] == said[1]
+
+
+def test_a_problem_with_threads_has_the_same_controller(case: Case) -> None:
+    problem = replace(case.problem, solver=replace(case.problem.solver, threads=2))
+    assert hash_problem(problem) == case.made.manifest.problem_hash
+
+
+def test_a_limit_of_time_holds_with_threads(case: Case, tmp_path: Path, requires: Requires) -> None:
+    """The clock is read in the caller's thread."""
+    name = case.made.manifest.prefix
+    (tmp_path / "late.c").write_text(LATE.format(name), encoding="utf-8")
+    sources = [case.folder / source for source in case.made.manifest.sources]
+    flags = ["-std=c99", "-O0", "-DMBS_STAGES_WORKERS=2", "-pthread", f"-I{case.folder}"]
+    run(requires("gcc"), *flags, tmp_path / "late.c", *sources, "-lm", "-o", tmp_path / "late")
+    assert run(tmp_path / "late") == "4 iterations, time limit\n"
+
+
+LATE = """
+#include "{0}.h"
+#include <stdio.h>
+#include <stdlib.h>
+static double tick(void *context)
+{{
+    return ++*(double *)context;
+}}
+int main(void)
+{{
+    void *memory = malloc({0}_bytes());
+    {0} *c = {0}_create(memory, {0}_bytes());
+    {0}_limits limits = {{0}};
+    double time = 0;
+    int status;
+    limits.seconds = 5;
+    limits.clock = tick;
+    limits.context = &time;
+    status = {0}_solve(c, &limits);
+    printf("%d iterations, %s\\n", {0}_get_result(c)->iterations, status == MBS_STAGES_TIME_LIMIT ? "time limit" : "?");
+    {0}_end(c);
+    free(memory);
+    return 0;
+}}
+"""
 
 
 def test_single_precision_agrees_with_the_check(case: Case, tmp_path: Path) -> None:
