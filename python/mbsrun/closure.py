@@ -278,6 +278,11 @@ class Closure:
         branches = self._find_branch(q)
         return bool(branches[0] and (branches == branches[0]).all())
 
+    def jumps(self, q: Array) -> bool:
+        """Return whether a path (K, n) has poses on both sides of those where the dependent block is singular."""
+        branches = self._find_branch(q)
+        return bool((branches > 0).any() and (branches < 0).any())
+
     def _find_branch(self, q: Array) -> Array:
         """Return the sign of the determinant of J's dependent columns for poses (K, n); 0 near singular poses."""
         J = self.jacobian(q)

@@ -131,8 +131,8 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Confli
             yield Conflict(key, finding, f"take representation: IMPL or EXP1-O, or {other}")
         if divided := list_divided(manifest, manifest.independent):
             named = ", ".join(dict.fromkeys(manifest.positions[i].rpartition(".")[0] for i in divided))
-            finding = f"of the velocities of {named} some are independent and some are not"
-            yield Conflict(key, finding, f"take {other}, or name independent joints in the model")
+            finding = f"some velocities of {named} are independent and some are not; the reduced form takes all or none"
+            yield Conflict(key, finding, f"take {other}")
         if named := _find_dependent_accelerations(problem, manifest):
             finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
             yield Conflict(key, finding, f"take {other}")

@@ -30,7 +30,7 @@ from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.surplus import leave_out_surplus
 from mbsrun.ocp.touching import list_steps, set_relaxation
@@ -93,12 +93,19 @@ class Solver:
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._describe(problem, run, found, clash)
-            return Failure(problem, run, f"{finding}: {named}" if named else finding, remedy)
+            finding = f"{finding}: {named}" if named else finding
+            if lost := self._find_singular(problem, run, found):
+                return Failure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
+            return Failure(problem, run, finding, remedy)
         solution = self._solution(problem, run, found)
         gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
         if gap > most:
             finding, remedy = explain(OPEN, run.iterations)
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
+        closure = find_closure(self.plant)
+        if closure is not None and problem.loops is Loops.REDUCED and closure.jumps(solution.trajectory.q):
+            finding, remedy = explain(JUMPED, run.iterations)
+            return Failure(problem, replace(run, status=JUMPED), f"{finding}; {_name_independent(closure)}", remedy)
         return solution
 
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
@@ -109,6 +116,17 @@ class Solver:
         g = self.program.casadi.constraint(x, own.parameters(problem)).full().ravel()
         names = see_solver(name_parts(own, self.plant.manifest), own.program)
         return describe_point(Found(x, own.variable_bounds(problem), g, own.constraint_bounds(problem)), names)
+
+    def _find_singular(self, problem: Problem, run: Run, x: Array) -> str:
+        """Return that the reduced form does not determine the motion at which a search ended; else nothing."""
+        closure = find_closure(self.plant)
+        if closure is None or problem.loops is not Loops.REDUCED or not np.isfinite(x).all():
+            return ""
+        try:
+            is_regular = closure.is_regular(self._solution(problem, run, x).trajectory.q)
+        except ValueError:  # there are no dependent coordinates
+            is_regular = False
+        return "" if is_regular else _name_independent(closure)
 
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
         """Run the solver from x; return the run, the variables, and the rows that stay violated."""
@@ -287,6 +305,11 @@ def solve(
         if isinstance(found, Solution):  # else the step after begins where this one did
             start = found.trajectory
     return solver.solve(problem, start, watch)
+
+
+def _name_independent(closure: Closure) -> str:
+    named = ", ".join(closure.manifest.coordinates[i].name for i in closure.independent)
+    return f"on the way, the independent joints {named} do not determine the others, as at a dead centre"
 
 
 def _check_states(problem: Problem, plant: Plant) -> None:

@@ -13,6 +13,8 @@ BAD_GUESS = "Bad_Guess"
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 
+JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
+
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
 _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -48,6 +50,10 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
         OPEN: (
             "the solver stopped where loops stay open",
             "take a smaller solver.tolerance, another guess, or loops: multipliers",
+        ),
+        JUMPED: (
+            "the points found lie on two branches of the loops, and no motion leads from one to the other in this form",
+            "take loops: multipliers",
         ),
         "Maximum_CpuTime_Exceeded": (
             "the search was not over in its time",

@@ -32,7 +32,7 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import settle, solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import OPEN
+from mbsrun.ocp.status import JUMPED, OPEN
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
@@ -288,6 +288,17 @@ def test_multipliers_pass_where_no_choice_of_coordinates_is_independent() -> Non
     assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-6)
     theta = np.arctan2(found.trajectory.q[:, 0], -found.trajectory.q[:, 1])
     assert np.abs(theta) == pytest.approx(np.abs(expected.trajectory.q[:, 0]), abs=1e-4)
+
+
+@pytest.mark.parametrize(("intervals", "status"), [(10, JUMPED), (20, "Maximum_Iterations_Exceeded")])
+def test_a_reduced_form_that_jumps_is_no_solution(intervals: int, status: str) -> None:
+    """Past the horizontal, a coarse grid leads from the lower half of the circle to the upper one at once."""
+    problem = replace(_swing(intervals), loops=Loops.REDUCED, solver=SolverOptions(max_iterations=120, method="ipopt"))
+    found = solve(problem, rods())
+    assert isinstance(found, Failure)
+    assert found.run.status == status
+    assert "the independent joints x do not determine the others" in found.finding
+    assert found.remedy.startswith("take loops: multipliers")
 
 
 def test_a_regular_guess_chooses_the_reduced_form() -> None:
