@@ -41,6 +41,39 @@ class Formula:
         return np.asarray(_compute(self.tree, known), dtype=np.float64)
 
 
+@dataclass(frozen=True)
+class Drive(Formula):
+    """An expression of the time, with its first and second derivative."""
+
+    rate: Formula
+    second: Formula
+
+
+def draw_drive(pick: random.Random, start: float, unknowns: Sequence[str]) -> Drive:
+    """Draw a motion from a place, at rest or at a velocity that is a number; unknowns may scale what follows."""
+    a, w, k = round(pick.uniform(-0.4, 0.4), 3), pick.choice([1.5, "pi", "c0"]), pick.choice([2, 3])
+    t, by = ("/", "t", "T"), ("/", 1, "T")
+    scale = pick.choice([a, *unknowns, "c1"])
+    wave = ("*", w, "t")
+    parts = [
+        (
+            ("*", a, ("sin", wave)),
+            ("*", ("*", a, w), ("cos", wave)),
+            ("neg", ("*", ("*", a, ("**", w, 2)), ("sin", wave))),
+        ),
+        (
+            ("*", scale, ("**", t, k)),
+            ("*", ("*", scale, k), ("*", ("**", t, k - 1), by)),
+            ("*", ("*", scale, k * (k - 1)), ("*", ("**", t, k - 2), ("**", by, 2))),
+        ),
+    ]
+    chosen = pick.choice([parts, parts[:1], parts[1:]])
+    found: list[Any] = [start, 0, 0]
+    for part in chosen:
+        found = [("+", x, y) for x, y in zip(found, part, strict=True)]
+    return Drive(found[0], Formula(found[1]), Formula(found[2]))
+
+
 def write(part: Any) -> Any:
     """Return data for a file: formulas become text."""
     match part:
@@ -155,7 +188,7 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 def _compute(tree: Any, known: Mapping[str, Array | float]) -> Any:
     if isinstance(tree, str):
-        return known[tree]
+        return np.pi if tree == "pi" else known[tree]
     if not isinstance(tree, tuple):
         return float(tree)
     kind, *parts = tree

@@ -201,9 +201,10 @@ class Motion:
     point_q: Array  # (N, d, nq)
     point_qd: Array  # (N, d, n)
     point_qdd: Array  # (N, d, n)
-    end_qdd: Array  # (2, n): at the start of the first interval and at the end of the last one, as it is read off
+    end_qdd: Array  # (2, carried): at the start of the first interval and the end of the last one, as it is read off
     u: Array  # (N, d, m)
     w: Array  # (N, d, nw)
+    tau: Array  # (N, d, ...): forces of driven joints
     unknowns: Mapping[str, float]
     states: dict[str, Array] = field(default_factory=dict)  # (N + 1,) each
     point_states: dict[str, Array] = field(default_factory=dict)  # (N, d) each

@@ -7,7 +7,7 @@ that show whether they are there. Equations of motion hold.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from tests.fuzz.formulas import Formula
 from tests.fuzz.kinematics import FLOATS, value_of
+from tests.fuzz.own_mechanism import Acceleration, Known, Mechanism
 from tests.fuzz.own_motion import Interval, Law, Motion, Parts, Rates, chain, find_points
-from tests.fuzz.problem_drawing import Data, Mechanical, spell
+from tests.fuzz.problem_drawing import Data
+from tests.fuzz.problem_names import Mechanical, spell
 
 Array = NDArray[np.float64]
-Known = dict[str, Array]
 
 
 class Problem:
@@ -57,6 +58,8 @@ class Problem:
         design = [name for name, _ in own.design]
         self.design = [name for name in self.unknowns if name in design]
         self.plant = plant.with_parameters(**values, **{name: self.unknowns[name] for name in self.design})
+        numbers = {**self.constants, **self.unknowns, "T": self.T}
+        self.mechanism = Mechanism(own, self.plant, data.get("driven", {}), numbers)
 
     def number(self, value: Any) -> float:
         return float(value_of(value, self.constants, FLOATS))
@@ -116,17 +119,14 @@ class Problem:
     def draw_start(self) -> tuple[Array, Array]:
         """Draw a start near the given one; quaternions have length 1."""
         given, own = self.data["start"], self.own
-        pose = dict.fromkeys(own.positions, 0.0) | {x: 1.0 for x in own.positions if x in own.turning and x[-1] == "w"}
+        pose = dict(zip(own.positions, own.pose, strict=True))
         pose |= {x: self.number(value) for x, value in given["pose"].items() if value is not None}
         q = np.array([self.near(pose[x]) for x in own.positions])
-        for first in self.find_quaternions():
+        for first in self.mechanism.find_quaternions():
             q[first : first + 4] /= np.linalg.norm(q[first : first + 4])
         speeds = given.get("velocity", {})
-        return q, np.array([self.near(self.number(speeds.get(x) or 0.0)) for x in own.velocities])
-
-    def find_quaternions(self) -> list[int]:
-        """List the first entries of quaternions."""
-        return [i for i, x in enumerate(self.own.positions) if x.endswith(".qx")]
+        qd = np.array([self.near(self.number(speeds.get(x) or 0.0)) for x in own.velocities])
+        return q[self.mechanism.carried_places], qd[self.mechanism.carried]
 
     def draw_forces(self, N: int, d: int) -> dict[str, Array]:
         """Draw the components of wrenches, and signals, that are unknown."""
@@ -149,17 +149,19 @@ class Problem:
         """Return the equations of motion in interval k."""
 
         def differentiate(c: Array, states: Parts) -> Rates:
-            q, qd, further = states
-            known = self.know(q, qd)
-            known |= dict(zip(self.laws, further.T, strict=True))
-            known["t"] = self.T * (self.fractions[:k].sum() + self.fractions[k] * c)
+            y, yd, further = states
+            t = self.T * (self.fractions[:k].sum() + self.fractions[k] * c)
+            q, qd = self.mechanism.expand(y, yd, t)
+            known = self.know(q, qd) | dict(zip(self.laws, further.T, strict=True)) | {"t": t}
             for name, values in self.controls.items():
                 known[name] = self.take(values[k], len(c))
             u, w = self.give(known, k)
-            qdd = self.accelerate(q, qd, u, w)
-            known |= {f"qdd_{spell(x)}": qdd[:, i] for i, x in enumerate(self.own.velocities)}
+            found = self.mechanism.accelerate(q, qd, u, w, self.mechanism.drive(t)[2])
+            known |= self.name_accelerations(found)
             rates = [np.broadcast_to(x.evaluate(known), len(c)) for x in self.laws.values()]
-            return Rates((self.turn(q, qd), qdd, np.array(rates).reshape(len(rates), len(c)).T))
+            turned = self.mechanism.turn(q, qd)[:, self.mechanism.carried_places]
+            moved = found.qdd[:, self.mechanism.carried]
+            return Rates((turned, moved, np.array(rates).reshape(len(rates), len(c)).T))
 
         return differentiate
 
@@ -168,18 +170,9 @@ class Problem:
         return values if count == len(values) else np.full(count, values[0])
 
     def know(self, q: Array, qd: Array) -> Known:
-        """Name what states give: themselves, sensors, numbers of the problem."""
-        own = self.own
-        known = {f"q_{spell(x)}": q[:, i] for i, x in enumerate(own.positions)}
-        known |= {f"qd_{spell(x)}": qd[:, i] for i, x in enumerate(own.velocities)}
-        if own.sensors:
-            places, speeds = self.plant("sensors", q=q)["position"], self.plant("motion", q=q, qd=qd)["v"]
-            for i, name in enumerate(own.sensors):
-                for j, axis in enumerate("xyz"):
-                    known[f"{axis}_{spell(name)}"] = places[:, j, i]
-                    known[f"v{axis}_{spell(name)}"] = speeds[:, j, i]
+        """Name what states give, and numbers of the problem."""
         numbers = {**self.constants, **self.unknowns, "T": self.T}
-        return known | {name: np.full(len(q), value) for name, value in numbers.items()}
+        return self.mechanism.know(q, qd) | {name: np.full(len(q), value) for name, value in numbers.items()}
 
     def give(self, known: Known, k: int) -> tuple[Array, Array]:
         """Name inputs and components of wrenches, each after the ones that it reads; return both."""
@@ -207,67 +200,49 @@ class Problem:
         u = [known[f"u_{spell(name)}"] for name in own.inputs]
         return np.array(u).reshape(len(u), count).T, np.array(w).reshape(len(w), count).T
 
-    def accelerate(self, q: Array, qd: Array, u: Array, w: Array) -> Array:
-        """Return the accelerations of the mechanism."""
-        given = {"q": q, "qd": qd, "u": u} | ({"w": w} if w.shape[1] else {})
-        return np.asarray(self.plant("exp1", **{key: np.ascontiguousarray(x) for key, x in given.items()})["qdd"])
-
-    def turn(self, q: Array, qd: Array) -> Array:
-        """Return the derivatives of coordinates: of a quaternion, half its product with the angular velocity.
-
-        A free body has its velocity along its own axes.
-        """
-        own, rates = self.own, np.zeros_like(q)
-        for i, name in enumerate(own.positions):
-            if name not in own.turning:
-                rates[:, i] = qd[:, own.velocities.index(name)]
-        for first in self.find_quaternions():
-            joint = own.positions[first].removesuffix(".qx")
-            omega = qd[:, [own.velocities.index(f"{joint}.r{x}") for x in "xyz"]]
-            v, s = q[:, first : first + 3], q[:, first + 3 : first + 4]
-            rates[:, first : first + 3] = (s * omega + np.cross(v, omega)) / 2
-            rates[:, first + 3] = -(v * omega).sum(axis=1) / 2
-            if f"{joint}.x" in own.positions:
-                rates[:, first - 3 : first] = self.rotate(v, s, rates[:, first - 3 : first])
-        return rates
-
-    @staticmethod
-    def rotate(v: Array, s: Array, x: Array) -> Array:
-        """Turn vectors (places, 3) by quaternions of any length."""
-        t = 2 * np.cross(v, x) / ((v**2).sum(axis=1, keepdims=True) + s**2)
-        return np.asarray(x + s * t + np.cross(v, t))
+    def name_accelerations(self, found: Acceleration) -> Known:
+        """Name accelerations, and forces of driven joints."""
+        known = {f"qdd_{spell(x)}": found.qdd[:, i] for i, x in enumerate(self.own.velocities)}
+        return known | {f"tau_{spell(self.own.velocities[i])}": found.tau[:, k] for k, i in enumerate(self.own.driven)}
 
     def collect(self, every: list[Interval]) -> Motion:
         """Read the motion at mesh points and collocation points."""
-        N, d = len(every), len(self.nodes)
+        N, d, own = len(every), len(self.nodes), self.mechanism
         starts = [x.state(0.0) for x in every] + [every[-1].state(1.0)]
         points = [[x.state(float(c)) for c in self.nodes] for x in every]
         mesh = [np.array([x[i] for x in starts]) for i in range(3)]
         inner = [np.array([[x[i] for x in row] for row in points]) for i in range(3)]
         t = self.T * np.concatenate(([0.0], np.cumsum(self.fractions)))
+        point_t = t[:-1, None] + self.T * self.fractions[:, None] * self.nodes
+        q, qd = own.expand(mesh[0], mesh[1], t)
+        flat = own.expand(_flatten(inner[0]), _flatten(inner[1]), point_t.ravel())
         motion = Motion(
             T=self.T,
             t=t,
-            point_t=t[:-1, None] + self.T * self.fractions[:, None] * self.nodes,
+            point_t=point_t,
             nodes=self.nodes,
-            q=mesh[0],
-            qd=mesh[1],
-            point_q=inner[0],
-            point_qd=inner[1],
-            point_qdd=np.array([[x.acceleration(float(c)) for c in self.nodes] for x in every]),
+            q=q,
+            qd=qd,
+            point_q=flat[0].reshape(N, d, -1),
+            point_qd=flat[1].reshape(N, d, -1),
+            point_qdd=np.zeros((N, d, qd.shape[1])),
             end_qdd=np.array([every[0].acceleration(0.0), every[-1].acceleration(1.0)]),
             u=np.zeros((N, d, len(self.own.inputs))),
             w=np.zeros((N, d, 0)),
+            tau=np.zeros((N, d, len(self.own.driven))),
             unknowns=self.unknowns,
             states={name: mesh[2][:, i] for i, name in enumerate(self.laws)},
             point_states={name: inner[2][:, :, i] for i, name in enumerate(self.laws)},
             controls=self.controls,
         )
-        found = [self.give(self.know_points(motion, k), k) for k in range(N)]
-        motion.u, motion.w = (np.array([x[i] for x in found]) for i in range(2))
-        if self.is_ode:
-            for k in range(N):
-                motion.point_qdd[k] = self.accelerate(motion.point_q[k], motion.point_qd[k], motion.u[k], motion.w[k])
+        given = [self.give(self.know_points(motion, k), k) for k in range(N)]
+        motion.u, motion.w = (np.array([x[i] for x in given]) for i in range(2))
+        for k, interval in enumerate(every):
+            a = own.drive(point_t[k])[2]
+            found = own.accelerate(motion.point_q[k], motion.point_qd[k], motion.u[k], motion.w[k], a)
+            motion.point_qdd[k], motion.tau[k] = found.qdd, found.tau
+            if not self.is_ode:
+                motion.point_qdd[k][:, own.carried] = [interval.acceleration(float(c)) for c in self.nodes]
         return motion
 
     def know_points(self, motion: Motion, k: int) -> Known:
@@ -282,7 +257,10 @@ class Problem:
         """Name everything at the points of all intervals."""
         known = self.know(_flatten(motion.point_q), _flatten(motion.point_qd)) | {"t": motion.point_t.ravel()}
         known |= {name: x.ravel() for name, x in {**motion.point_states, **motion.controls}.items()}
-        return known | self.name_jumps(motion, _flatten, motion.point_qdd)
+        u, w = _flatten(motion.u), _flatten(motion.w)
+        known |= {f"u_{spell(x)}": u[:, i] for i, x in enumerate(self.own.inputs)}
+        known |= {name: w[:, i] for i, name in enumerate(self.list_components())}
+        return known | self.name_accelerations(Acceleration(_flatten(motion.point_qdd), _flatten(motion.tau)))
 
     def at_mesh(self, motion: Motion, places: list[int]) -> Known:
         """Name what does not jump at some mesh points."""
@@ -293,19 +271,17 @@ class Problem:
         """Name everything at the start (0) or the end (1)."""
         known = self.at_mesh(motion, [-which])
         known |= {name: motion.at_end(x, which)[None] for name, x in motion.controls.items()}
-        u, w = (motion.at_end(x, which)[None] for x in (motion.u, motion.w))
-        qdd = motion.end_qdd[which][None]
-        if self.is_ode:
-            qdd = self.accelerate(motion.q[[-which]], motion.qd[[-which]], u, w)
-        return known | self.name_jumps(motion, lambda points: motion.at_end(points, which)[None], qdd[None])
-
-    def name_jumps(self, motion: Motion, choose: Callable[[Array], Array], qdd: Array) -> Known:
-        own = self.own
-        u, w = choose(motion.u), choose(motion.w)
-        qdd = _flatten(qdd)
-        known = {f"u_{spell(x)}": u[:, i] for i, x in enumerate(own.inputs)}
+        u, w, tau = (motion.at_end(x, which)[None] for x in (motion.u, motion.w, motion.tau))
+        known |= {f"u_{spell(x)}": u[:, i] for i, x in enumerate(self.own.inputs)}
         known |= {name: w[:, i] for i, name in enumerate(self.list_components())}
-        return known | {f"qdd_{spell(x)}": qdd[:, i] for i, x in enumerate(own.velocities)}
+        own = self.mechanism
+        qdd = motion.at_end(motion.point_qdd, which)[None]
+        if self.is_ode:
+            a = qdd[:, list(self.own.driven)]
+            qdd = own.accelerate(motion.q[[-which]], motion.qd[[-which]], u, w, a).qdd
+        else:
+            qdd[:, own.carried] = motion.end_qdd[which]
+        return known | self.name_accelerations(Acceleration(qdd, tau))
 
 
 def _flatten(points: Array) -> Array:

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
 from tests.fuzz.formulas import Formula
+from tests.fuzz.own_mechanism import Known
 from tests.fuzz.own_motion import Motion, find_weights
-from tests.fuzz.own_problem import Known, Problem, name_slack
-from tests.fuzz.problem_drawing import spell
+from tests.fuzz.own_problem import Problem, name_slack
+from tests.fuzz.problem_names import spell
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
+Targets = dict[str, float | None]
 
 NEAR = 1e-9  # a point as near to an interval's end is there
 
@@ -122,9 +124,11 @@ class Sections:
 
     def ask_start(self) -> Iterator[Demand]:
         given, motion, own = self.data["start"], self.motion, self.own
-        numbers = self.problem.find_quaternions()
-        pose: dict[str, float | None] = dict.fromkeys(own.positions, 0.0)
+        numbers = self.problem.mechanism.find_quaternions()
+        pose: Targets = dict.fromkeys(own.positions, 0.0)
         pose |= {own.positions[i + 3]: 1.0 for i in numbers}
+        if own.is_closed:
+            pose = dict(zip(own.positions, own.pose, strict=True))
         pose |= {x: None if value is None else self.problem.number(value) for x, value in given["pose"].items()}
         for i in numbers:
             names = own.positions[i : i + 4]
@@ -135,13 +139,33 @@ class Sections:
                 continue
             size = float(np.linalg.norm(np.array(values, dtype=float)))
             pose |= {x: value / size for x, value in zip(names, values, strict=True) if value is not None}
-        speeds = dict.fromkeys(own.velocities, 0.0) | {
+        speeds: Targets = dict.fromkeys(own.velocities, 0.0)
+        speeds |= {
             x: None if value is None else self.problem.number(value) for x, value in given.get("velocity", {}).items()
         }
+        pose, speeds = self.complete(pose, speeds)
+        free = {*own.free, *own.turning}
         for names, values, wanted in ((own.positions, motion.q[0], pose), (own.velocities, motion.qd[0], speeds)):
             for name, value in zip(names, values, strict=True):
-                if (target := wanted[name]) is not None:
-                    yield Demand(f"start {name}", np.array([value]), (target, target))
+                if (target := wanted.get(name)) is not None:
+                    follows = name not in free
+                    yield Demand(f"start {name}", np.array([value]), (target, target), is_optional=follows)
+
+    def complete(self, pose: Targets, speeds: Targets) -> tuple[Targets, Targets]:
+        """Let loops give the start of dependent joints; driven ones have none."""
+        own = self.own
+        if own.is_closed:
+            usual = dict(zip(own.positions, own.pose, strict=True))
+            q = np.array([usual[x] if x not in own.settled or pose[x] is None else pose[x] for x in own.positions])
+            qd = np.array([speeds[x] or 0.0 if x in own.free else 0.0 for x in own.velocities])
+            mechanism = self.problem.mechanism
+            places, driven = mechanism.places, list(own.driven)
+            q[places], qd[driven] = (x[0] for x in mechanism.drive(np.zeros(1))[:2])
+            q, qd = (x[0] for x in mechanism.close(q[None], qd[None]))
+            pose = {x: q[i] if pose.get(x, 0) is not None else None for i, x in enumerate(own.positions)}
+            speeds = {x: qd[i] if speeds.get(x, 0) is not None else None for i, x in enumerate(own.velocities)}
+        moved = {own.velocities[i] for i in own.driven}
+        return ({x: y for x, y in part.items() if x not in moved} for part in (pose, speeds))  # type: ignore[return-value]
 
     def is_free(self, name: str, *, velocity: bool) -> bool:
         """Return whether the start leaves a coordinate or a velocity free."""
@@ -173,14 +197,14 @@ class Sections:
                 yield Demand(f"end {name}", self.last[f"q_{spell(name)}"], (number(x), number(x)))
         for key, prefix in (("velocity", "qd"), ("acceleration", "qdd")):
             given = end.get(key, {})
-            given = dict.fromkeys(own.velocities, 0.0) if given == "zero" else given
+            given = dict.fromkeys(own.free, 0.0) if given == "zero" else given
             for name, x in given.items():
                 yield Demand(f"end {key} {name}", self.last[f"{prefix}_{spell(name)}"], (number(x), number(x)))
 
     def find_attitudes(self) -> list[float]:
         """Return the squared distance of each attitude at the end from the one that is asked for."""
         pose, found = self.data.get("end", {}).get("pose", {}), []
-        for first in self.problem.find_quaternions():
+        for first in self.problem.mechanism.find_quaternions():
             names = self.own.positions[first : first + 4]
             if names[0] in pose:
                 wanted = np.array([self.problem.number(pose[x]) for x in names])
@@ -208,6 +232,8 @@ class Sections:
             usual = (-np.inf, np.inf) if c is None else self.read((c.lower, c.upper))
             limits = self.read(given[name]) if name in given else usual
             points, mesh = motion.point_q[:, :, i].ravel(), motion.q[:, i]
+            if name in self.known:
+                continue
             start = not self.is_free(name, velocity=False)
             yield from self.bound(f"bound {name}", points, mesh, limits, start=start)
         given = bounds.get("velocities", {})
@@ -216,12 +242,20 @@ class Sections:
             usual = (-np.inf, np.inf) if speed is None else (-speed, speed)
             limits = self.read(given if isinstance(given, list) else given[name]) if self.names(given, name) else usual
             points, mesh = motion.point_qd[:, :, i].ravel(), motion.qd[:, i]
+            if name in self.known:
+                continue
             start = not self.is_free(name, velocity=True)
             yield from self.bound(f"bound of the velocity {name}", points, mesh, limits, start=start)
 
     @staticmethod
     def names(given: Any, name: str) -> bool:
         return isinstance(given, list) or name in given
+
+    @property
+    def known(self) -> list[str]:
+        """List the driven joints whose motion nothing that is chosen changes: their bounds are checked before."""
+        chosen = {*self.data.get("unknowns", {})} | ({"t", "T"} if self.problem.is_free else set())
+        return [x for x, drive in self.data.get("driven", {}).items() if not drive.names & chosen]
 
     def ask_inputs(self) -> Iterator[Demand]:
         bounds, problem = self.data.get("bounds", {}), self.problem
@@ -303,6 +337,8 @@ class Sections:
         for name, part in problem.list_components().items():
             if isinstance(part, dict):
                 yield Demand(name, self.points[name], self.read(part.get("range", (None, None))))
+        for name, limits in data.get("bounds", {}).get("tau", {}).items():
+            yield Demand(f"tau {name}", self.points[f"tau_{spell(name)}"], self.read(limits))
         for name, part in data.get("unknowns", {}).items():
             yield Demand(name, np.array([problem.unknowns[name]]), self.read(part.get("range", (None, None))))
         if problem.is_free:
@@ -352,4 +388,5 @@ class Sections:
         """List the names of quantities that jump where an interval ends."""
         own = self.own
         names = [f"u_{spell(x)}" for x in own.inputs] + [f"qdd_{spell(x)}" for x in own.velocities]
+        names += [f"tau_{spell(own.velocities[i])}" for i in own.driven]
         return [*names, *self.problem.list_components(), *self.problem.controls]

@@ -7,57 +7,15 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from mbsgen.manifest import Manifest
-from tests.fuzz.formulas import Formula, draw, draw_quantity
+from tests.fuzz.formulas import Formula, draw, draw_drive, draw_quantity
+from tests.fuzz.problem_names import Mechanical, spell
 
 Data = dict[str, Any]
 
 DELAYED = 0.25  # of problems with a given horizon
 SHORT = 0.09  # of an interval [s], about
-
-
-def spell(name: str) -> str:
-    """Write a coordinate's name as expressions do."""
-    return name.replace(".", "_").replace(" ", "_")
-
-
-@dataclass(frozen=True)
-class Mechanical:
-    """The names of a mechanism that a problem reads."""
-
-    positions: tuple[str, ...]
-    velocities: tuple[str, ...]
-    inputs: tuple[str, ...]
-    sensors: tuple[str, ...]
-    wrenches: tuple[tuple[str, str], ...]  # name, force or moment
-    signals: tuple[str, ...]
-    parameters: tuple[tuple[str, float], ...]  # run-time ones
-    design: tuple[tuple[str, float], ...]
-
-    @staticmethod
-    def of(manifest: Manifest) -> Mechanical:
-        """Read the names off a manifest."""
-        names = [c.name for c in manifest.coordinates]
-        parts = [(x.name, part) for x in manifest.wrenches for part in ("force", "moment") if getattr(x, part)]
-        return Mechanical(
-            tuple(manifest.positions),
-            tuple(names),
-            tuple(names[i] for i in manifest.actuated),
-            tuple(frame.name for frame in manifest.frames if frame.sensor),
-            tuple(parts),
-            tuple(name for name in manifest.signals if name.isidentifier() and name != "t"),
-            tuple((x.name, x.value) for x in manifest.parameters),
-            tuple((x.name, x.value) for x in manifest.design),
-        )
-
-    @property
-    def turning(self) -> frozenset[str]:
-        """List the entries of quaternions."""
-        joints = [name.removesuffix(".qw") for name in self.positions if name.endswith(".qw")]
-        return frozenset(f"{joint}.q{x}" for joint in joints for x in "xyzw")
 
 
 class Drawing:
@@ -91,6 +49,7 @@ class Drawing:
         data["constants"] = {"c0": self.number(0.2, 1), "c1": "2*c0 - 0.3"}
         self.draw_time()
         self.draw_parameters()
+        self.draw_drives()
         if self.is_standard:
             self.draw_added()
             self.draw_given()
@@ -118,7 +77,9 @@ class Drawing:
 
     def jumping(self) -> list[str]:
         own = self.own
-        names = [f"u_{spell(x)}" for x in own.inputs] + [f"qdd_{spell(x)}" for x in own.velocities]
+        moved = own.free if own.is_closed else own.velocities
+        names = [f"u_{spell(x)}" for x in own.inputs] + [f"qdd_{spell(x)}" for x in moved]
+        names += [f"tau_{spell(own.velocities[i])}" for i in own.driven]
         names += [f"{part[0]}{axis}_{spell(x)}" for x, part in own.wrenches for axis in "xyz"]
         return [*names, *(f"signal_{x}" for x in own.signals), *self.data.get("controls", {})]
 
@@ -136,13 +97,13 @@ class Drawing:
 
     def draw_form(self) -> None:
         pick, data, own = self.pick, self.data, self.own
-        form = (
-            "standard"
-            if own.wrenches or own.signals
-            else pick.choice(["standard"] * 3 + ["integral"] + ["shooting"] * 2)
-        )
+        is_given = own.wrenches or own.signals or own.driven
+        form = pick.choice(["standard"] if is_given else ["standard"] * 3 + ["integral"] + ["shooting"] * 2)
         self.is_standard = form == "standard"
         names = ["IMPL", "SEMI", "EXP1-O", "EXP1-A", "EXP2-O", "EXP2-A"]
+        if own.is_closed:
+            names = ["IMPL", "EXP1-O", "IMPL", "EXP1-A", "EXP1-O"]
+            data["loops"] = "reduced"
         representation = pick.choice(names[:3] + names[4:5] if form == "shooting" else names)
         data |= {"scheme": pick.choice(["radau", "legendre"]), "degree": pick.choice([1, 2, 2, 3, 4])}
         data |= {"representation": representation}
@@ -174,13 +135,24 @@ class Drawing:
             data["parameters"] = {name: given[name] for name in chosen}
         unknowns: Data = {}
         if self.is_standard or self.chance(0.5):
-            for name, value in own.design:
+            for name, value in () if own.is_closed else own.design:
                 if self.chance(0.3) and name not in chosen:
                     unknowns[name] = {"guess": value, "range": [round(0.5 * value, 4), pick.choice([None, 2 * value])]}
         if self.chance(0.3):
             unknowns["free"] = {"guess": 0.4} | ({"range": self.limits()} if self.chance(0.5) else {})
         if unknowns:
             data["unknowns"] = unknowns
+
+    def draw_drives(self) -> None:
+        """Draw the motions of driven joints."""
+        own = self.own
+        unknowns = [name for name in self.data.get("unknowns", {}) if name == "free"]
+        drives = {}
+        for i in own.driven:
+            start = round(own.pose[own.positions.index(own.velocities[i])], 3)
+            drives[own.velocities[i]] = draw_drive(self.pick, start, unknowns)
+        if drives:
+            self.data["driven"] = drives
 
     def draw_added(self) -> None:
         """Draw states, controls and the course of inputs."""
@@ -253,7 +225,12 @@ class Drawing:
         own, pick = self.own, self.pick
         bounds: Data = {}
         plain = [x for x in own.positions if x not in own.turning]
-        coordinates = {name: self.limits() for name in self.some(plain, 0.5)}
+        coordinates = {name: self.limits() for name in self.some([] if own.is_closed else plain, 0.5)}
+        if own.is_closed:
+            near = {x: round(own.pose[own.positions.index(x)], 3) for x in self.some(plain, 0.4)}
+            coordinates = {x: [value - 1.5, value + 2] for x, value in near.items()}
+        if own.driven and self.chance(0.5):
+            bounds["tau"] = {own.velocities[own.driven[0]]: self.limits(-40, 40)}
         if coordinates:
             bounds["coordinates"] = coordinates
         for key, names, share in (("velocities", own.velocities, 0.4), ("inputs", own.inputs, 0.5)):
@@ -272,9 +249,10 @@ class Drawing:
 
     def draw_ends(self) -> None:
         own, pick = self.own, self.pick
-        pose: Data = {x: self.pick.choice([self.number(-0.5, 0.5), "c0/3"]) for x in self.some(own.positions, 0.6)}
-        pose = {x: value for x, value in pose.items() if x not in own.turning}
-        for x in self.some([x for x in own.positions if x not in own.turning], 0.15):
+        pose: Data = {x: self.pick.choice([self.number(-0.5, 0.5), "c0/3"]) for x in self.some(own.settled, 0.6)}
+        if own.is_closed:
+            pose = {x: round(own.pose[own.positions.index(x)] + self.number(-0.1, 0.1), 4) for x in own.settled}
+        for x in self.some(own.settled, 0.15):
             pose[x] = None
         joints = sorted({x.rpartition(".")[0] for x in own.turning})
         for joint in joints:
@@ -284,7 +262,7 @@ class Drawing:
                 pose[f"{joint}.qw"] = None if kind == "free" else 1
         start: Data = {"pose": pose}
         if self.chance(0.8):
-            start["velocity"] = {x: pick.choice([self.number(-0.8, 0.8), None]) for x in self.some(own.velocities, 0.5)}
+            start["velocity"] = {x: pick.choice([self.number(-0.8, 0.8), None]) for x in self.some(own.free, 0.5)}
         self.data["start"] = start
         end: Data = {}
         if own.sensors and self.chance(0.4):
@@ -293,16 +271,17 @@ class Drawing:
             end["sensors"] = {one: pick.choice([where, {"radius": 0.5, "azimuth": "pi/3", "height": "c0"}])}
         if own.sensors and self.chance(0.2):
             end["sensor_velocities"] = {pick.choice(own.sensors): dict.fromkeys(pick.choice(["x", "yz", "xyz"]), 0.1)}
-        plain = [x for x in own.positions if x not in own.turning]
         if self.chance(0.4):
-            end["pose"] = {x: self.number(-0.6, 0.6) for x in self.some(plain, 0.4)}
+            end["pose"] = {x: self.number(-0.6, 0.6) for x in self.some(own.settled, 0.4)}
+            if own.is_closed:
+                end["pose"] = {x: own.pose[own.positions.index(x)] for x in end["pose"]}
         for joint in joints:
             if self.chance(0.3):
                 end.setdefault("pose", {}).update({f"{joint}.q{x}": self.number(-0.5, 0.5) for x in "xyz"})
                 end["pose"][f"{joint}.qw"] = 1
         for key in ("velocity", "acceleration"):
             if self.chance(0.3):
-                end[key] = pick.choice(["zero", {x: self.number(-0.5, 0.5) for x in self.some(own.velocities, 0.5)}])
+                end[key] = pick.choice(["zero", {x: self.number(-0.5, 0.5) for x in self.some(own.free, 0.5)}])
         if end:
             self.data["end"] = end
 
