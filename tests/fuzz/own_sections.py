@@ -152,7 +152,7 @@ class Sections:
                     yield Demand(f"start {name}", np.array([value]), (target, target), is_optional=follows)
 
     def complete(self, pose: Targets, speeds: Targets) -> tuple[Targets, Targets]:
-        """Let loops give the start of dependent joints; driven ones have none."""
+        """Complete a start by the loops; driven joints have none."""
         own = self.own
         if own.is_closed:
             usual = dict(zip(own.positions, own.pose, strict=True))

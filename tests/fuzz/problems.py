@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -36,12 +36,14 @@ from tests.fuzz.own_sections import Demand, Sections
 from tests.fuzz.problem_derivatives import find_differing_backends, find_differing_tables, find_wrong_derivatives
 from tests.fuzz.problem_drawing import Data, Drawing
 from tests.fuzz.problem_names import Mechanical
+from tests.fuzz.problem_solving import ease, find_wrong_solutions
 
 Array = NDArray[np.float64]
 
 CLOSED = 3  # one mechanism of this number has loops or driven joints, without quaternions
 SHARED = 12  # problems of one mechanism, which is compiled once
 BODIES = 3  # at most
+WITH_SOLVES = 10  # one problem of this number is solved, after changes that make it feasible
 WITH_TABLES = 3  # one problem of this number is written as tables of stages, which compiles its formulas
 SAME = 1e-8  # relative, and absolute below 1: numbers that count as equal
 
@@ -107,6 +109,9 @@ def examine(drawn: Drawn, plant: Plant) -> str:
     faults += find_differing_backends(stated, solver, x, rng)
     if drawn.seed % WITH_TABLES == 0:
         faults += find_differing_tables(stated, solver, solver.plant, x, rng)
+    if drawn.seed % WITH_SOLVES == 0:
+        eased = replace(drawn, data=ease(drawn.data, sections.problem, sections.motion, sections))
+        faults += find_wrong_solutions(*state(eased, plant))
     return "; ".join(fault for fault in faults if fault)
 
 

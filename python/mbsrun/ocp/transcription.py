@@ -366,7 +366,9 @@ class Transcription:
     def _find_forces(self, trajectory: Trajectory) -> tuple[Array, Array]:
         """Find multipliers (N, d, m) and forces of driven joints (N, d, ...) at the points of a motion."""
         assert self.plant is not None, "loops and driven joints belong to kernels"
-        return find_point_forces(self.plant, trajectory)
+        chosen = dict(zip(self.structure.added.unknowns, trajectory.unknowns.tolist(), strict=True))
+        design = {part.name: chosen[part.name] for part in self.plant.manifest.design if part.name in chosen}
+        return find_point_forces(self.plant.with_parameters(**design), trajectory)
 
     def _complete(self, q: Array, velocities: Array) -> Array:
         """Return all velocities from the ones that are variables: (..., n) both."""
