@@ -60,7 +60,7 @@ def test_kernels_read_signals_and_then_the_time(folder: Path) -> None:
 def test_a_forced_motion_follows_its_closed_form(method: str, folder: Path) -> None:
     """With wind = 0.5 and pull = 6 t^2, 2 x'' = 2 t + 6 t^2: x = t^3/6 + t^4/4; held inputs do not hold the time."""
     kernels = sled(folder)
-    options = {"duration": 1, "method": method, "step": 1e-3, "output_step": 0.5}
+    options = {"duration": 1, "method": method, "output_step": 0.5} | ({} if method == "dop853" else {"step": 1e-3})
     given = read_statement(None, {**options, "signals": {"pull": "6*t**2", "wind": 0.5}}, kernels.manifest)
     motion = simulate(kernels, given.drive, given.start.q, given.start.qd, given.settings)
     assert motion.q[:, 0] == pytest.approx([0, 0.5**3 / 6 + 0.5**4 / 4, 1 / 6 + 1 / 4], abs=1e-6)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -20,6 +20,7 @@ __all__ = [
     "Method",
     "choose_formulation",
     "complete_settings",
+    "find_idle",
     "find_refusals",
     "takes_too_many_steps",
 ]
@@ -119,6 +120,18 @@ def complete_settings(settings: Settings, *, is_closed: bool) -> Settings:
     if method.family is Family.IMPLICIT and formulation.evaluated.is_direct:
         formulation = Formulation.IMPL
     return replace(settings, formulation=formulation, loops=settings.loops or next(iter(method.keeps), None))
+
+
+def find_idle(settings: Settings, given: Collection[str]) -> Iterator[tuple[str, str, str]]:
+    """Find settings that are given and have no effect: the setting, the finding and the remedy."""
+    own = METHODS[settings.method].settings
+    for name in sorted({name for method in METHODS.values() for name in method.settings} - {*own}):
+        if name in given:
+            known = ", ".join(other for other, method in METHODS.items() if name in method.settings)
+            yield name, f"{settings.method} does not use it", f"leave it out, or give a method that does: {known}"
+    for name in ("alpha", "beta"):
+        if name in given and settings.loops is not Keeping.BAUMGARTE:
+            yield name, "a gain of loops: baumgarte", "leave it out, or give that"
 
 
 def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:

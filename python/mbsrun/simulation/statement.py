@@ -36,7 +36,7 @@ from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.closing import Start
 from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
-from mbsrun.simulation.methods import METHODS, Formulation, find_refusals, takes_too_many_steps
+from mbsrun.simulation.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import Keeping, Settings
 
 Array = NDArray[np.float64]
@@ -76,6 +76,8 @@ def read_statement(
         expect(document, "settings")
     examination = examine(document, SettingsSection)
     reading = _Reading(document, manifest, examination.stand_ins, recording)
+    if options.keys() & {"method", "loops"}:  # another method than the file's, whose settings may be of no use to it
+        reading.minded = frozenset(options)
     faults = list(examination.faults)
     if examination.value is not None:
         statement = reading.statement(examination.value)
@@ -146,6 +148,7 @@ class _Reading(Reading):
     ) -> None:
         super().__init__(document, stand_ins)
         self.manifest, self.recording = manifest, recording
+        self.minded: frozenset[str] | None = None  # settings that must have an effect; None: all that are given
         self.quantities = {name: x for name, x in list_quantities(manifest).items() if x.kind in STATE}
         self.known = (TIME, *self.quantities)  # names that expressions of inputs may use
         self.coordinates = [c.name for c in manifest.coordinates]
@@ -187,6 +190,9 @@ class _Reading(Reading):
             alpha=self.number(("alpha",), section.alpha, 0.0),
             beta=self.number(("beta",), section.beta, 0.0),
         )
+        given = section.model_fields_set
+        for name, finding, remedy in find_idle(settings, given if self.minded is None else given & self.minded):
+            self.fault((name,), finding, remedy)
         for name, finding, remedy in find_refusals(settings, self.manifest):
             self.fault((name,), finding, remedy)
         if settings.rho > 1:

@@ -219,12 +219,44 @@ def test_faults_are_told_with_their_lines(tmp_path: Path, bench: Mechanism, text
 
 
 def test_all_faults_are_told_at_once_and_those_of_options_as_such(tmp_path: Path, bench: Mechanism) -> None:
+    text = "method: generalized-alpha\nrho: 2\nstep: -1\n"
     with pytest.raises(InputError) as error:
-        read(tmp_path, "rho: 2\nstep: -1\n", bench, start={"velocity": {"bop": "1"}}, rtol="x")
+        read(tmp_path, text, bench, start={"velocity": {"bop": "1"}}, max_seconds="x")
     lines = str(error.value).splitlines()
     assert len(lines) == 5
     assert sum(line.startswith("command line: ") for line in lines) == 2
     assert any("duration: missing" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "finding"),
+    [
+        (
+            "method: rk4\nrtol: 1e-3\n",
+            {},
+            ":3: rtol: rk4 does not use it; leave it out, or give a method",
+        ),
+        ("step: 1e-3\n", {}, ":2: step: dop853 does not use it"),
+        (
+            "",
+            {"stages": 3, "method": "rk4"},
+            "command line: stages: rk4 does not use it; leave it out",
+        ),
+        ("alpha: 3\n", {}, ":2: alpha: a gain of loops: baumgarte; leave it out, or give that"),
+    ],
+)
+def test_settings_without_effect_are_refused(
+    text: str, options: dict[str, Any], finding: str, tmp_path: Path, bench: Mechanism
+) -> None:
+    with pytest.raises(InputError) as error:
+        read(tmp_path, f"duration: 1\n{text}", bench, **options)
+    assert finding in str(error.value)
+
+
+def test_another_method_on_the_command_line_needs_no_other_file(tmp_path: Path, bench: Mechanism) -> None:
+    """The file's step is of no use to that method, but is not meant for it."""
+    settings = read(tmp_path, "duration: 1\nmethod: rk4\nstep: 1e-3\n", bench, method="dop853").settings
+    assert settings.method == "dop853"
 
 
 # --- command ---------------------------------------------------------------------------------------------------------
