@@ -32,7 +32,7 @@ from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.structure import structure
-from mbsrun.ocp.surplus import leave_out_surplus
+from mbsrun.ocp.surplus import free_targets, leave_out_surplus
 from mbsrun.ocp.touching import list_steps, set_relaxation
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
@@ -89,7 +89,8 @@ class Solver:
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        run, found, clash = search(x, lambda x: self._call(problem, x, watch))
+        freed = free_targets(problem, self.plant, guess.q[-1])
+        run, found, clash = search(x, lambda x: self._call(freed, x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._describe(problem, run, found, clash)

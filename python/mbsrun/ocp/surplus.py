@@ -1,10 +1,12 @@
-"""Conditions on the end of a motion that its contacts imply: they are left out, if they agree.
+"""Conditions on the end of a motion that its contacts, or driven joints, imply: they are left out, if they agree.
 
 With contacts, J_c qd = 0 at the end, and J_h qd = 0 with closed loops. If N spans the velocities that remain, a
 condition on qd_i has the gradient N_i (row i of N). Of all conditions, as many as N has columns are kept, so that their
 rows are as independent as possible (QR with pivots); the others follow from them. The same holds for accelerations, and
 for coordinates, if the whole start is given: then contacts stay where they are at the start. A condition that follows
 would make the program's Jacobian lose rank, and an interior-point method then takes hundreds of iterations.
+
+Where driven joints leave fewer freedoms than sensors have targets, some targets follow from the others in every pose.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.contacts import Held, find_held, locate
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, Target
 
 RANK = 1e-8  # of rows and columns, relative to the largest
 AGREES = 1e-6  # the difference from an implied value that counts as rounding [rad, m, 1/s]
@@ -58,6 +60,36 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
             _check_pose(problem, plant, held, q, places, kept)
             end = replace(end, coordinates=tuple((i, places[i]) for i in kept))
     return replace(problem, end=end)
+
+
+def free_targets(problem: Problem, plant: Plant, q: Array) -> Problem:
+    """Free targets of sensors that follow from others as driven joints stand at the end, near a pose that meets all.
+
+    Nothing is freed where the end of the given motions is not known, or where the targets' rank is lost in the pose.
+    """
+    manifest, end = plant.manifest, problem.end
+    given = [(k, axis) for k, (_, target) in enumerate(end.sensors) for axis in range(3) if target[axis] is not None]
+    if not manifest.driven or problem.horizon_range is not None or problem.unknowns or not given:
+        return problem
+    n, closure = len(manifest.coordinates), find_closure(plant)
+    rows = np.eye(n)[list(manifest.driven)]
+    free = null_space(rows if closure is None else np.concatenate((rows, closure.jacobian(q))), rcond=RANK)
+    if manifest.quaternions or len(given) <= free.shape[1]:
+        return problem
+    names = [frame.name for frame in manifest.frames if frame.sensor]
+    entries = [3 * names.index(end.sensors[k][0]) + axis for k, axis in given]
+    wanted = np.array([end.sensors[k][1][axis] for k, axis in given], dtype=float)
+    places = np.asarray(plant("sensors", q=q)["position"]).ravel(order="F")[entries]
+    slopes = plant("jac_sensors", q=q)["jac_position_q"][entries] @ free
+    kept = _choose(slopes, range(len(given)))
+    if len(kept) < free.shape[1] or np.abs(places - wanted).max() > AGREES:
+        return problem
+    stay = {given[i] for i in kept}
+    sensors: list[tuple[str, Target]] = []
+    for k, (name, target) in enumerate(end.sensors):
+        x, y, z = (value if (k, axis) in stay else None for axis, value in enumerate(target))
+        sensors.append((name, (x, y, z)))
+    return replace(problem, end=replace(end, sensors=tuple(sensors)))
 
 
 def _constrain(plant: Plant, held: Held, q: Array) -> Array:

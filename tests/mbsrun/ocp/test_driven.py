@@ -28,6 +28,7 @@ from mbsrun.ocp.solve import solve
 from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.statement import read_problem, state_problem
 from mbsrun.ocp.summary import summarise
+from mbsrun.ocp.surplus import free_targets
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import transcribe
@@ -549,6 +550,25 @@ def test_the_guess_follows_the_motion(cart: OnDemand) -> None:
     found = complete(guess, problem, cart)
     assert found.point_qdd[:, :, 0] == pytest.approx(5.4 * np.cos(6 * point_t), abs=1e-12)
     assert not found.point_qdd[:, :, 1].any()
+
+
+def test_targets_that_follow_from_the_given_motion_are_no_conditions(cart: OnDemand) -> None:
+    """The pole alone moves at the end: of the place of its tip, one coordinate decides."""
+    expected = find(cart, state(cart, TASK, Representation.IMPL))
+    tip = cart("sensors", q=expected.trajectory.q[-1])["position"].ravel()
+    task = {**TASK, "end": {"sensors": {"tip": dict(zip("xyz", map(float, tip), strict=True))}, "velocity": "zero"}}
+    problem = state(cart, task, Representation.IMPL)
+    freed = free_targets(problem, cart, expected.trajectory.q[-1])
+    ((_, target),) = freed.end.sensors
+    assert [x is not None for x in target].count(True) == 1
+    away = expected.trajectory.q[-1] + [0, 0.1]
+    assert free_targets(problem, cart, away) == problem  # values that need not agree stay conditions
+    assert free_targets(state(cart, {**FREE, "end": task["end"]}), cart, expected.trajectory.q[-1]).end == problem.end
+    for representation in (Representation.SEMI, Representation.EXP2_A):
+        found = find(cart, state(cart, task, representation))
+        assert found.cost.total == pytest.approx(expected.cost.total, rel=1e-7)
+        assert found.problem.end == problem.end
+        assert found.trajectory.q[-1] == pytest.approx(expected.trajectory.q[-1], abs=1e-7)
 
 
 def test_the_example_is_solved(requires: Callable[[str], str]) -> None:
