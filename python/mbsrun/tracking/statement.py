@@ -36,7 +36,7 @@ from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import normalise
 from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.drive import STATE
-from mbsrun.simulation.methods import METHODS
+from mbsrun.simulation.methods import METHODS, find_idle
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking.trial import TIME, Fallback, Horizon, Kick, Measure, Noise, Push, Trial
 
@@ -291,7 +291,7 @@ class _Reading(Reading):
             self.fault(("plant", "method"), f"{section.method} takes no quaternions", "give dop853")
         if self.manifest.loops and METHODS[section.method].closed is None:
             self.fault(("plant", "method"), f"{section.method} takes no loops", "give dop853")
-        return Settings(
+        settings = Settings(
             duration=period,
             method=section.method,
             step=self.number(("plant", "step"), section.step, positive),
@@ -299,6 +299,9 @@ class _Reading(Reading):
             atol=self.number(("plant", "atol"), section.atol, positive),
             max_seconds=self.number(("plant", "max_seconds"), section.max_seconds, positive),
         )
+        for name, finding, remedy in find_idle(settings, section.model_fields_set):
+            self.fault(("plant", name), finding, remedy)
+        return settings
 
     def parameters(self, section: _PlantSection, values: Mapping[str, float]) -> dict[str, float]:
         """Return changed numbers of the plant, by name."""

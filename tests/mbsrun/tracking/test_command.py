@@ -111,7 +111,7 @@ duration: 1
 rate: 20
 constants: {t0: 1}
 horizon: {end: 1, least: 0.01}
-plant: {scale: {mm: 1.2}, parameters: {k: 3}}
+plant: {scale: {mm: 1.2}, parameters: {k: 3}, step: 1e-3}
 noise: {velocities: {z: 1}, inputs: -1}
 updates: {t1: t, t0: q_x}
 start: {pose: {y: 1}}
@@ -138,6 +138,7 @@ def test_all_faults_of_a_trial_are_reported_with_their_places(folder: Path, push
             (5, "horizon.least"),
             (6, "plant.parameters.k"),
             (6, "plant.scale.mm"),
+            (6, "plant.step"),
             (7, "noise.inputs"),
             (7, "noise.velocities.z"),
             (8, "updates.t0"),
