@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class Problem:
     """The data of a problem, read for a mechanism; `plant` are its kernels, at the problem's parameters."""
 
-    def __init__(self, data: Data, own: Mechanical, plant: Any, seed: int) -> None:
+    def __init__(self, data: Data, own: Mechanical, plant: Any, seed: int | str) -> None:
         self.data, self.own = data, own
         self.pick = random.Random(f"{seed} motion")
         self.constants: dict[str, float] = {}

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solve import Solver
@@ -25,26 +26,30 @@ STEP = 2e-4
 SMOOTH = 2e-6  # relative to the sum of magnitudes
 ROUNDING = 1e-8  # between backends
 AWAY = 0.02  # how far from the motion derivatives are taken
-ATTEMPTS = 3  # a kink or a pole may lie within a step, but not everywhere
+ATTEMPTS = (
+    3  # a kink or a pole may lie within a step, but not everywhere; each takes a shorter step, for steep functions
+)
 
 
-def find_wrong_derivatives(stated: Problem, solver: Solver, x: Array, rng: np.random.Generator) -> list[str]:
+def find_wrong_derivatives(
+    functions: Functions, p: Array, bounds: tuple[Array, Array], x: Array, rng: np.random.Generator
+) -> list[str]:
     """Compare derivatives near x; return what is wrong at each of several places."""
     found: list[str] = []
-    for _ in range(ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         place = x + AWAY * rng.uniform(-1, 1, x.size) * (1 + abs(x))
-        found = list(_compare_with_differences(stated, solver, place, rng))
+        found = list(_compare_with_differences(functions, p, bounds, place, STEP / 5**attempt, rng))
         if not found:
             break
     return found
 
 
-def _compare_with_differences(stated: Problem, solver: Solver, x: Array, rng: np.random.Generator) -> Iterator[str]:
-    functions, p = solver.program.casadi, solver.transcription.parameters(stated)
+def _compare_with_differences(
+    functions: Functions, p: Array, bounds: tuple[Array, Array], x: Array, step: float, rng: np.random.Generator
+) -> Iterator[str]:
     along, sigma = rng.uniform(-1, 1, x.size), 0.7
     lam = rng.uniform(-1, 1, functions.constraints)
-    lower, upper = solver.transcription.constraint_bounds(stated)
-    lam[~(np.isfinite(lower) | np.isfinite(upper))] = 0.0
+    lam[~np.isfinite(bounds).any(axis=0)] = 0.0
 
     def lagrange(x: Array) -> Array:
         """Return the gradient of the Lagrangian."""
@@ -60,18 +65,20 @@ def _compare_with_differences(stated: Problem, solver: Solver, x: Array, rng: np
         ("Jacobian", lambda x: functions.constraint(x, p).full().ravel(), J),
         ("Hessian", lagrange, H),
     ):
-        off = _measure(function, sparse.csr_array(matrix), x, along)
+        off = _measure(function, sparse.csr_array(matrix), x, along, step)
         if not off <= SMOOTH:
             yield f"{name} by {off:.1e}"
 
 
-def _measure(function: Callable[[Array], Array], matrix: sparse.csr_array, x: Array, along: Array) -> float:
+def _measure(
+    function: Callable[[Array], Array], matrix: sparse.csr_array, x: Array, along: Array, step: float
+) -> float:
     """Return the largest difference of a product with a direction from the slope along it."""
 
-    def slope(step: float) -> Array:
-        return (function(x + step * along) - function(x - step * along)) / (2 * step)
+    def slope(h: float) -> Array:
+        return (function(x + h * along) - function(x - h * along)) / (2 * h)
 
-    wanted = (4 * slope(STEP / 2) - slope(STEP)) / 3
+    wanted = (4 * slope(step / 2) - slope(step)) / 3
     found, size = matrix @ along, abs(matrix) @ abs(along)
     return float((abs(found - wanted) / (1 + size)).max(initial=0))
 

@@ -21,7 +21,7 @@ SHORT = 0.09  # of an interval [s], about
 class Drawing:
     """Draws one problem."""
 
-    def __init__(self, mechanism: Mechanical, seed: int) -> None:
+    def __init__(self, mechanism: Mechanical, seed: int | str) -> None:
         self.own, self.pick = mechanism, random.Random(f"{seed} problem")
         self.data: Data = {}
         self.is_standard = True

@@ -105,7 +105,8 @@ def examine(drawn: Drawn, plant: Plant) -> str:
     comparison, sections = compare(drawn, plant, stated, equipped)
     faults = [comparison.run(sections)]
     solver, x, rng = comparison.solver, comparison.x, np.random.default_rng(drawn.seed)
-    faults += find_wrong_derivatives(stated, solver, x, rng)
+    bounds = solver.transcription.constraint_bounds(stated)
+    faults += find_wrong_derivatives(solver.program.casadi, comparison.p, bounds, x, rng)
     faults += find_differing_backends(stated, solver, x, rng)
     if drawn.seed % WITH_TABLES == 0:
         faults += find_differing_tables(stated, solver, solver.plant, x, rng)
@@ -175,20 +176,8 @@ class Comparison:
             for value, low, high in zip(values[left], lows[left], highs[left], strict=True)
             if np.isfinite(low) or np.isfinite(high)
         ]
-        used = [False] * len(numbers)
-        table = np.array(numbers).reshape(-1, 3)
-        for demand in demands:
-            low, high = demand.limits
-            fits = np.flatnonzero(match(table[:, 1], low) & match(table[:, 2], high))
-            for value in demand.values:
-                if low == high and abs(value - low) <= SAME * (1 + abs(low)):
-                    continue
-                hits = [i for i in fits if abs(table[i, 0] - value) <= SAME * (1 + abs(value))]
-                for i in hits:
-                    used[i] = True
-                if not hits and not demand.is_optional:
-                    self.faults.append(f"no limits [{low:.9g}, {high:.9g}] of {demand.title} = {value:.9g}")
-        left = [number for number, is_used in zip(numbers, used, strict=True) if not is_used]
+        faults, left = compare_numbers(numbers, demands)
+        self.faults += faults
         if attitudes and len(left) == 3 * len(attitudes):
             self.judge("attitudes", np.array(sum(value**2 for value, *_ in left)), np.array(sum(attitudes)))
             left = []
@@ -226,6 +215,27 @@ class Comparison:
         off = float((abs(found - wanted) / (1 + abs(wanted))).max(initial=0))
         if not off <= SAME:
             self.faults.append(f"{name} by {off:.1e}")
+
+
+Limited = tuple[float, float, float]  # a number, and its limits
+
+
+def compare_numbers(numbers: Sequence[Limited], demands: Sequence[Demand]) -> tuple[list[str], list[Limited]]:
+    """Return the demands that no number meets, and the numbers that no demand names."""
+    used, faults = [False] * len(numbers), []
+    table = np.array(numbers).reshape(-1, 3)
+    for demand in demands:
+        low, high = demand.limits
+        fits = np.flatnonzero(match(table[:, 1], low) & match(table[:, 2], high))
+        for value in demand.values:
+            if low == high and abs(value - low) <= SAME * (1 + abs(low)):
+                continue
+            hits = [i for i in fits if abs(table[i, 0] - value) <= SAME * (1 + abs(value))]
+            for i in hits:
+                used[i] = True
+            if not hits and not demand.is_optional:
+                faults.append(f"no limits [{low:.9g}, {high:.9g}] of {demand.title} = {value:.9g}")
+    return faults, [number for number, is_used in zip(numbers, used, strict=True) if not is_used]
 
 
 def match(values: Array, limit: float) -> NDArray[np.bool_]:
