@@ -27,8 +27,10 @@ typedef struct {
 
 #define MBS_FACE(name, f) {name, f, f##_n_in, f##_n_out, f##_name_in, f##_sparsity_in, f##_sparsity_out, f##_diff_in}
 
-/* What `setup` made of the run-time parameters: the input `h` of every kernel. To be set before all comparisons. */
-extern const casadi_real *mbs_check_h;
+/* The run-time parameters, and what `setup` made of them: the inputs `p` (or `given_p`) and `h` of every kernel. To be
+ * set before all comparisons.
+ */
+extern const casadi_real *mbs_check_p, *mbs_check_h;
 
 /* The differentiated parameters: the input `theta` of every kernel that has it. To be set like these. */
 extern const casadi_real *mbs_check_theta;

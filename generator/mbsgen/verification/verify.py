@@ -17,12 +17,15 @@ from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import Computation, evaluate
 from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import DECIMALS, fifty_digits
+from mbsgen.tape.ports import Port
+from mbsgen.tape.rounding import UNIT
 from mbsgen.targets.contract import Family
 from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
 from mbsgen.verification.functions import Comparison, Results, Truth, grow_energy, list_expectations, write_equations
 from mbsgen.verification.states import Numbers, State, draw_start, draw_states
 
 STATES = 2  # with parameters at their values, and near them
+ROUNDOFF = Decimal(2) ** -53  # of doubles; mbs_check.c has the same
 TRIED = 8  # states, where force laws have no value at some
 TOLERANCE = Decimal("1e-20")  # rounding is 1e-45, differences err by 1e-30; faults change leading digits
 
@@ -114,14 +117,16 @@ class _Verifier:
     def _arguments(self, tape: Computation, state: State) -> dict[str, Numbers]:
         if _closes(tape):
             state = replace(state, coordinates=draw_start(self.tree))
-        return {
-            i.name: [Decimal(0)] * i.sparsity.nnz
-            if i.port.role is Role.REMAINDER
-            else self._setup(state)
-            if i.port.role is Role.SETUP
-            else state.take(i.name, i.sparsity.nnz)
-            for i in tape.inputs
-        }
+        return {i.name: self._argument(i.port, i.sparsity.nnz, state) for i in tape.inputs}
+
+    def _argument(self, port: Port, count: int, state: State) -> Numbers:
+        if port.role is Role.REMAINDER:
+            return [Decimal(0)] * count
+        if port.role is Role.SETUP:
+            return self._setup(state)
+        if port == UNIT:
+            return [ROUNDOFF]
+        return state.take(ports.PARAMETERS.name if port.role is Role.PARAMETER else port.name, count)
 
     def _setup(self, state: State) -> Numbers:
         setup = next((family.value for family in self.families if family.value.giving(Role.SETUP)), None)

@@ -13,7 +13,7 @@ import pytest
 from mbsgen.families import write_families
 from mbsgen.formulations import ports
 from mbsgen.model.scene import Scene
-from mbsgen.pipeline import read_tree
+from mbsgen.pipeline import generate, read_tree
 from mbsgen.request import Options, merge
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, replay
@@ -24,6 +24,13 @@ from tests.mbsgen.targets.compilation import Requires, run
 from tests.mbsgen.targets.guarded import guarded_tape
 from tests.sample import family, sample_families, sample_tape, write_sample
 
+MODELS = Path(__file__).parents[3] / "models"
+STEEP = """
+name: steep
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: arm, joint: {type: revolute, axis: y, force: -0.3*tanh(qd/SPEED)}, mass: 1, com: [0.3, 0, 0]}
+"""
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -59,6 +66,29 @@ def test_whole_models_pass(
         assert f"adj1_{name} against jac_{name}" in found
         assert f"jac_adj1_{name} against differences of adj1_{name}" in found
     assert "sensors against the last of frames" in found
+
+
+@pytest.mark.parametrize(("speed", "flags"), [("0.15", ["-O0"]), ("0.3", ["-O0", "-DMBS_REAL=float"])])
+def test_steep_laws_pass(speed: str, flags: list[str], tmp_path: Path, requires: Requires) -> None:
+    """Friction that turns within a low speed bends derivatives far between two differences."""
+    model = tmp_path / "steep.yaml"
+    model.write_text(STEEP.replace("SPEED", speed), encoding="utf-8")
+    generate(model, tmp_path / "steep", Options(functions=("impl",)))
+    status, found = check(build(tmp_path / "steep", tmp_path / "check", requires("gcc"), *flags))
+    assert (status, set(found.values())) == (0, {"ok"})
+    assert "jac_adj1_impl against differences of adj1_impl" in found
+
+
+@pytest.mark.parametrize("runtime", [False, True], ids=["numbers", "parameters"])
+@pytest.mark.parametrize("model", ["pendulum", "satellite"])
+def test_bounds_and_double_double_pass(model: str, runtime: bool, tmp_path: Path, requires: Requires) -> None:
+    """With parameters at run time, which the functions read themselves, whatever their results are called."""
+    options = Options(functions=("impl", "frames"), targets=("bounds", "double-double"), runtime=runtime)
+    generate(MODELS / f"{model}.yaml", tmp_path / "folder", options)
+    status, found = check(build(tmp_path / "folder", tmp_path / "check", requires("gcc"), "-O0"))
+    assert (status, set(found.values())) == (0, {"ok"})
+    assert {"bounded_impl against 50 digits", "bounded_frames against 50 digits"} <= found.keys()
+    assert (tmp_path / "folder" / f"{model}_dd_frames.c").exists()
 
 
 def test_closed_mechanisms_pass_in_single_precision(closed: Path, tmp_path: Path, requires: Requires) -> None:
