@@ -45,8 +45,8 @@ from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, l
 from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.tree import Tree
-from mbsgen.output import find_differences, write_file
-from mbsgen.pipeline import Options, generate, make, read, read_tree
+from mbsgen.output import find_differences, write_file, write_folder
+from mbsgen.pipeline import Options, make, read, read_tree
 from mbsgen.report import (
     COLUMNS,
     COMPARISON,
@@ -294,13 +294,16 @@ def generate_command(
         tolerance=tolerance,
     )
     source = _read(model, choices)
-    if check:
-        with _progress() as tell:
-            made = make(source, options, tell)
-        _check_folder({**made.files, **made.packages}, out)
-        return
     with _progress() as tell:
-        product = generate(source, out, options, tell)
+        product = make(source, options, tell)
+    if lump and not product.manifest.parameters:
+        raise click.BadParameter(
+            "the model has no parameter at run time; give --runtime too, or leave it out", param_hint="--lump"
+        )
+    if check:
+        _check_folder({**product.files, **product.packages}, out)
+        return
+    write_folder({**product.files, **product.packages}, out)
     print_report(product.report)
     click.echo(f"wrote {len(product.files) + len(product.packages)} files to {out}", err=True)
 

@@ -14,11 +14,13 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache, wraps
 from importlib.util import find_spec
 from pathlib import Path, PurePath
+from typing import TypeVar, TypeVarTuple
 
 from mbsgen.errors import MbsError
 from mbsrun.cache import COMPILED, find_or_make
@@ -46,6 +48,10 @@ _FAST_MATH = re.compile(r"#define (__FAST_MATH__|__FINITE_MATH_ONLY__) 1\b")
 
 class CompileError(MbsError):
     """A library that could not be compiled."""
+
+
+_Given = TypeVarTuple("_Given")
+_Made = TypeVar("_Made")
 
 
 @dataclass(frozen=True)
@@ -105,6 +111,20 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
     if _FAST_MATH.search(macros):
         raise CompileError(f"{' '.join(command)} compiles with fast-math; kernels must keep IEEE arithmetic")
     return Compiler(tuple(command), flags, macros)
+
+
+def once_per_compiler(make: Callable[[*_Given], _Made]) -> Callable[[*_Given], _Made]:
+    """Let a function that compiles do so once for its arguments and for what CC and CFLAGS are at the call."""
+
+    @cache
+    def kept(_: tuple[str | None, ...], *given: *_Given) -> _Made:
+        return make(*given)
+
+    @wraps(make)
+    def find(*given: *_Given) -> _Made:
+        return kept(tuple(map(os.environ.get, ("CC", "CFLAGS"))), *given)
+
+    return find
 
 
 def find_zig() -> tuple[str, ...]:

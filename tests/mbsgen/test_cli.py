@@ -289,6 +289,14 @@ def test_names_are_no_markup(mbsgen: Command) -> None:
     assert "[red] hinge" in mbsgen("show", "model.yaml").out
 
 
+def test_lumping_needs_parameters_at_run_time(mbsgen: Command) -> None:
+    done = mbsgen("pendulum.yaml", "--lump", "-o", "out")
+    assert done.code == BAD_INPUT
+    assert "the model has no parameter at run time; give --runtime too, or leave it out" in done.err
+    assert not Path("out").exists()
+    assert mbsgen("pendulum.yaml", "--lump", "--runtime", "--functions=impl", "-o", "out").code == 0
+
+
 def test_masses_are_not_both_lumped_and_left_alone(mbsgen: Command) -> None:
     done = mbsgen("pendulum.yaml", "--lump", "--without=lump", "-o", "out")
     assert done.code == BAD_INPUT

@@ -18,6 +18,7 @@ from mbsrun import load
 from mbsrun.cache import ABANDONED, HASH, cache_folder
 from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler, find_zig
 from mbsrun.models import Extent, find_folder
+from mbsrun.ocp.stages import interface
 from tests.sample import write_sample
 
 ROOT = Path(__file__).parents[2]
@@ -90,6 +91,16 @@ def test_other_flags_make_another_library(tmp_path: Path, own_cache: Path, monke
     plain = compile_folder(folder)
     monkeypatch.setenv("CFLAGS", "-O0")
     assert compile_folder(folder) != plain
+    assert len(list(own_cache.rglob("*.so"))) == 2
+
+
+def test_a_library_of_the_project_follows_the_flags(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first flags of a process do not hold for all that it solves."""
+    monkeypatch.setenv("CFLAGS", "-O0")
+    slow = interface.load()
+    assert interface.load() is slow
+    monkeypatch.delenv("CFLAGS")
+    assert interface.load() is not slow
     assert len(list(own_cache.rglob("*.so"))) == 2
 
 

@@ -6,7 +6,6 @@ NumPy's batches call LAPACK for each system, which takes three times as long for
 from __future__ import annotations
 
 import os
-from functools import cache
 from typing import Any
 
 import cffi
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
-from mbsrun.library import compile_library, find_compiler
+from mbsrun.library import compile_library, find_compiler, once_per_compiler
 
 Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ class Factors:
         return x
 
 
-@cache
+@once_per_compiler
 def _load() -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     ffi.cdef(_CDEF)

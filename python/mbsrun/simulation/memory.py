@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from functools import cache
 from typing import Any
 
 import cffi
@@ -15,7 +14,7 @@ from mbsgen import resources
 from mbsgen.manifest import Argument
 from mbsrun.binding import Entry, bind
 from mbsrun.kernel import Kernels
-from mbsrun.library import compile_library, find_compiler
+from mbsrun.library import compile_library, find_compiler, once_per_compiler
 
 Array = NDArray[np.float64]
 
@@ -79,7 +78,7 @@ def load_functions(declarations: str, *sources: str) -> tuple[Any, Any]:
     return _load(declarations, sources)
 
 
-@cache
+@once_per_compiler
 def _load(declarations: str, sources: tuple[str, ...]) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     ffi.cdef(declarations)

@@ -402,7 +402,7 @@ class Workspace:
         self.bounds = [np.append(part, 0.0) for part in bounds]
         problem = self.problem = ffi.new("mbs_stages_problem *")
         problem.stages, problem.size = len(tables.data.kind_of_stage), tables.sizes
-        self.team = Team(self.evaluator.instance, threads)
+        self.team = Team(ffi, lib, self.evaluator.instance, threads)
         problem.context, problem.team = self.team.contexts, self.team.c
         for name in ("values", "jacobians", "hessian"):
             setattr(problem, name, ffi.addressof(lib, f"mbs_timed_{name}"))

@@ -7,14 +7,13 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cffi
 
 from mbsgen import resources
-from mbsrun.library import CompileError, compile_library, find_compiler
+from mbsrun.library import CompileError, compile_library, find_compiler, once_per_compiler
 
 _TIMED = "mbs_timed_program.c"
 _SCALAR = "-fno-tree-slp-vectorize"  # a flag that is good for kernels; rows of the solver want vectors
@@ -30,7 +29,7 @@ def read_declarations(text: str) -> str:
     return _DIRECTIVES.sub("", re.sub(r"[ \t]+$", "", text, flags=re.MULTILINE))
 
 
-@cache
+@once_per_compiler
 def load() -> tuple[Any, Any]:
     """Compile and load the solver and the evaluator. Raises CompileError."""
     folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing")]
@@ -45,9 +44,9 @@ def load() -> tuple[Any, Any]:
     return ffi, ffi.dlopen(str(library))
 
 
-@cache
-def load_threads() -> Any:
-    """Compile and load the team of threads, which `load` declares. Raises CompileError."""
+@once_per_compiler
+def load_threads(ffi: Any) -> Any:
+    """Compile and load the team of threads, for the declarations that come with `load`. Raises CompileError."""
     compiler = find_compiler(os.environ)
     compiler = replace(compiler, flags=(*compiler.flags, "-pthread"))
     try:
@@ -56,7 +55,7 @@ def load_threads() -> Any:
         )
     except CompileError as error:
         raise CompileError(f"solver.threads: more than one needs POSIX threads; leave it out. {error}") from None
-    return load()[0].dlopen(str(library))
+    return ffi.dlopen(str(library))
 
 
 def _find_threads() -> Path:

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp.stages.interface import load, load_threads
+from mbsrun.ocp.stages.interface import load_threads
 
 
 class Team:
     """The workers of a solver, each with its own instance of the functions, and with their time."""
 
-    def __init__(self, instance: Any, threads: int) -> None:
-        """Take the instance of worker 0; others get its tables and its numbers. Raises CompileError."""
-        self._ffi, self._lib = load()
-        ffi, size = self._ffi, self._lib.mbs_program_bytes(instance.program)
+    def __init__(self, ffi: Any, lib: Any, instance: Any, threads: int) -> None:
+        """Take the instance of worker 0 in a library; others get its tables and its numbers. Raises CompileError."""
+        self._ffi, self._lib = ffi, lib
+        size = self._lib.mbs_program_bytes(instance.program)
         self._memories = [make_memory(size) for _ in range(threads - 1)]
         self.contexts = ffi.new("mbs_timed_program[]", threads)
         self.contexts[0].instance = instance
@@ -27,7 +27,7 @@ class Team:
             context.instance.parameters, context.instance.numbers = instance.parameters, instance.numbers
         self.c: Any = ffi.NULL
         if threads > 1:
-            self._threads = load_threads()
+            self._threads = load_threads(ffi)
             self._pool = make_memory(self._threads.mbs_threads_bytes(threads))
             self._pointers = ffi.new("void *[]", [ffi.addressof(self.contexts, i) for i in range(threads)])
             spread = ffi.addressof(self._threads, "mbs_threads_spread")
