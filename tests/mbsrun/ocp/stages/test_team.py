@@ -17,7 +17,8 @@ from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
-from mbsrun.ocp.stages import interface, threads
+from mbsrun.ocp.stages import interface
+from mbsrun.ocp.stages import threads as teams
 from tests.mbsrun.ocp.stages.shipped import read
 
 SHOOTING = {"form": Form.SHOOTING, "representation": Representation.EXP1_O}
@@ -107,7 +108,7 @@ def test_a_compiler_without_threads_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
     problem, plant = read("cart_pole_swing_up", intervals=4, degree=3)
     monkeypatch.setattr(interface, "compile_library", fail)
-    monkeypatch.setattr(threads, "load_threads", inspect.unwrap(interface.load_threads))
+    monkeypatch.setattr(teams, "load_threads", inspect.unwrap(interface.load_threads))
     with pytest.raises(MbsError, match=r"solver.threads: .* leave it out\. pthread.h: no such file"):
         solve(use(problem, 2), plant)
     assert isinstance(solve(problem, plant), Solution)
