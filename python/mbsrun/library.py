@@ -114,7 +114,7 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
 
 
 def once_per_compiler(make: Callable[[*_Given], _Made]) -> Callable[[*_Given], _Made]:
-    """Let a function that compiles do so once for its arguments and for what CC and CFLAGS are at the call."""
+    """Return a function that compiles once for its arguments and the values of CC and CFLAGS at the call."""
 
     @cache
     def kept(_: tuple[str | None, ...], *given: *_Given) -> _Made:
