@@ -200,14 +200,37 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     }
 }
 
-/* Factorise the inner equations, and find V. */
+/* Whether the inner equations of a stage have new numbers, and an order. */
+static int can_factorise(const mbs_stages_stage *s)
+{
+    return s->inner.n > 0 && s->inner.stale && s->inner.pivots->ready;
+}
+
+/* Factorise the inner equations of stages from `k` on that share an order; returns the stage after them. */
+static int factorise_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, int to)
+{
+    const int first = k;
+    mbs_stages_pivots *p = r->stage[k].inner.pivots;
+    mbs_stages_together several;
+    for (several.count = 0; k < to && several.count < MBS_STAGES_TOGETHER; ++k, ++several.count) {
+        mbs_stages_inner *y = &r->stage[k].inner;
+        if (!can_factorise(&r->stage[k]) || y->pivots != p)
+            break;
+        y->factors.upper = y->factors.lower + p->lower[p->n];
+        several.value[several.count] = r->stage[k].E.value;
+        several.factors[several.count] = &y->factors;
+    }
+    mbs_stages_factorise_together(p, &several, m->together, r->zero_pivot);
+    for (k = 0; k < several.count; ++k)
+        r->stage[first + k].inner.own = several.failed[k] >= 0;
+    return first + several.count;
+}
+
+/* S by the factors that are there, or by complete pivoting. */
 static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     mbs_stages_inner *y = &s->inner;
     y->deferred = y->missing = 0;
-    y->factors.upper = y->factors.lower + (y->pivots->ready ? y->pivots->lower[y->n] : 0);
-    y->own = !y->pivots->ready || mbs_stages_factorise_block(y->pivots, &s->E, &y->factors, m->vector[5],
-                                                             m->block, r->zero_pivot) >= 0;
     if (y->own) {
         const mbs_stages_complete c = factorise_completely(r, m, s);
         defer(s, &c);
@@ -336,9 +359,8 @@ static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stag
         mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
 }
 
-void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k)
+static void condense_stage(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    mbs_stages_stage *s = &r->stage[k];
     if (s->inner.n == 0) {
         spread_matrices(r, s);
         return;
@@ -349,6 +371,18 @@ void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch
         s->inner.stale = 0;
     }
     reduce_cost(r, m, s);
+}
+
+void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int from, int to)
+{
+    int k;
+    for (k = from; k < to; ++k)
+        if (r->stage[k].inner.n > 0 && r->stage[k].inner.stale && !r->stage[k].inner.pivots->ready)
+            r->stage[k].inner.own = 1;
+    for (k = from; k < to;)
+        k = can_factorise(&r->stage[k]) ? factorise_inner(r, m, k, to) : k + 1;
+    for (k = from; k < to; ++k)
+        condense_stage(r, m, &r->stage[k]);
 }
 
 /* s = -r_y^-1 r; deferred variables are 0. */

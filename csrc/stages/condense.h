@@ -10,9 +10,9 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r);
 /* Forget all orders, so that a solve does not depend on the solves before it. */
 void mbs_stages_forget_orders(mbs_stages_recursion *r);
 
-/* Write the dense matrices of stage k, by the diagonal that is there. Here and below, other stages may be worked on at
- * the same time, in other memory `m`. */
-void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k);
+/* Write the dense matrices of stages from .. to - 1, by the diagonal that is there. Here and below, other stages may be
+ * worked on at the same time, in other memory `m`. */
+void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int from, int to);
 
 /* The place of variable i in the recursion; -1 for an inner one. */
 int mbs_stages_outer(const mbs_stages_stage *s, int i);

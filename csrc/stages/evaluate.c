@@ -129,6 +129,21 @@ static int is_finite_symmetric(const mbs_stages_matrix *H)
     return 1;
 }
 
+static int is_one(int n, const real *scale)
+{
+    int i;
+    for (i = 0; i < n; ++i)
+        if (scale[i] != 1)
+            return 0;
+    return 1;
+}
+
+static void scale_matrix(const mbs_stages *s, const mbs_stages_matrix *A, const real *row, const real *column)
+{
+    if (s->has_units || !is_one(A->rows, row))
+        mbs_stages_matrix_scale(A, row, column);
+}
+
 static int stage_jacobians(mbs_stages *s, void *context, int k, const real *w, real *gradient)
 {
     const mbs_stages_stage *t = &s->recursion.stage[k];
@@ -147,9 +162,9 @@ static int stage_jacobians(mbs_stages *s, void *context, int k, const real *w, r
         return -1;
     for (i = 0; i < t->n; ++i)
         gradient[t->w + i] *= s->cost_scale * scale[i];
-    mbs_stages_matrix_scale(&t->E, s->row_scale + t->e, scale);
-    mbs_stages_matrix_scale(&t->F, s->row_scale + t->d, scale);
-    mbs_stages_matrix_scale(&t->G, s->row_scale + t->g, scale);
+    scale_matrix(s, &t->E, s->row_scale + t->e, scale);
+    scale_matrix(s, &t->F, s->row_scale + t->d, scale);
+    scale_matrix(s, &t->G, s->row_scale + t->g, scale);
     return 0;
 }
 
@@ -198,7 +213,7 @@ static int stage_hessian(mbs_stages *s, void *context, int k, const real *w, rea
         return -1;
     if (!is_finite_symmetric(&t->H))
         return -1;
-    mbs_stages_matrix_scale(&t->H, scale, scale);
+    scale_matrix(s, &t->H, scale, scale);
     return 0;
 }
 

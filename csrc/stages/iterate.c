@@ -65,7 +65,7 @@ static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i) {
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (real_abs(p->lower[i]) < MBS_STAGES_INFINITE)
             mend_bound(&p->x[i], &p->lower[i], &p->zl[i], p->mu, 1);

@@ -176,9 +176,8 @@ static int count_block(const mbs_stages_stage *t, const mbs_stages_patterns *pat
 /* The order of pivots of a kind of stages, and how large factors are. */
 static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int entries, int capacity)
 {
-    int **const of_rows[] = {&p->row, &p->column}, **const of_places[] = {&p->entry, &p->lower, &p->upper, &p->below};
-    int **const of_nonzeros[] = {&p->lower_place, &p->lower_row, &p->upper_place,
-                                 &p->upper_column, &p->below_place, &p->below_at};
+    int **const of_rows[] = {&p->row, &p->column}, **const of_places[] = {&p->entry, &p->lower, &p->upper};
+    int **const of_nonzeros[] = {&p->lower_place, &p->lower_row, &p->upper_place, &p->upper_column};
     size_t i;
     p->n = n;
     p->first = first;
@@ -186,9 +185,9 @@ static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int ent
     p->capacity = capacity;
     for (i = 0; i < 2; ++i)
         *of_rows[i] = take(a, (size_t)n, sizeof(int));
-    for (i = 0; i < 4; ++i)
+    for (i = 0; i < 3; ++i)
         *of_places[i] = take(a, (size_t)n + 1, sizeof(int));
-    for (i = 0; i < 6; ++i)
+    for (i = 0; i < 4; ++i)
         *of_nonzeros[i] = take(a, (size_t)capacity, sizeof(int));
     p->entry_at = take(a, (size_t)entries, sizeof(int));
     p->entry_place = take(a, (size_t)entries, sizeof(int));
@@ -292,6 +291,7 @@ typedef struct {
     int variables, rows;                /* of a stage */
     int outer, outer_rows;              /* of the recursion */
     int inner, inner_rows, width;       /* of inner variables, and of right-hand sides for them */
+    int factors;                        /* numbers of one factorisation */
 } extent;
 
 static void extend(extent *e, const mbs_stages_stage *t)
@@ -304,6 +304,7 @@ static void extend(extent *e, const mbs_stages_stage *t)
     if (t->inner.n == 0)
         return;
     e->inner = larger(e->inner, t->inner.n);
+    e->factors = larger(e->factors, 2 * t->inner.n + t->inner.capacity);
     e->inner_rows = larger(e->inner_rows, larger(larger(ne, t->inner.n), larger(t->next, t->ng)));
     e->width = larger(e->width, mbs_stages_width(outer));
 }
@@ -319,6 +320,7 @@ static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
     for (i = 0; i < 8; ++i)
         m->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
     m->block = numbers(a, e->inner, e->inner);
+    m->together = numbers(a, e->factors, MBS_STAGES_TOGETHER);
     m->right = numbers(a, e->inner_rows, e->width);
     m->product = numbers(a, e->width, e->width);
     m->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
@@ -339,7 +341,7 @@ static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int wor
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
-    extent most = {1, 1, 1, 1, 0, 0, 0};
+    extent most = {1, 1, 1, 1, 0, 0, 0, 0};
     int k;
     mbs_stages_stage spare;
     for (k = 0; k < problem->stages; ++k) {

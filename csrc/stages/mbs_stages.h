@@ -117,7 +117,8 @@ typedef struct {
     double seconds;                       /* limit by the clock; 0: none */
     mbs_stages_real barrier;              /* the first barrier parameter: 0.1 */
     int adaptive;                         /* 1: choose the first barrier parameter by an affine step */
-    int warm;                             /* 1: the point holds multipliers too; start from all of it */
+    int warm;                             /* 1: the point holds multipliers too; start from all of it, with the scales
+                                           * of the solve before, if there was one */
     int by_stage;                         /* 1: add curvature only from the stage on that lacks it: 0 */
     int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
     int scale_by_bounds;                  /* 1: variables without given scales take the larger of two bounds: 0 */

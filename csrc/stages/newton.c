@@ -31,7 +31,7 @@ static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
     int i;
     for (i = 0; i < p->size; ++i) {
         p->sigma[i] = 0;
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (has(p->lower[i]))
             p->sigma[i] += p->zl[i] / (p->x[i] - p->lower[i]);
@@ -67,7 +67,7 @@ static void add_curvature(const mbs_stages *s, mbs_stages_phase *p, int first, r
 /* How far variable i yields to a force of 1. The slack of a row without bounds yields freely. */
 static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i)
 {
-    if (mbs_stages_is_fixed(s, i))
+    if (s->fixed[i])
         return 0;
     return p->sigma[i] > 0 ? 1 / p->sigma[i] : FREE;
 }
@@ -292,7 +292,7 @@ void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_
     int i;
     for (i = 0; i < p->size; ++i) {
         const real below = p->x[i] - p->lower[i], above = p->upper[i] - p->x[i];
-        const int fixed = mbs_stages_is_fixed(s, i);
+        const int fixed = s->fixed[i];
         d->zl[i] = !fixed && has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
         d->zu[i] = !fixed && has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
     }
@@ -368,7 +368,7 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_find_lagrangian(s, p);
     mbs_stages_stationarity(s, p, 0, p->slope);
     for (i = 0; i < p->size; ++i)
-        p->sigma[i] = mbs_stages_is_fixed(s, i) ? 0 : 1;
+        p->sigma[i] = s->fixed[i] ? 0 : 1;
     for (i = 0; i < s->variables; ++i)
         r->diagonal[i] = 1;
     find_compliance(s, p);

@@ -13,27 +13,33 @@ static int has(real bound)
     return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
-int mbs_stages_is_fixed(const mbs_stages *s, int i)
-{
-    return s->fixed[i];
-}
-
 real mbs_stages_sum(int n, const real *c)
 {
-    real sum = 0;
-    int i;
-    for (i = 0; i < n; ++i)
-        sum += real_abs(c[i]);
-    return sum;
+    real sum[4] = {0};
+    int i, l;
+    for (i = 0; i + 4 <= n; i += 4)
+        for (l = 0; l < 4; ++l)
+            sum[l] += real_abs(c[i + l]);
+    for (; i < n; ++i)
+        sum[0] += real_abs(c[i]);
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+static real larger(real a, real b)
+{
+    return a > b ? a : b;
 }
 
 real mbs_stages_largest(int n, const real *c)
 {
-    real most = 0;
-    int i;
-    for (i = 0; i < n; ++i)
-        most = real_abs(c[i]) > most ? real_abs(c[i]) : most;
-    return most;
+    real most[4] = {0};
+    int i, l;
+    for (i = 0; i + 4 <= n; i += 4)
+        for (l = 0; l < 4; ++l)
+            most[l] = larger(real_abs(c[i + l]), most[l]);
+    for (; i < n; ++i)
+        most[0] = larger(real_abs(c[i]), most[0]);
+    return larger(larger(most[0], most[1]), larger(most[2], most[3]));
 }
 
 /* Violations, and the distance from the point where restoration began. */
@@ -109,7 +115,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
     int i;
     for (i = 0; i < p->size; ++i) {
         const int below = has(p->lower[i]), above = has(p->upper[i]);
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (below)
             logarithms += real_log(x[i] - p->lower[i]);
@@ -142,7 +148,7 @@ real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const re
     real sum = 0;
     int i;
     for (i = 0; i < p->size; ++i)
-        if (!mbs_stages_is_fixed(s, i))
+        if (!s->fixed[i])
             sum += (p->gradient[i] + barrier_slope(p, i)) * dx[i];
     return sum;
 }
@@ -171,7 +177,7 @@ void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, re
 {
     int i;
     for (i = 0; i < p->size; ++i)
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             out[i] = 0;
         else
             out[i] = p->lagrangian[i] + (barrier ? barrier_slope(p, i) : p->zu[i] - p->zl[i]);
@@ -186,7 +192,7 @@ static real complementarity(const mbs_stages *s, const mbs_stages_phase *p, real
     *count = 0;
     for (i = 0; i < p->size; ++i) {
         real a = 0, b = 0;
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (has(p->lower[i]))
             a = real_abs((p->x[i] - p->lower[i]) * p->zl[i] - mu), ++*count;
@@ -207,7 +213,7 @@ real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, con
     int i, count = 0;
     for (i = 0; i < p->size; ++i) {
         const real x = p->x[i] + (d ? alpha * d->x[i] : 0);
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (has(p->lower[i]))
             sum += (x - p->lower[i]) * (p->zl[i] + (d ? dual * d->zl[i] : 0)), ++count;
@@ -257,7 +263,7 @@ real mbs_stages_boundary(const mbs_stages *s, const mbs_stages_phase *p, const r
     real alpha = 1;
     int i;
     for (i = 0; i < p->size; ++i) {
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (dx[i] < 0 && has(p->lower[i]) && -dx[i] * alpha > tau * (x[i] - p->lower[i]))
             alpha = tau * (x[i] - p->lower[i]) / -dx[i];
@@ -272,7 +278,7 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
     real alpha = 1;
     int i;
     for (i = 0; i < p->size; ++i) {
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (d->zl[i] < 0 && -d->zl[i] * alpha > p->tau * p->zl[i])
             alpha = p->tau * p->zl[i] / -d->zl[i];

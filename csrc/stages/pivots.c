@@ -8,7 +8,7 @@
  *
  *     l_ij = a_ij - sum_k l_ik u_kj  for j <= i,      u_ij = (a_ij - sum_k l_ik u_kj) / l_ii  for j > i.
  *
- * Full rows come last, and are eliminated together, column by column: none waits for the one before. */
+ * Full rows come last. Stages that share an order are factorised several at once. */
 #include "pivots.h"
 
 #include <string.h>
@@ -216,28 +216,6 @@ static int write_factors(const remainder_block *r, mbs_stages_pivots *p)
     return 0;
 }
 
-/* Sort the nonzeros of the lower factor that are in full rows, and in columns that are not, by columns. */
-static void write_columns(mbs_stages_pivots *p)
-{
-    int i, j, t;
-    for (j = 0; j <= p->dense; ++j)
-        p->below[j] = 0;
-    for (i = p->dense; i < p->n; ++i)
-        for (t = p->lower[i]; t < p->lower[i + 1] && p->lower_place[t] < p->dense; ++t)
-            ++p->below[p->lower_place[t] + 1];
-    for (j = 0; j < p->dense; ++j)
-        p->below[j + 1] += p->below[j];
-    for (i = p->dense; i < p->n; ++i)
-        for (t = p->lower[i]; t < p->lower[i + 1] && p->lower_place[t] < p->dense; ++t) {
-            const int at = p->below[p->lower_place[t]]++;
-            p->below_place[at] = i;
-            p->below_at[at] = t;
-        }
-    for (j = p->dense; j > 0; --j)
-        p->below[j] = p->below[j - 1];
-    p->below[0] = 0;
-}
-
 /* Sort the nonzeros of the block by places of rows. Works in `count` and `place` (n each). */
 static void write_entries(mbs_stages_pivots *p, const mbs_stages_matrix *A, int *count, int *place)
 {
@@ -293,35 +271,9 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
     }
     if (write_factors(&r, p))
         return -1;
-    write_columns(p);
     write_entries(p, A, spots, spots + p->n);
     p->ready = 1;
     return 0;
-}
-
-/* Write the nonzeros of row i. Returns the largest one. */
-static real write_row(const mbs_stages_pivots *p, const mbs_stages_matrix *A, int i, real *row)
-{
-    real most = 0;
-    int t;
-    for (t = p->entry[i]; t < p->entry[i + 1]; ++t) {
-        const real a = A->value[p->entry_at[t]];
-        row[p->entry_place[t]] = a;
-        most = real_abs(a) > most ? real_abs(a) : most;
-    }
-    return most;
-}
-
-/* The same, with zeros where factors have more nonzeros. */
-static real spread_row(const mbs_stages_pivots *p, const mbs_stages_matrix *A, int i, real *row)
-{
-    int t;
-    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
-        row[p->lower_place[t]] = 0;
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        row[p->upper_place[t]] = 0;
-    row[i] = 0;
-    return write_row(p, A, i, row);
 }
 
 static void add(int n, real factor, const real *restrict a, real *restrict b)
@@ -346,124 +298,164 @@ static real dot(int n, const real *restrict a, const real *restrict b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
+/* Numbers of several stages: one of each side by side, so that one instruction takes them all. Below, lanes are read
+ * from memory, all of them before one is written, for compilers to find this instruction. */
+typedef struct {
+    const mbs_stages_pivots *p;
+    mbs_stages_together *stages;
+    real *row, *lower, *inverse, *upper;
+    real size[MBS_STAGES_TOGETHER], most[MBS_STAGES_TOGETHER];
+} lanes;
+
+static real *lane(real *numbers, int i)
+{
+    return numbers + (size_t)i * MBS_STAGES_TOGETHER;
+}
+
+static void clear(real *to)
+{
+    memset(to, 0, MBS_STAGES_TOGETHER * sizeof *to);
+}
+
+static real larger(real a, real b)
+{
+    return a > b ? a : b;
+}
+
+/* most = max(most, |x|) */
+static void raise_to(const real *x, real *most)
+{
+    const real a = larger(real_abs(x[0]), most[0]), b = larger(real_abs(x[1]), most[1]);
+    const real c = larger(real_abs(x[2]), most[2]), d = larger(real_abs(x[3]), most[3]);
+    most[0] = a;
+    most[1] = b;
+    most[2] = c;
+    most[3] = d;
+}
+
+/* to = factor * x */
+static void multiply(const real *factor, const real *x, real *to)
+{
+    const real a = factor[0] * x[0], b = factor[1] * x[1], c = factor[2] * x[2], d = factor[3] * x[3];
+    to[0] = a;
+    to[1] = b;
+    to[2] = c;
+    to[3] = d;
+}
+
+/* Write the nonzeros of row i, with zeros where factors have more, and note the largest ones. */
+static void spread_row(lanes *a, int i)
+{
+    const mbs_stages_pivots *p = a->p;
+    const real *const *value = a->stages->value;
+    int t;
+    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
+        clear(lane(a->row, p->lower_place[t]));
+    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
+        clear(lane(a->row, p->upper_place[t]));
+    clear(lane(a->row, i));
+    clear(a->size);
+    for (t = p->entry[i]; t < p->entry[i + 1]; ++t) {
+        const int at = p->entry_at[t];
+        real *to = lane(a->row, p->entry_place[t]);
+        to[0] = value[0][at];
+        to[1] = value[1][at];
+        to[2] = value[2][at];
+        to[3] = value[3][at];
+        raise_to(to, a->size);
+    }
+}
+
+/* row += factor * the part of another row right of its pivot */
+static void add_upper(int count, const int *place, const real *factor, const real *upper, real *row)
+{
+    int t;
+    for (t = 0; t < count; ++t, upper += MBS_STAGES_TOGETHER) {
+        real *to = lane(row, place[t]);
+        const real a = to[0] + factor[0] * upper[0], b = to[1] + factor[1] * upper[1];
+        const real c = to[2] + factor[2] * upper[2], d = to[3] + factor[3] * upper[3];
+        to[0] = a;
+        to[1] = b;
+        to[2] = c;
+        to[3] = d;
+    }
+}
+
 /* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor. */
-static void eliminate_row(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real *restrict row)
+static void eliminate_row(const lanes *a, int i)
 {
-    int t, l;
+    static const real minus[MBS_STAGES_TOGETHER] = {-1, -1, -1, -1};
+    const mbs_stages_pivots *p = a->p;
+    int t;
     for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {
-        const int j = p->lower_place[t];
-        const real factor = row[j];
-        f->lower[t] = -factor;
-        for (l = p->upper[j]; l < p->upper[j + 1]; ++l)
-            row[p->upper_place[l]] += factor * f->upper[l];
+        const int j = p->lower_place[t], first = p->upper[j];
+        const real *factor = lane(a->row, j);
+        add_upper(p->upper[j + 1] - first, p->upper_place + first, factor, lane(a->upper, first), a->row);
+        multiply(minus, factor, lane(a->lower, t));
     }
 }
 
-/* Divide row i of the upper factor by its pivot; -1 where that is below `least`, or small beside the row. */
-static int take_pivot(const mbs_stages_pivots *p, const mbs_stages_factors *f, int i, real pivot, real least)
+/* Divide row i by its pivots. Where one is as good as 0, or small beside its row, the stage has failed here, unless it
+ * has before. */
+static void take_pivots(lanes *a, int i, real zero_pivot)
 {
-    real most = 0, inverse;
-    int t;
+    const mbs_stages_pivots *p = a->p;
+    const real *pivot = lane(a->row, i);
+    real *inverse = lane(a->inverse, i), minus[MBS_STAGES_TOGETHER];
+    int t, c;
+    clear(a->most);
     for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        most = real_abs(f->upper[t]) > most ? real_abs(f->upper[t]) : most;
-    if (!(real_abs(pivot) > least) || !(most <= LOST * real_abs(pivot)))
-        return -1;
-    inverse = 1 / pivot;
-    f->inverse[i] = inverse;
+        raise_to(lane(a->row, p->upper_place[t]), a->most);
+    for (c = 0; c < MBS_STAGES_TOGETHER; ++c) {
+        const int good = real_abs(pivot[c]) > zero_pivot * a->size[c] && a->most[c] <= LOST * real_abs(pivot[c]);
+        if (!good && a->stages->failed[c] < 0)
+            a->stages->failed[c] = i;
+        inverse[c] = good ? 1 / pivot[c] : 0;
+        minus[c] = -inverse[c];
+    }
     for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        f->upper[t] *= -inverse;
-    return 0;
+        multiply(minus, lane(a->row, p->upper_place[t]), lane(a->upper, t));
 }
 
-static int factorise_sparse_rows(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
-                                 real *row, real zero_pivot)
+/* Sort n lanes into one row a stage. */
+static void copy_lanes(const lanes *a, int n, const real *from, real *const *to)
 {
-    int i, t;
-    for (i = 0; i < p->dense; ++i) {
-        const real size = spread_row(p, A, i, row);
-        eliminate_row(p, f, i, row);
-        for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-            f->upper[t] = row[p->upper_place[t]];
-        if (take_pivot(p, f, i, row[i], zero_pivot * size))
-            return i;
+    int i, c;
+    for (i = 0; i < n; ++i, from += MBS_STAGES_TOGETHER)
+        for (c = 0; c < a->stages->count; ++c)
+            to[c][i] = from[c];
+}
+
+void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, real *work,
+                                   real zero_pivot)
+{
+    const int lower = p->lower[p->n], upper = p->upper[p->n];
+    real *lowers[MBS_STAGES_TOGETHER], *inverses[MBS_STAGES_TOGETHER], *uppers[MBS_STAGES_TOGETHER];
+    lanes a;
+    int i, c;
+    a.p = p;
+    a.stages = stages;
+    a.row = work;
+    a.inverse = a.row + p->n * MBS_STAGES_TOGETHER;
+    a.lower = a.inverse + p->n * MBS_STAGES_TOGETHER;
+    a.upper = a.lower + lower * MBS_STAGES_TOGETHER;
+    for (c = stages->count; c < MBS_STAGES_TOGETHER; ++c)
+        stages->value[c] = stages->value[0];
+    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+        stages->failed[c] = -1;
+    for (i = 0; i < p->n; ++i) {
+        spread_row(&a, i);
+        eliminate_row(&a, i);
+        take_pivots(&a, i, zero_pivot);
     }
-    return -1;
-}
-
-/* Write full rows of the block into `rows`, and their largest entries into `size`. */
-static void spread_full_rows(const mbs_stages_pivots *p, const mbs_stages_matrix *A, real *rows, real *size)
-{
-    int i;
-    memset(rows, 0, (size_t)(p->n - p->dense) * (size_t)p->n * sizeof *rows);
-    for (i = p->dense; i < p->n; ++i)
-        size[i] = write_row(p, A, i, rows + (size_t)(i - p->dense) * (size_t)p->n);
-}
-
-/* Add four multiples of columns to those rows that have an entry in column j. */
-static void add_columns(const mbs_stages_pivots *p, int j, const int *restrict column, const real *restrict factor,
-                        real *restrict rows)
-{
-    const size_t a = (size_t)column[0], b = (size_t)column[1], c = (size_t)column[2], d = (size_t)column[3];
-    int t;
-    for (t = p->below[j]; t < p->below[j + 1]; ++t) {
-        real *restrict row = rows + (size_t)(p->below_place[t] - p->dense) * (size_t)p->n;
-        const real x = row[j];
-        row[a] += x * factor[0];
-        row[b] += x * factor[1];
-        row[c] += x * factor[2];
-        row[d] += x * factor[3];
+    for (c = 0; c < stages->count; ++c) {
+        lowers[c] = stages->factors[c]->lower;
+        inverses[c] = stages->factors[c]->inverse;
+        uppers[c] = stages->factors[c]->upper;
     }
-}
-
-/* Eliminate the sparse columns of full rows: column by column, so that rows need not wait for each other. */
-static void eliminate_columns(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *rows)
-{
-    int j, t, l;
-    for (j = 0; j < p->dense; ++j) {
-        for (l = p->upper[j]; l + 4 <= p->upper[j + 1]; l += 4)
-            add_columns(p, j, p->upper_place + l, f->upper + l, rows);
-        for (t = p->below[j]; t < p->below[j + 1]; ++t) {
-            real *row = rows + (size_t)(p->below_place[t] - p->dense) * (size_t)p->n;
-            int k;
-            for (k = l; k < p->upper[j + 1]; ++k)
-                row[p->upper_place[k]] += row[j] * f->upper[k];
-            f->lower[p->below_at[t]] = -row[j];
-        }
-    }
-}
-
-/* Factorise the rest of full rows. Zeros before a pivot let vectors begin at multiples of 4. */
-static int factorise_full_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *rows, const real *size,
-                               real zero_pivot)
-{
-    int i, j, k;
-    for (k = p->dense; k < p->n; ++k) {
-        real *row = rows + (size_t)(k - p->dense) * (size_t)p->n, *upper = f->upper + p->upper[k];
-        const int begin = k - (k - p->dense) % 4;
-        for (j = p->dense; j < k; ++j)
-            f->lower[p->lower[k + 1] - k + j] = -row[j];
-        memcpy(upper, row + k + 1, (size_t)(p->n - k - 1) * sizeof *upper);
-        if (take_pivot(p, f, k, row[k], zero_pivot * size[k]))
-            return k;
-        memset(row + begin, 0, (size_t)(k + 1 - begin) * sizeof *row);
-        memcpy(row + k + 1, upper, (size_t)(p->n - k - 1) * sizeof *row);
-        for (i = k + 1; i < p->n; ++i) {
-            real *to = rows + (size_t)(i - p->dense) * (size_t)p->n;
-            add(p->n - begin, to[k], row + begin, to + begin);
-        }
-    }
-    return -1;
-}
-
-int mbs_stages_factorise_block(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
-                               real *row, real *rows, real zero_pivot)
-{
-    const int failed = factorise_sparse_rows(p, A, f, row, zero_pivot);
-    if (failed >= 0)
-        return failed;
-    spread_full_rows(p, A, rows, row);
-    eliminate_columns(p, f, rows);
-    return factorise_full_rows(p, f, rows, row, zero_pivot);
+    copy_lanes(&a, lower, a.lower, lowers);
+    copy_lanes(&a, p->n, a.inverse, inverses);
+    copy_lanes(&a, upper, a.upper, uppers);
 }
 
 void mbs_stages_solve_block(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *b, real *x,

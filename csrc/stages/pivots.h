@@ -6,6 +6,8 @@
 
 #include "matrix.h"
 
+#define MBS_STAGES_TOGETHER 4 /* stages whose inner equations are factorised at once */
+
 /* The block has the first n rows of e and the n columns from `first` on. Place i has row[i] and column[i] of it. With
  * these orders it is the product of a lower matrix and an upper one with a unit diagonal. */
 typedef struct {
@@ -19,7 +21,6 @@ typedef struct {
     int *upper, *upper_place;            /* nonzeros right of it */
     int *upper_column;                   /* the same as columns of the block */
     int dense;                           /* from this place on the factors are full */
-    int *below, *below_place, *below_at; /* sparse columns of the lower factor in full rows: places, and where it is */
 } mbs_stages_pivots;
 
 /* Factors of a stage: negative lower entries, the inverse of pivots, negative upper entries after the lower ones. */
@@ -33,9 +34,18 @@ typedef struct {
 int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, real *block, real *sizes, char *marks,
                              int *spots, real zero_pivot);
 
-/* Factorise; returns -1, or the place where the pivot is too small. Works in `row` (n) and `rows` (n by n). */
-int mbs_stages_factorise_block(const mbs_stages_pivots *p, const mbs_stages_matrix *A, const mbs_stages_factors *f,
-                               real *row, real *rows, real zero_pivot);
+/* Stages with one order that are factorised at once: the numbers of de, and where factors come to. */
+typedef struct {
+    int count;
+    const real *value[MBS_STAGES_TOGETHER];
+    const mbs_stages_factors *factors[MBS_STAGES_TOGETHER];
+    int failed[MBS_STAGES_TOGETHER]; /* -1, or the place where the pivot is too small */
+} mbs_stages_together;
+
+/* Factorise, and write `failed`. Works in `work`: 2 n numbers and as many as the factors have, of each stage. No number of
+ * a stage depends on the others. */
+void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, real *work,
+                                   real zero_pivot);
 
 /* x = B^-1 b: b by rows and x by columns of the block; x = B^-T b: b by columns (overwritten), x by rows. Both work in
  * `work` (n). */

@@ -49,7 +49,7 @@ static void mind_bounds(const mbs_stages *s, mbs_stages_phase *p, int i)
 {
     const int below = has(p->lower[i]), above = has(p->upper[i]);
     const real a = below ? least_distance(p, p->lower[i]) : 0, b = above ? least_distance(p, p->upper[i]) : 0;
-    if (mbs_stages_is_fixed(s, i))
+    if (s->fixed[i])
         return;
     if ((below && !(p->x[i] - p->lower[i] > a)) || (above && !(p->upper[i] - p->x[i] > b)))
         start_anew(p, i, a > b ? a : b);
@@ -243,7 +243,7 @@ static void make_step(mbs_stages *s, mbs_stages_phase *p)
     real least = 1;
     int i;
     for (i = 0; i < p->size; ++i) {
-        const real alpha = mbs_stages_is_fixed(s, i) ? 1 : length(p, i);
+        const real alpha = s->fixed[i] ? 1 : length(p, i);
         least = alpha < least ? alpha : least;
         p->x[i] += alpha * p->step.x[i];
         p->zl[i] += dual * p->step.zl[i];

@@ -160,19 +160,17 @@ static void stack_rows(const mbs_stages_recursion *r, int k)
 static void condense_stages(void *recursion, int from, int to, int worker)
 {
     const mbs_stages_recursion *r = recursion;
-    int k;
-    for (k = from; k < to; ++k)
-        mbs_stages_condense(r, &r->scratch[worker], k);
+    mbs_stages_condense(r, &r->scratch[worker], from, to);
 }
 
-/* Without a team, a stage is condensed while it is in the cache. */
+/* Without a team, stages are condensed while they are in the cache: as many as are factorised at once. */
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     mbs_stages_stage *s = &r->stage[k];
     mbs_stages_step *p = &r->step[k];
     real *Q = r->work[3];
-    if (!r->team)
-        condense_stages(r, k, k + 1, 0);
+    if (!r->team && (k + 1 == r->stages || (k + 1) % MBS_STAGES_TOGETHER == 0))
+        condense_stages(r, k - k % MBS_STAGES_TOGETHER, k + 1, 0);
     s->inner.poor = s->inner.own && s->inner.missing == 0;
     p->n = s->dense.n;
     p->nv = s->dense.nv;

@@ -63,6 +63,7 @@ typedef struct {
 typedef struct {
     real *vector[8];               /* rows and variables of the largest stage */
     real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
+    real *together;                /* factors of several stages */
     int *spots;
 } mbs_stages_scratch;
 

@@ -49,14 +49,14 @@ static void start_elastics(mbs_stages *s, mbs_stages_phase *q)
     int i;
     fix_inner_rows(s);
     for (i = 0; i < s->rows; ++i)
-        if (mbs_stages_is_fixed(s, plus + i))
+        if (s->fixed[plus + i])
             q->x[plus + i] = q->x[minus + i] = 0;
         else
             split_residual(s->main.c[i], q->mu, &q->x[plus + i], &q->x[minus + i]);
     for (i = plus; i < q->size; ++i) {
         q->lower[i] = 0;
         q->upper[i] = 2 * MBS_STAGES_INFINITE;
-        q->zl[i] = mbs_stages_is_fixed(s, i) ? 0 : q->mu / q->x[i];
+        q->zl[i] = s->fixed[i] ? 0 : q->mu / q->x[i];
         q->zu[i] = 0;
     }
 }
@@ -123,7 +123,7 @@ static void reset_bounds(mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i) {
-        const int fixed = mbs_stages_is_fixed(s, i);
+        const int fixed = s->fixed[i];
         p->zl[i] = !fixed && real_abs(p->lower[i]) < MBS_STAGES_INFINITE ? 1 : 0;
         p->zu[i] = !fixed && real_abs(p->upper[i]) < MBS_STAGES_INFINITE ? 1 : 0;
     }

@@ -82,7 +82,7 @@ static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alp
     int i;
     for (i = 0; i < p->size; ++i) {
         const real trial = p->x[i] + alpha * dx[i];
-        p->trial[i] = mbs_stages_is_fixed(s, i) ? trial : keep_inside(p->x[i], trial, p->lower[i], p->upper[i]);
+        p->trial[i] = s->fixed[i] ? trial : keep_inside(p->x[i], trial, p->lower[i], p->upper[i]);
     }
     return evaluate(s, p, t);
 }
@@ -133,7 +133,7 @@ static void correct_inner(mbs_stages *s, mbs_stages_phase *p)
         for (i = 0; i < t->inner.n; ++i) {
             const int at = t->w + t->nx + i;
             const real x = p->trial[at];
-            if (!mbs_stages_is_fixed(s, at))
+            if (!s->fixed[at])
                 p->trial[at] = keep_inside(x, x + correction[i], p->lower[at], p->upper[at]);
         }
     }
@@ -353,7 +353,7 @@ static real mean_errors(mbs_stages *s, mbs_stages_phase *p)
     int i, count = 0;
     mbs_stages_stationarity(s, p, 0, p->slope);
     for (i = 0; i < p->size; ++i) {
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             continue;
         if (p->lower[i] > -MBS_STAGES_INFINITE)
             products += real_abs((p->x[i] - p->lower[i]) * p->zl[i] - p->mu), ++count;

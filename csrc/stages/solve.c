@@ -49,8 +49,10 @@ static real variable_scale(const mbs_stages *s, int i)
 static int set_scales(mbs_stages *s)
 {
     int k, i, wrong = 0;
+    s->has_scales = s->has_units = 0;
     for (i = 0; i < s->variables; ++i) {
         s->variable_scale[i] = variable_scale(s, i);
+        s->has_units |= s->variable_scale[i] != 1;
         wrong |= !(s->variable_scale[i] > 0 && s->variable_scale[i] < MBS_STAGES_INFINITE);
     }
     for (i = 0; i < s->rows; ++i)
@@ -176,7 +178,7 @@ static void start_bounds(const mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i) {
-        const int fixed = mbs_stages_is_fixed(s, i);
+        const int fixed = s->fixed[i];
         p->zl[i] = !fixed && p->lower[i] > -MBS_STAGES_INFINITE ? 1 : 0;
         p->zu[i] = !fixed && p->upper[i] < MBS_STAGES_INFINITE ? 1 : 0;
     }
@@ -233,7 +235,7 @@ static void start_warm(mbs_stages *s, mbs_stages_phase *p)
         }
     }
     for (i = 0; i < p->size; ++i)
-        if (mbs_stages_is_fixed(s, i))
+        if (s->fixed[i])
             p->zl[i] = p->zu[i] = 0;
         else
             mbs_stages_centre(p, i);
@@ -282,12 +284,14 @@ int mbs_stages_start(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
-    if (set_scales(s) || mbs_stages_set_bounds(s))
+    const int keeps = o->warm && s->has_scales;
+    if ((!keeps && set_scales(s)) || mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
-    if (scale_functions(s))
+    if (!keeps && scale_functions(s))
         return MBS_STAGES_CALLBACK_FAILED;
-    if (mbs_stages_set_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
+    s->has_scales = 1;
+    if (!keeps && mbs_stages_set_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
         return MBS_STAGES_BAD_PROBLEM;
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;

@@ -107,6 +107,8 @@ struct mbs_stages {
     char *softened; /* rows that the factorisation lets give, although they are hard */
     double began;
     int failed_stage;
+    int has_scales; /* of the last solve */
+    int has_units;  /* some variables have a scale other than 1 */
     char *failed; /* stages whose callback gave no result */
     real *costs;  /* of stages, unscaled */
 };
@@ -120,7 +122,6 @@ int mbs_stages_hessian(mbs_stages *s, const real *w, real factor, const real *y)
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c);
 int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p);
 int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p);
-int mbs_stages_is_fixed(const mbs_stages *s, int i);
 real mbs_stages_sum(int n, const real *c);
 real mbs_stages_largest(int n, const real *c);
 real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const real *x, real cost);

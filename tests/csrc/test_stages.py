@@ -367,6 +367,26 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
         assert np.array_equal(loop.w[:4], solver.lower[:4])
 
 
+def test_a_warm_start_takes_the_scales_of_the_solve_before(library: Library) -> None:
+    """It finds derivatives once less than another solver at the same point."""
+    calls: list[int] = []
+
+    def note(function: str, call: int, stage: int) -> bool:
+        if function == "jacobians" and stage == 0:
+            calls.append(call)
+        return False
+
+    solver, fresh = (Solver(library, cart_pole(), note) for _ in range(2))
+    cold = solver.solve()
+    fresh.set(w=cold.w, y=cold.y, below=cold.below, above=cold.above)
+    counts = []
+    for one in (solver, fresh):
+        calls.clear()
+        assert one.solve(warm=1).status == "solved"
+        counts.append(len(calls))
+    assert counts[1] == counts[0] + 1
+
+
 def test_curvature_is_added_from_the_stage_on_that_lacks_it(library: Library) -> None:
     """The path is another one, the optimum the same."""
     problem = next(p for p in nonlinear() if p.name == "cart-pole, collocated")
