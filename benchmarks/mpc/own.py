@@ -78,7 +78,19 @@ class Latency:
 
     prepare: Array
     feedback: Array
+    idle: Array  # of loops that do nothing, for as long as the median of feedback
     gap: float  # the largest distance of a joint from the target at the end [rad]
+
+
+def wait(seconds: float, rounds: int) -> Array:
+    """Do nothing for a time, again and again; return how long it took: what the machine itself is late by."""
+    times = np.empty(rounds)
+    for k in range(rounds):
+        begin = now = time.perf_counter()
+        while now - begin < seconds:
+            now = time.perf_counter()
+        times[k] = now - begin
+    return times
 
 
 class OwnRunner:
@@ -131,7 +143,8 @@ class OwnRunner:
                 raise RuntimeError(f"step {k}: statuses {prepared.status} and {made.status}")
             x = task.A @ x + task.B @ inner[JOINTS:]
         prepare, feedback = np.array(times).T
-        return Latency(prepare, feedback, float(np.abs(x[:JOINTS] - task.target).max()))
+        idle = wait(float(np.median(feedback)), steps)
+        return Latency(prepare, feedback, idle, float(np.abs(x[:JOINTS] - task.target).max()))
 
     def _lay(self, start: Array) -> Workspace:
         """Set the bounds; the start is one of them."""

@@ -66,10 +66,11 @@ def write_page(horizons: Sequence[Horizon], rounds: int) -> str:
         "## In real time",
         "",
         "A step has two parts: preparation before the state is measured, and feedback after it. Times are",
-        "medians in µs, and beside them the 99.9th percentile by the median.",
+        "medians in µs, and beside them the 99.9th percentile by the median. A loop that does nothing for as long as",
+        "feedback takes shows how late the machine itself is.",
         "",
-        "| N | steps | preparation | 99.9th by median | feedback | 99.9th by median | rad from the target at the end |",
-        "|---:|---:|---:|---:|---:|---:|---:|",
+        "| N | steps | preparation | 99.9th by median | feedback | 99.9th by median | of an empty loop | rad off |",
+        "|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     lines += [_write_latency(horizon) for horizon in horizons]
     return "\n".join([*lines, ""])
@@ -90,6 +91,7 @@ def _write_row(row: Row, ours: Answer) -> str:
 def _write_latency(horizon: Horizon) -> str:
     found = horizon.latency
     parts = [cell for times in (found.prepare, found.feedback) for cell in _describe(times)]
+    parts.append(_describe(found.idle)[1])
     cells = (str(horizon.rows[0].intervals), str(len(found.feedback)), *parts, f"{found.gap:.2g}")
     return f"| {' | '.join(cells)} |"
 
