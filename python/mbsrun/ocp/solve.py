@@ -103,10 +103,9 @@ class Solver:
         if gap > most:
             finding, remedy = explain(OPEN, run.iterations)
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
-        closure = find_closure(self.plant)
-        if closure is not None and problem.loops is Loops.REDUCED and closure.jumps(solution.trajectory.q):
+        if jump := find_jump(solution, self.plant):
             finding, remedy = explain(JUMPED, run.iterations)
-            return Failure(problem, replace(run, status=JUMPED), f"{finding}; {_name_independent(closure)}", remedy)
+            return Failure(problem, replace(run, status=JUMPED), f"{finding}; {jump}", remedy)
         return solution
 
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
@@ -120,14 +119,9 @@ class Solver:
 
     def _find_singular(self, problem: Problem, run: Run, x: Array) -> str:
         """Return that the reduced form does not determine the motion at which a search ended; else nothing."""
-        closure = find_closure(self.plant)
-        if closure is None or problem.loops is not Loops.REDUCED or not np.isfinite(x).all():
+        if problem.loops is not Loops.REDUCED or not np.isfinite(x).all():
             return ""
-        try:
-            is_regular = closure.is_regular(self._solution(problem, run, x).trajectory.q)
-        except ValueError:  # there are no dependent coordinates
-            is_regular = False
-        return "" if is_regular else _name_independent(closure)
+        return find_singular(self._solution(problem, run, x), self.plant)
 
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
         """Run the solver from x; return the run, the variables, and the rows that stay violated."""
@@ -306,6 +300,26 @@ def solve(
         if isinstance(found, Solution):  # else the step after begins where this one did
             start = found.trajectory
     return solver.solve(problem, start, watch)
+
+
+def find_jump(solution: Solution, plant: Plant) -> str:
+    """Describe why the points of a reduced form lie on two branches of the loops; nothing where they do not."""
+    closure = find_closure(plant)
+    if closure is None or solution.problem.loops is not Loops.REDUCED or not closure.jumps(solution.trajectory.q):
+        return ""
+    return _name_independent(closure)
+
+
+def find_singular(solution: Solution, plant: Plant) -> str:
+    """Describe why the reduced form does not determine a motion; nothing where it does, or is not taken."""
+    closure = find_closure(plant)
+    if closure is None or solution.problem.loops is not Loops.REDUCED:
+        return ""
+    try:
+        is_regular = closure.is_regular(solution.trajectory.q)
+    except ValueError:  # there are no dependent coordinates
+        is_regular = False
+    return "" if is_regular else _name_independent(closure)
 
 
 def _name_independent(closure: Closure) -> str:

@@ -12,7 +12,6 @@ BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
-
 JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")

@@ -24,7 +24,7 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
 from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
@@ -297,6 +297,20 @@ def test_a_reduced_form_that_jumps_is_no_solution(intervals: int, status: str) -
     found = solve(problem, rods())
     assert isinstance(found, Failure)
     assert found.run.status == status
+    assert "the independent joints x do not determine the others" in found.finding
+    assert found.remedy.startswith("take loops: multipliers")
+
+
+@pytest.mark.parametrize(
+    ("intervals", "status", "phase"), [(12, JUMPED, "second"), (16, "Maximum_Iterations_Exceeded", "first")]
+)
+def test_phases_whose_reduced_form_jumps_are_no_solution(intervals: int, status: str, phase: str) -> None:
+    options = SolverOptions(max_iterations=120, method="ipopt")
+    problem = replace(split(replace(_swing(intervals), loops=Loops.REDUCED)), solver=options)
+    found = solve_phases(problem, Plants((rods(), rods())))
+    assert isinstance(found, PhasedFailure)
+    assert found.run.status == status
+    assert f"phase {phase}: " in found.finding
     assert "the independent joints x do not determine the others" in found.finding
     assert found.remedy.startswith("take loops: multipliers")
 

@@ -34,7 +34,7 @@ from mbsrun.ocp.phases.solution import (
     PhasedSolution,
 )
 from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phases
-from mbsrun.ocp.problem import Problem, SolverOptions
+from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Run, Size
@@ -46,6 +46,8 @@ from mbsrun.ocp.solve import (
     call,
     describe_unreachable,
     find_crossed_bounds,
+    find_jump,
+    find_singular,
     find_wrong_states,
     make_solution,
     measure_excess,
@@ -56,7 +58,7 @@ from mbsrun.ocp.solve import (
 )
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete, guess_largest
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.touching import list_relaxed
 
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
@@ -129,7 +131,10 @@ class PhasedSolver:
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
-            return PhasedFailure(problem, run, f"{finding}: {named}" if named else finding, remedy)
+            finding = f"{finding}: {named}" if named else finding
+            if lost := self._find_singular(run, found):
+                return PhasedFailure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
+            return PhasedFailure(problem, run, finding, remedy)
         solution = self._read(*self._balance_impacts(run, found))
         for part in solution.phases:
             gap, most = part.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
@@ -137,7 +142,21 @@ class PhasedSolver:
                 finding, remedy = explain(OPEN, run.iterations)
                 finding = f"phase {part.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
+        for part, plant in zip(solution.phases, self.plants.phases, strict=True):
+            if jump := find_jump(part, plant):
+                finding, remedy = explain(JUMPED, run.iterations)
+                finding = f"phase {part.problem.name}: {finding}; {jump}"
+                return PhasedFailure(problem, replace(run, status=JUMPED), finding, remedy)
         return solution
+
+    def _find_singular(self, run: Run, x: Array) -> str:
+        """Name the first phase whose reduced form does not determine the motion at which a search ended."""
+        if not np.isfinite(x).all() or all(p.problem.loops is not Loops.REDUCED for p in self.problem.phases):
+            return ""
+        for part, plant in zip(self._read(run, x).phases, self.plants.phases, strict=True):
+            if lost := find_singular(part, plant):
+                return f"phase {part.problem.name}: {lost}"
+        return ""
 
     def _balance_impacts(self, run: Run, x: Array) -> tuple[Run, Array]:
         """Solve all equations to rounding where impulses do not balance the momentum to it; the run counts the time."""
