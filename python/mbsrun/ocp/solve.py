@@ -169,7 +169,8 @@ def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
 
     Raises ProblemError where that has one thread, and the problem asks for more.
     """
-    is_in_c = is_compiled(plant, problem.representation.kernel) and not problem.functions
+    kernel = problem.representation.equations.write(problem.loops).kernel
+    is_in_c = is_compiled(plant, kernel) and not problem.functions
     options = methods.settle(problem.solver, calls_casadi=not is_in_c)
     if options.threads > 1 and not METHODS[methods.choose(options)].has_threads:
         finding = f"found {options.threads}, but {options.method} has one thread, and kernels are not all in C"

@@ -83,9 +83,10 @@ class PhasedSolver:
         Raises ProblemError where the given method takes stages alone.
         """
         own, solver = self.transcription, self.problem.solver
+        parts = [phase.problem for phase in self.problem.phases]
         calls_casadi = own.unstaged.size > 0 or any(
-            phase.problem.functions or not is_compiled(plant, phase.problem.representation.kernel)
-            for phase, plant in zip(self.problem.phases, self.plants.phases, strict=True)
+            part.functions or not is_compiled(plant, part.representation.equations.write(part.loops).kernel)
+            for part, plant in zip(parts, self.plants.phases, strict=True)
         )
         method = methods.choose(solver, calls_casadi=calls_casadi)
         if METHODS[method].calls_casadi or not own.unstaged.size:
