@@ -12,8 +12,9 @@ import os
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -239,8 +240,11 @@ def compile_harness(text: str, folder: Path, name: str, precision: str) -> ctype
 # --- states ---
 
 
-def draw_states(tape: Tape, tree: Tree, case: Case, rng: np.random.Generator, count: int) -> Array:
-    """Draw states: usual numbers in every second one; also large and small ones, zeros, and quarters of a turn."""
+def draw_states(tape: Tape, setup: Tape | None, tree: Tree, case: Case, rng: np.random.Generator, count: int) -> Array:
+    """Draw states: usual numbers in every second one; also large and small ones, zeros, and quarters of a turn.
+
+    Run-time parameters are within a half of the file's; what `setup` computes of them is computed.
+    """
     columns = []
     for given in tape.inputs:
         x = _mix(rng, (count, given.sparsity.nnz))
@@ -252,8 +256,15 @@ def draw_states(tape: Tape, tree: Tree, case: Case, rng: np.random.Generator, co
         elif given.port.role is Role.PARAMETER:
             values = [p.value for p in tree.parameters if p.kind is Kind.RUNTIME]
             x = np.array(values) * rng.uniform(0.5, 1.5, x.shape)
+        elif given.port.role is Role.SETUP and setup is not None:
+            x = _set_up(setup, draw_states(setup, None, tree, case, rng, count))
         columns.append(x)
     return np.concatenate(columns, axis=1)
+
+
+def _set_up(setup: Tape, parameters: Array) -> Array:
+    (values,) = evaluate(setup, {setup.inputs[0].port.name: [*parameters.T]}).values()
+    return np.stack(np.broadcast_arrays(*values), axis=1)
 
 
 def _mix(rng: np.random.Generator, shape: tuple[int, int], quarter: float = 1.0) -> Array:
@@ -310,22 +321,25 @@ def search(case: Case, states: int, seed: int, precision: str = "double") -> Ite
         for file, content in sources.files.items():
             (folder / file).write_text(content, encoding="utf-8")
         kernels = {k.name: k for k in sources.kernels}
+        setup = next((t for t in tapes if t.name == "setup"), None)
         for tape in tapes:
             if tape.function.order in CHECKED:
                 harness = write_harness(tape, kernels[PREFIX + tape.name], folder)
                 library = compile_harness(harness, folder, f"check_{tape.name}", precision)
-                yield compare(library, tape, tree, case, states, seed, precision)
+                draw = partial(draw_states, tape, setup, tree, case, np.random.default_rng(seed))
+                yield compare(library, tape, case, draw, states, precision)
 
 
-def compare(library: ctypes.CDLL, tape: Tape, tree: Tree, case: Case, states: int, seed: int, precision: str) -> Tally:
+def compare(
+    library: ctypes.CDLL, tape: Tape, case: Case, draw: Callable[[int], Array], states: int, precision: str
+) -> Tally:
     """Run one comparison."""
-    rng = np.random.default_rng(seed)
     kind = np.float64 if precision == "double" else np.float32
     real = ctypes.c_double if precision == "double" else ctypes.c_float
     tally, histogram = np.array([0, 0, 0, np.inf, 0, 0], dtype=float), np.zeros(BINS, dtype=np.int64)
     checked: list[Array] = []
     for start in range(0, states, CHUNK):
-        x = np.ascontiguousarray(draw_states(tape, tree, case, rng, min(CHUNK, states - start)), dtype=kind)
+        x = np.ascontiguousarray(draw(min(CHUNK, states - start)), dtype=kind)
         before = tally[3]
         library.check(ctypes.c_long(len(x)), _point(x), real(UNITS[precision]), _point(tally), _point(histogram))
         if tally[3] < before:
