@@ -1,9 +1,9 @@
-"""What programs need on a bare Cortex-M7: `python -m benchmarks.microcontroller`.
+"""Instructions and memory that programs need on a bare Cortex-M7: `python -m benchmarks.microcontroller`.
 
 The solver's example, kernels of the paper's arm and controllers of shipped problems are compiled by
 `arm-none-eabi-gcc -O2` and run in QEMU, which counts instructions: every run finds the same numbers. Controllers solve
-their problem, then control their own model for ten periods; `prepare` and `feedback` are medians over the periods.
-Kernels and controllers compute in single precision.
+their problem, then control their own model for ten periods. The columns `solve`, `prepare` and `feedback` are numbers
+of instructions, of the last two the medians over the periods. Kernels and controllers compute in single precision.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def count_kernels(place: Path) -> list[list[str]]:
     kernels = [arm.describe(name) for name in KERNELS]
     sizes = {a.name: a.nnz for kernel in kernels for a in kernel.inputs if a.nnz}
     outcome = run_kernels(place, kernels, {name: np.linspace(-1, 1, size) for name, size in sizes.items()})
-    counts = [(kernel, *outcome.numbers(kernel.name)) for kernel in kernels]
-    return [[f"`{x.name}`", f"{x.flops.arithmetic}", f"{x.flops.trig}", f"{count:.0f}"] for x, count in counts]
+    counts = {kernel.name: outcome.numbers(kernel.name)[0] for kernel in kernels}
+    return [[f"`{x.name}`", f"{x.flops.arithmetic}", f"{x.flops.trig}", f"{counts[x.name]:.0f}"] for x in kernels]
 
 
 def run_example(place: Path) -> list[list[str]]:
@@ -136,7 +136,7 @@ def _millions(instructions: float) -> str:
 def write_page(problems: Sequence[str], place: Path) -> str:
     """Measure all, and return the page."""
     about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
-    titles = "problem", "intervals, states, inputs", "solve", "iterations", "steps", "instructions", "`prepare`"
+    titles = "problem", "intervals, states, inputs", "status", "iterations", "steps", "`solve`", "`prepare`"
     controllers = [run_controller(name, place / name) for name in problems]
     parts = [
         "# On a microcontroller",

@@ -71,10 +71,15 @@ def _list_cells(summary: Summary | None) -> list[str]:
         return ["no plan", *[""] * 7]
     times = [_milliseconds(summary["seconds"], key) for key in ("median", "tail")]
     times += [_milliseconds(summary["seconds_preparing"], key) for key in ("median", "tail")]
-    measures = (f"{name} {part['largest']:.2g} of {part['most']:.2g}" for name, part in summary["measures"].items())
-    verdict = "; ".join(measures) if summary["met"] else f"fails: {'; '.join(measures)}"
     counts = [str(summary["samples"]), str(summary["failures"])]
-    return [*counts, *times, f"{summary['iterations']['mean']:.1f}", verdict]
+    return [*counts, *times, f"{summary['iterations']['mean']:.1f}", _judge(summary)]
+
+
+def _judge(summary: Summary) -> str:
+    if halt := summary["halt"]:
+        return f"lost: its simulation halts at {halt['time']:.2g} s"
+    verdicts = (f"{name} {part['largest']:.2g} of {part['most']:.2g}" for name, part in summary["measures"].items())
+    return ("" if summary["met"] else "fails: ") + "; ".join(verdicts)
 
 
 def _milliseconds(times: Mapping[str, float], key: str) -> str:
