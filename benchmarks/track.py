@@ -25,6 +25,7 @@ WAYS: Mapping[str, tuple[str, ...]] = {
     "IPOPT": ("--solver", "ipopt"),
     "C, solved": ("--controller",),
     "C, one step": ("--steps", "1", "--controller"),
+    "C, rescued": ("--steps", "1", "--rescue", "5", "--controller"),
 }
 
 Summary = Mapping[str, Any]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
@@ -118,6 +119,12 @@ MAX_STEPS = 100  # of Newton's method in a sample
     metavar="N",
     help="With --controller: control in real time, by N steps of Newton's method a sample; by default it solves.",
 )
+@click.option(
+    "--rescue",
+    type=click.FloatRange(0, min_open=True),
+    metavar="VIOLATION",
+    help="With --steps: solve where the plan violates a constraint by more than this, as a step may go wrong.",
+)
 @choose_format
 @click.pass_context
 @name_lines
@@ -131,6 +138,7 @@ def track_command(
     threads: int | None,
     folder: Path | None,
     steps: int | None,
+    rescue: float | None,
     **given: Any,
 ) -> None:
     """Read, run, write, print."""
@@ -140,6 +148,8 @@ def track_command(
         raise click.UsageError("--controller has its own solver; leave --threads out")
     if folder is None and steps is not None:
         raise click.UsageError("--steps is for a controller in C; give --controller too")
+    if rescue is not None and steps is None:
+        raise click.UsageError("--rescue is for control in real time; give --steps too")
     statement = TrialStatement(settings, _collect_options(given))
     models: list[Path] = []
 
@@ -162,7 +172,7 @@ def track_command(
         predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
         controller: Controller = SolvingController(problem, model, trial.period, trial.horizon)
         if folder is not None:
-            controller = _load_controller(folder, file, problem, trial, statement, steps)
+            controller = _load_controller(folder, file, problem, trial, statement, steps, rescue)
     try:
         found = _run(trial, problem, Plant(true, trial), controller, predicting)
     except NoPlanError as error:
@@ -180,7 +190,13 @@ def track_command(
 
 
 def _load_controller(
-    folder: Path, file: Path, problem: Problem, trial: Trial, statement: TrialStatement, steps: int | None
+    folder: Path,
+    file: Path,
+    problem: Problem,
+    trial: Trial,
+    statement: TrialStatement,
+    steps: int | None,
+    rescue: float | None,
 ) -> CompiledController:
     """Load a controller in C. Raises InputError with every way in which it does not fit the problem and the loop."""
     loaded = load_controller(folder)
@@ -198,7 +214,7 @@ def _load_controller(
         raise refuse(faults)
     if manifest.problem_hash != hash_problem(problem):
         say(f"warning: {folder} was written for another version of the problem; its own weights, bounds and ends count")
-    return CompiledController(loaded, problem, trial.period, steps)
+    return CompiledController(loaded, problem, trial.period, steps, np.inf if rescue is None else rescue)
 
 
 def _collect_options(given: dict[str, Any]) -> dict[str, Data]:

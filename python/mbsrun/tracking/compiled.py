@@ -1,7 +1,8 @@
 """A controller in C, written by `mbsrun controller`: solves to a tolerance, or steps of Newton's method in real time.
 
 In real time a sample makes a fixed number of steps: `prepare` moves the plan ahead and does all the work that needs no
-measurement, `feedback` makes the step for the measured state. See csrc/stages/mbs_stages.h.
+measurement, `feedback` makes the step for the measured state. See csrc/stages/mbs_stages.h. Steps have no line search,
+so a step can go wrong; a sample whose plan violates its constraints too much solves instead.
 """
 
 from __future__ import annotations
@@ -33,9 +34,14 @@ class MisfitError(MbsError):
 
 
 class CompiledController:
-    """Calls a controller's C; `steps` in real time in each sample, or None for solves to the tolerance."""
+    """Calls a controller's C; `steps` in real time in each sample, or None for solves to the tolerance.
 
-    def __init__(self, controller: Controller, problem: Problem, period: float, steps: int | None = None) -> None:
+    In real time, samples solve where the plan's violation is larger than `rescue`.
+    """
+
+    def __init__(
+        self, controller: Controller, problem: Problem, period: float, steps: int | None = None, rescue: float = np.inf
+    ) -> None:
         """Take a loaded controller. Raises MisfitError where it is another problem's, or the rate does not fit."""
         manifest = controller.manifest
         misfits = list_misfits(manifest, problem)
@@ -52,6 +58,7 @@ class CompiledController:
         self._constants = _place_constants(manifest.data)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
+        self._rescue, self._violation = rescue, 0.0
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
         """Move the plan ahead by the intervals that have passed; linearise, where the sample only makes steps."""
@@ -62,15 +69,15 @@ class CompiledController:
             return
         passed = math.floor((time - self._begun) / self._interval + ROUNDED)
         for _ in range(passed):
-            self._controller.prepare(shift=True)
+            self._violation = self._controller.prepare(shift=True).violation
         self._begun += passed * self._interval
         if not passed and self._steps is not None:
-            self._controller.prepare()
+            self._violation = self._controller.prepare().violation
 
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve, or make steps, from a state. The first plan is solved for in any case."""
         before = clock.process_time()
-        if self._steps is None or not self._has_plan:
+        if self._steps is None or not self._has_plan or not self._violation <= self._rescue:
             return self._solve(q, qd, before)
         state = np.concatenate((q, qd))
         inputs, step = self._controller.feedback(state)

@@ -139,6 +139,7 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_place(call: Call, mi
     ("options", "expected"),
     [
         (["--steps", "1"], "--steps is for a controller in C; give --controller too"),
+        (["--controller", "controller", "--rescue", "1"], "--rescue is for control in real time; give --steps too"),
         (["--controller", "controller", "--steps", "0"], "0 is not in the range 1<=x<=100"),
         (["--controller", "controller", "--solver", "ipopt"], "--controller has its own solver; leave --solver out"),
         (["--controller", "puck.yaml"], "is a file"),
@@ -158,6 +159,16 @@ def test_the_command_makes_steps_in_real_time(call: Call, monkeypatch: pytest.Mo
     rows = list(csv.DictReader(Path("stepped/track.csv").read_text(encoding="utf-8").splitlines()))
     assert [(row["status"], row["iterations"]) for row in rows] == [("stepped", "1")] * 6
     assert max(abs(float(row["q[x]"]) - math.sin(float(row["t"]))) for row in rows) < 0.05
+
+
+def test_samples_solve_where_a_plan_violates_too_much(written: Controller, problem: Problem, puck: Mechanism) -> None:
+    """The interval that a shift appends violates a plan: by less than the first limit, and more than the second."""
+    for limit, expected in ((1e3, {"stepped"}), (1e-12, {"solved"})):
+        written.reset()
+        controller = CompiledController(written, problem, TRIAL.period, steps=1, rescue=limit)
+        found = track(TRIAL, problem.bounds, Plant(puck, TRIAL), controller)
+        assert {x.decision.status for x in found.samples[1:]} == expected
+        assert np.abs(found.q[:, 0] - np.sin(found.t)).max() < 0.05
 
 
 def test_a_state_that_is_no_number_keeps_the_plan(written: Controller, problem: Problem) -> None:
