@@ -90,7 +90,8 @@ study: $(VENV)/installed-study
 	$(BIN)/python -m studies.docquier models/arm_reach.ocp.yaml -o build/study --export csv $(STUDY) \
 	    $(SYSTEMS:%=--system %) --with build/charts --with build/laboratory || test $$? -eq 1
 
-# Plants faults, one at a time, and runs the tests that must notice them: a quarter of an hour.
+# Plants faults, one at a time, and runs the tests that must notice them: half an hour to two hours,
+# by the machine. `python -m tests.mutants --only WORD` plants the faults alone whose name has this word.
 mutants: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutants
 

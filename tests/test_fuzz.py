@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +39,11 @@ def test_the_search_starts_from_files_that_are_accepted(name: str, tmp_path: Pat
         folder = tmp_path / str(k)
         folder.mkdir()
         assert inputs.attempt(kind, file, content, folder) == (True, "")
+
+
+def test_files_with_nothing_in_them_are_changed() -> None:
+    for seed, content in enumerate([b"", b"{}", b"a: {}", b"[]"] * 40):
+        assert isinstance(inputs.mutate(content, random.Random(seed)), bytes)
 
 
 def test_the_search_sees_what_is_not_well(tmp_path: Path) -> None:

@@ -209,6 +209,8 @@ def _change_structure(content: bytes, rng: random.Random) -> bytes:
     if not isinstance(data, dict):
         return _change_words(content, rng)
     nodes = [*_list_nodes(data)]
+    if not nodes:
+        return _change_words(content, rng)
     holder, key = rng.choice(nodes)
     match rng.randrange(6):
         case 0:
