@@ -17,7 +17,10 @@ COUNT = 12
 SOUND = 1  # the seed of a mechanism that is accepted
 DRIVEN = 2  # the seed of a mechanism with a loop and a driven joint
 CONTACT = 13  # the seed of a mechanism with a loop and a contact
-LINKAGE = 0  # the seed of a planar linkage
+LINKAGES = {  # seeds
+    "planar": 0,
+    "tied and driven": 18,  # by an equation with a coefficient at run time
+}
 DRIVEN_PROBLEM = 2233  # the seed of a problem of a mechanism with a driven joint, and an unknown mass
 CLOSED_PROBLEM = 3637  # of a mechanism with a loop
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
@@ -116,9 +119,10 @@ def test_contacts_on_closed_mechanisms_agree_with_free_bodies() -> None:
         assert "exp1: lam" in loops.Comparison(bare, tree, tapes, CONTACT).run()
 
 
-def test_a_linkage_moves_alike_wherever_it_is_cut() -> None:
-    """A linkage with redundant equations, cut at two of its hinges: the same accelerations of its bodies."""
-    assert linkages.examine(LINKAGE) == ""
+@pytest.mark.parametrize("seed", LINKAGES.values(), ids=LINKAGES.keys())
+def test_a_linkage_moves_alike_wherever_it_is_cut(seed: int) -> None:
+    """A linkage with redundant equations, or with rules of its joints, cut at two places: bodies accelerate alike."""
+    assert linkages.examine(seed) == ""
 
 
 def test_a_closed_mechanism_that_is_wrong_is_found() -> None:

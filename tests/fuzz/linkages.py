@@ -2,14 +2,15 @@
 
 A linkage is a set of links and pivots, at a pose where all bodies have the base's axes. A choice of cuts makes of it a
 model file: the pivots that are left carry the bodies of a tree, and the cut ones are its loops. Motions are compared as
-motions of the links; within each variant, all functions are compared with `free_bodies` as in `loops`.
+motions of the links; within each variant, all functions are compared with `free_bodies` as in `loops`. Pivots that no
+variant cuts may have springs, be driven, and be tied by equations, some with a coefficient at run time.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,17 @@ from tests.fuzz.kinematics import DECIMALS, FLOATS, Array, Motion, fifty_digits
 from tests.fuzz.loops import REGULAR, ROUNDING, Comparison, tally_up, turn_about, write_tapes, write_turns
 from tests.fuzz.mechanisms import CHOICES, Mechanism, Tally
 
-FREEDOMS = {"hinge": 1, "prismatic": 1, "cylindrical": 2, "universal": 2, "ball": 3, "planar": 3, "solid": 0, "rod": 5}
+FREEDOMS = {"hinge": 1, "prismatic": 1, "helical": 1, "cylindrical": 2, "universal": 2, "ball": 3, "planar": 3}
+FREEDOMS |= {"solid": 0, "rod": 5}
 PLANES = {"x": "yz", "y": "xz", "z": "xy"}
 FAMILIES = {"planar": 3, "spherical": 3, "spatial": 3, "pair": 2, "solid": 1}  # how often each is drawn
 ATTEMPTS = 40  # at a linkage that moves regularly
 NEAR = 0.15  # how far it moves from the pose at which it is drawn
 STEPS = 40  # of Newton's method
+PLAIN = ("hinge", "prismatic", "helical")  # kinds of pivots with one coordinate
+RULES = 8  # attempts at an equation, or at a driven pivot
+EQUATIONS = ("sin({a}) + 0.5*{b}**2 - {b}", "{a} - 0.8*{b}", "k*{a} + {b}", "{a}*{b} + {a} - k*{b}")
+RATIO = 0.6  # k in the equations
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,7 @@ class Pivot:
     axis: str = "z"
     axis2: str = "x"  # of universal joints
     end: Array | None = None  # of a rod: its place on the other link
+    pitch: float = 0.0  # of a helical pivot
 
 
 @dataclass
@@ -51,9 +58,16 @@ class Linkage:
     links: dict[str, tuple[float, Array, Array]]
     pivots: list[Pivot]
     freedom: int
+    gravity: Sequence[float] = (0.3, -9.0, -2.0)
     wrenches: dict[str, tuple[Array, Array, Array]] = field(default_factory=dict)  # place, force and moment on links
     springs: dict[str, dict[str, float]] = field(default_factory=dict)  # of pivots that are never cut
-    gravity: Sequence[float] = (0.3, -9.0, -2.0)
+    equations: list[tuple[str, str, str]] = field(default_factory=list)  # with the pivots a and b
+    driven: dict[str, float] = field(default_factory=dict)  # pivots with their accelerations
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Return the values of parameters at run time."""
+        return {"k": RATIO} if any("k*" in text for text, *_ in self.equations) else {}
 
 
 def draw(seed: int) -> tuple[Linkage, list[dict[str, Any]]]:
@@ -65,12 +79,42 @@ def draw(seed: int) -> tuple[Linkage, list[dict[str, Any]]]:
         choices = _choose_cuts(linkage, source)
         kept = set.intersection(*({x.name for x in linkage.pivots} - cuts for cuts in choices))
         for pivot in linkage.pivots:
-            if pivot.name in kept and pivot.kind in ("hinge", "prismatic") and source.random() < 0.4:
+            if pivot.name in kept and pivot.kind in PLAIN and source.random() < 0.4:
                 linkage.springs[pivot.name] = {"stiffness": source.choice([2.0, 15.0]), "damping": 0.3}
         models = [write_model(linkage, cuts, f"linkage{seed}") for cuts in choices]
         if all(_moves(linkage, model) for model in models):
-            return linkage, models
+            return _add_rules(linkage, choices, f"linkage{seed}")
     raise AssertionError(f"no linkage for seed {seed}")
+
+
+def _add_rules(linkage: Linkage, choices: list[set[str]], name: str) -> tuple[Linkage, list[dict[str, Any]]]:
+    """Tie two pivots, and drive one, where these have coordinates in all variants and some freedom is left."""
+    source = random.Random(f"{name} rules")  # does not change the rest of the linkage
+    plain = [x.name for x in linkage.pivots if x.kind in PLAIN and not any(x.name in cuts for cuts in choices)]
+    models = [write_model(linkage, cuts, name) for cuts in choices]
+    for add in (_tie, _drive):
+        for _ in range(RULES if source.random() < 0.7 else 0):
+            tried = add(linkage, plain, source)
+            if tried is None:
+                continue
+            changed = [write_model(tried, cuts, name) for cuts in choices]
+            if all(_moves(tried, model) for model in changed):
+                linkage, models = tried, changed
+                break
+    return linkage, models
+
+
+def _tie(linkage: Linkage, plain: Sequence[str], source: random.Random) -> Linkage | None:
+    if len(plain) < 2 or linkage.freedom < 2:
+        return None
+    text, (a, b) = source.choice(EQUATIONS), source.sample(plain, 2)
+    return replace(linkage, equations=[*linkage.equations, (text, a, b)], freedom=linkage.freedom - 1)
+
+
+def _drive(linkage: Linkage, plain: Sequence[str], source: random.Random) -> Linkage | None:
+    if not plain or linkage.freedom < 2:
+        return None
+    return replace(linkage, driven={source.choice(plain): round(source.uniform(-2, 2), 3)})
 
 
 # -- draws ------------------------------------------------------------------------------------------------------------
@@ -146,6 +190,8 @@ def _draw_spatial(source: random.Random) -> Linkage:
     kinds: list[str] = []
     while sum(FREEDOMS[kind] for kind in kinds) < 7:
         kinds.append(source.choice(["hinge", "hinge", "prismatic", "cylindrical", "universal", "ball", "planar"]))
+    thread = random.Random(repr(kinds))  # so that screws do not change the rest of the linkage
+    kinds = ["helical" if kind == "prismatic" and thread.random() < 0.5 else kind for kind in kinds]
     return _finish(source, [*_chain(source, kinds, "b", "base", "base")], sum(FREEDOMS[kind] for kind in kinds) - 6)
 
 
@@ -182,8 +228,8 @@ def _chain(source: random.Random, kinds: Sequence[str], letter: str, start: str,
         axis, axis2 = source.sample("xyz", 2)
         if kind in ("ball", "solid", "rod"):
             axis, axis2 = "z", "x"
-        name, place = f"{letter}j{k}", other if kind == "rod" else None
-        yield Pivot(name, kind, names[k], names[k + 1], p, _stand(source), axis, axis2, place)
+        name, place, pitch = f"{letter}j{k}", other if kind == "rod" else None, 0.3 * (kind == "helical")
+        yield Pivot(name, kind, names[k], names[k + 1], p, _stand(source), axis, axis2, place, pitch)
 
 
 # -- model files ------------------------------------------------------------------------------------------------------
@@ -241,7 +287,8 @@ def write_model(linkage: Linkage, cuts: set[str], name: str) -> dict[str, Any]:
                 "name": link,
                 "parent": parent,
                 "joint": {**_write_joint(pivot, reverse), **place(parent, pivot.p, pivot.R)}
-                | linkage.springs.get(pivot.name, {}),
+                | linkage.springs.get(pivot.name, {})
+                | ({"actuated": False} if pivot.name in linkage.driven else {}),
                 "mass": mass,
                 "com": [float(x) for x in pivot.R.T @ (com - pivot.p)],
                 "inertia": {f"{'xyz'[r]}{'xyz'[c]}": float(tensor[r, c]) for r in range(3) for c in range(r, 3)},
@@ -251,6 +298,7 @@ def write_model(linkage: Linkage, cuts: set[str], name: str) -> dict[str, Any]:
         loop: dict[str, Any] = {"name": pivot.name, "type": pivot.kind}
         loop |= {"axis": pivot.axis} if pivot.kind not in ("rod", "ball", "solid") else {}
         loop |= {"axis2": pivot.axis2} if pivot.kind == "universal" else {}
+        loop |= {"pitch": pivot.pitch} if pivot.kind == "helical" else {}
         end = pivot.p if pivot.end is None else pivot.end
         loop |= {"length": float(np.linalg.norm(end - pivot.p))} if pivot.kind == "rod" else {}
         loop["from"] = {"body": pivot.one, **place(pivot.one, pivot.p, pivot.R)}
@@ -259,8 +307,19 @@ def write_model(linkage: Linkage, cuts: set[str], name: str) -> dict[str, Any]:
     for link, (p, force, moment) in linkage.wrenches.items():
         entry = {"name": f"w_{link}", "body": link, "position": place(link, p, np.eye(3))["position"]}
         wrenches.append(entry | {"force": [float(x) for x in force], "moment": [float(x) for x in moment]})
-    model: dict[str, Any] = {"name": name, "gravity": [*linkage.gravity], "parameters": {}, "bodies": bodies}
-    return model | {"loops": loops, "wrenches": wrenches, "frames": []}
+    parameters = {key: {"value": x, "kind": "runtime"} for key, x in linkage.parameters.items()}
+    model: dict[str, Any] = {"name": name, "gravity": [*linkage.gravity], "parameters": parameters, "bodies": bodies}
+    signs = find_signs(linkage, cuts)
+    spelled = {x: x if sign > 0 else f"(-{x})" for x, sign in signs.items()}
+    equations = [text.format(a=spelled[a], b=spelled[b]) for text, a, b in linkage.equations]
+    rules: dict[str, Any] = {"constraints": [{"name": f"e{k}", "equation": x} for k, x in enumerate(equations)]}
+    rules["driven"] = [*linkage.driven]
+    return model | {"loops": loops, "wrenches": wrenches, "frames": []} | {key: x for key, x in rules.items() if x}
+
+
+def find_signs(linkage: Linkage, cuts: set[str]) -> dict[str, float]:
+    """Return the signs of the coordinates of pivots: -1 where a pivot is taken in reverse."""
+    return {pivot.name: -1.0 if reverse else 1.0 for pivot, reverse in seat_links(linkage, cuts).values()}
 
 
 def _write_joint(pivot: Pivot, reverse: bool) -> dict[str, Any]:
@@ -269,6 +328,8 @@ def _write_joint(pivot: Pivot, reverse: bool) -> dict[str, Any]:
             return {"name": pivot.name, "type": "revolute", "axis": pivot.axis}
         case "prismatic":
             return {"name": pivot.name, "type": "prismatic", "axis": pivot.axis}
+        case "helical":
+            return {"name": pivot.name, "type": "helical", "axis": pivot.axis, "pitch": pivot.pitch}
         case "cylindrical":
             return {"type": "cylindrical", "axis": pivot.axis}
         case "planar":
@@ -284,9 +345,11 @@ def _write_joint(pivot: Pivot, reverse: bool) -> dict[str, Any]:
 
 def _moves(linkage: Linkage, model: Mapping[str, Any]) -> bool:
     """Return whether a linkage has the expected freedom, and no singular pose near."""
-    program = FreeBodies(model, {}, FLOATS)
+    program = FreeBodies(model, linkage.parameters, FLOATS)
     J = program.jacobian(start(program))[1]
-    singular, rank = np.linalg.svd(J, compute_uv=False), J.shape[1] - linkage.freedom
+    driven = [program.names_of_velocities.index(name) for name in linkage.driven]
+    J = np.concatenate((J, np.eye(J.shape[1])[driven]))
+    singular, rank = np.linalg.svd(J, compute_uv=False), J.shape[1] - linkage.freedom + len(driven)
     if not 0 < rank <= len(singular):
         return False
     return bool(singular[rank - 1] > REGULAR * singular[0] and (singular[rank:] < 1e-12).all())
@@ -364,7 +427,8 @@ def examine(seed: int) -> str:
     motions: list[Mapping[str, Motion]] = []
     wanted: dict[str, Motion] = {}
     for k, model in enumerate(models):
-        mechanism, cuts = Mechanism(model, {}, {}, source.choice([*CHOICES])), {x["name"] for x in model["loops"]}
+        mechanism = Mechanism(model, {}, linkage.parameters, source.choice([*CHOICES]))
+        cuts = {x["name"] for x in model["loops"]}
         tree, tapes = write_tapes(mechanism)
         with fifty_digits():
             comparison = Comparison(mechanism, tree, tapes, seed)
@@ -377,7 +441,8 @@ def examine(seed: int) -> str:
                 q, qd = follow(linkage, cuts, program, wanted)
             else:
                 q, qd = draw_state(program, np.random.default_rng(seed))
-            qdd = comparison.accelerate(q, qd)
+            signs = find_signs(linkage, cuts)
+            qdd = comparison.accelerate(q, qd, {name: signs[name] * a for name, a in linkage.driven.items()})
             given = [dict(zip(program.names_of_velocities, x, strict=True)) for x in (qd, qdd)]
             moved = program.move(program.fill(q), *map(program.fill_rates, given))
             motions.append(link_motions(linkage, cuts, moved.bodies))
@@ -398,6 +463,6 @@ def search(
     """Examine linkages from a seed on."""
 
     def examine_one(number: int) -> tuple[str, Callable[[], Mechanism]]:
-        return examine(number), lambda: Mechanism(draw(number)[1][0], {}, {}, "all")
+        return examine(number), lambda: Mechanism((drawn := draw(number))[1][0], {}, drawn[0].parameters, "all")
 
     return tally_up(range(seed, seed + count), examine_one, keep, show)

@@ -464,12 +464,13 @@ class Comparison:
             found[rest] = found[rest] + inverse @ (right - J @ found)
         return found
 
-    def accelerate(self, q: Mapping[str, Any], qd: Array) -> Array:
+    def accelerate(self, q: Mapping[str, Any], qd: Array, drive: Mapping[str, float]) -> Array:
         """Return what exp1 gives for a state without forces of joints; velocities are in the program's order."""
         rates = dict(zip(self.program.names_of_velocities, qd, strict=True))
         own = DECIMALS.array([rates[name] for name in self.names])
         given, self.u = self.u, dict.fromkeys(self.u, 0.0)
-        found = dict(zip(self.names, self._evaluate("exp1", {"q": q, "qd": own})["qdd"], strict=True))
+        at = {"q": q, "qd": own, "a": DECIMALS.array([drive[name] for name in self.driven])}
+        found = dict(zip(self.names, self._evaluate("exp1", at)["qdd"], strict=True))
         self.u = given
         return DECIMALS.array([found[name] for name in self.program.names_of_velocities])
 

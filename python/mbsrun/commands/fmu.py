@@ -26,8 +26,8 @@ Variables
 
 The model's run-time parameters are tunable parameters. Derivatives, directional and in FMI 3.0 adjoint, are exact.
 Co-simulation takes steps of the classical Runge-Kutta method, as `mbsrun simulate --method rk4` does. The unit holds
-the sources, and a library for this machine's system. Closed loops are kept closed by projection. Driven joints are
-refused.
+the sources, and a library for this machine's system. Closed loops are kept closed by projection. The motion of
+driven joints is an input, and their forces are outputs.
 
 \b
 Exit codes
