@@ -260,11 +260,17 @@ class Problem:
         u, w = _flatten(motion.u), _flatten(motion.w)
         known |= {f"u_{spell(x)}": u[:, i] for i, x in enumerate(self.own.inputs)}
         known |= {name: w[:, i] for i, name in enumerate(self.list_components())}
+        known |= self.recall(motion.point_t.ravel())
         return known | self.name_accelerations(Acceleration(_flatten(motion.point_qdd), _flatten(motion.tau)))
+
+    def recall(self, t: Array) -> Known:
+        """Name recorded values at some times."""
+        return self.data["references"].name_values(t, self.T) if "references" in self.data else {}
 
     def at_mesh(self, motion: Motion, places: list[int]) -> Known:
         """Name what does not jump at some mesh points."""
         known = self.know(motion.q[places], motion.qd[places]) | {"t": motion.t[places]}
+        known |= self.recall(motion.t[places])
         return known | {name: x[places] for name, x in motion.states.items()}
 
     def at_end(self, motion: Motion, which: int) -> Known:

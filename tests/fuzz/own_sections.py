@@ -14,6 +14,7 @@ from tests.fuzz.formulas import Formula
 from tests.fuzz.own_mechanism import Known
 from tests.fuzz.own_motion import Motion, find_weights
 from tests.fuzz.own_problem import Problem, name_slack
+from tests.fuzz.own_recordings import list_squares
 from tests.fuzz.problem_names import spell
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ class Sections:
         """Return the terms of the cost, weights included."""
         cost, problem, found = self.data["cost"], self.problem, {}
         plain = [x for x in self.own.inputs if x not in problem.lifted and x not in problem.forces]
-        others = any(cost.get(key) for key in ("running", "terminal", "largest", "input_rates"))
+        others = any(cost.get(key) for key in ("running", "terminal", "largest", "input_rates", "track"))
         price = problem.number(cost.get("inputs", 0 if others else 1))
         for title, names in (("inputs", plain), ("continuous inputs", problem.lifted)):
             found[title] = price * sum(self.integrate(self.points[f"u_{spell(x)}"] ** 2) for x in names)
@@ -65,6 +66,10 @@ class Sections:
             found[f"rates of {x}"] = price * self.integrate(self.points[f"rate_u_{spell(x)}"] ** 2)
         for i, part in enumerate(cost.get("running", ())):
             found[f"running {i}"] = self.weigh(part) * self.integrate(part["expression"].evaluate(self.points))
+        for part in cost.get("track", ()):
+            for name, tree in list_squares(part).items():
+                weight = self.weigh(part) * part.get("weights", {}).get(name, 1)
+                found[f"track {name}"] = weight * self.integrate(Formula(tree).evaluate(self.points))
         for i, part in enumerate(cost.get("terminal", ())):
             found[f"terminal {i}"] = self.weigh(part) * float(part["expression"].evaluate(self.last)[0])
         for i, part in enumerate(cost.get("largest", ())):

@@ -1,4 +1,4 @@
-"""Random problems of two phases with a link: sums of two problems that `problems` compares, and the rows of the link.
+"""Random problems of two phases with one link or a cycle of two: sums of problems that `problems` compares, and links.
 
 Both phases have independent motions. So each row that carries a state over has their distance as its value.
 """
@@ -8,57 +8,78 @@ from __future__ import annotations
 import random
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
+from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.phases.guess import solve_links
 from mbsrun.ocp.phases.linking import Defined
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.solve import PhasedSolver
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.plant import Plant
-from tests.fuzz.formulas import Formula, draw_quantity, write
+from tests.fuzz.formulas import write
 from tests.fuzz.mechanisms import Tally
-from tests.fuzz.own_motion import NoMotionError
+from tests.fuzz.own_links import HIT, POINT, Crossing, Linking
+from tests.fuzz.own_motion import Motion, NoMotionError
 from tests.fuzz.own_problem import Problem
 from tests.fuzz.own_sections import Demand, Sections
 from tests.fuzz.problem_derivatives import find_wrong_derivatives
 from tests.fuzz.problem_drawing import Data, Drawing
-from tests.fuzz.problem_names import Mechanical, spell
-from tests.fuzz.problems import SAME, SHARED, compare_numbers, convert, load_mechanism
+from tests.fuzz.problem_names import Mechanical
+from tests.fuzz.problems import SAME, SHARED, compare_numbers, convert, load_mechanism, make_folder
 
-LIMITS = (-1.3, 1.7)
-WEIGHT = 0.37
+Array = NDArray[np.float64]
+
 ATTEMPTS = 20  # problems drawn for a phase
 
 
-def draw(seed: int) -> tuple[Data, Plant]:
+@dataclass(frozen=True)
+class Drawn:
+    """A problem of two phases, their model, and the model of impacts."""
+
+    data: Data
+    plant: Plant
+    hit: Plant
+
+
+def draw(seed: int) -> Drawn:
     """Draw a problem of two phases. Raises NoMotionError where the mechanism is closed, driven, or turns freely."""
     _, plant = load_mechanism(seed // SHARED)
     manifest = plant.manifest
     if manifest.configuration or manifest.dependent or manifest.driven:
         raise NoMotionError("links are drawn for trees without quaternions")
-    own, pick = Mechanical.of(manifest), random.Random(f"{seed} phases")
-    first, second = (_draw_phase(own, f"{seed} {name}") for name in "ab")
+    own, pick, hit = Mechanical.of(manifest), random.Random(f"{seed} phases"), load_hit(seed // SHARED)
+    first, second = ({"name": name, **_draw_phase(own, f"{seed} {name}")} for name in "ab")
     constants = first.pop("constants")
     second.pop("constants")
-    second["start"] = {"pose": {}}
-    names = [f"q_{spell(x)}" for x in own.positions] + [f"qd_{spell(x)}" for x in own.velocities]
-    names += ["x_hand", "vz_hand", "T", *(f"u_{spell(x)}" for x in own.inputs)]
-    sides = [f"{side}_{name}" for side in ("end", "start") for name in names]
-    link: Data = {
-        "from": "a",
-        "to": "b",
-        "conditions": [{"expression": draw_quantity(pick, sides), "range": [*LIMITS]}],
-        "cost": [{"expression": draw_quantity(pick, sides), "weight": WEIGHT}],
-        "map": {x: None for x in second.get("states", {}) if x not in first.get("states", {})},
-    }
-    phases = [{"name": "a", **first}, {"name": "b", **second}]
-    return {"model": "model.yaml", "constants": constants, "phases": phases, "links": [link]}, plant
+    linking = Linking(own, hit, pick)
+    pairs = [(first, second), (second, first)][: pick.choice([1, 2])]
+    for _, target in pairs:
+        target["start"] = {"pose": {}}
+    links = [linking.draw(source, target) for source, target in pairs]
+    return Drawn({"model": "model.yaml", "constants": constants, "phases": [first, second], "links": links}, plant, hit)
+
+
+@lru_cache(maxsize=1)
+def load_hit(number: int) -> Plant:
+    """Load a mechanism with an open force at its sensor."""
+    model, _ = load_mechanism(number)
+    (place,) = (x for x in model["frames"] if x["name"] == POINT)
+    own = {"name": POINT, "body": place["body"], "position": [*place["position"]]}
+    wrench = own | {"frame": "base", "force": "input"}
+    file = Path(make_folder().name, f"{number}_hit.yaml")
+    changed = {**model, "wrenches": [*model.get("wrenches", ()), wrench]}
+    file.write_text(yaml.safe_dump(changed, sort_keys=False), encoding="utf-8")
+    return load_on_demand(file)
 
 
 def _draw_phase(own: Mechanical, seed: str) -> Data:
@@ -66,38 +87,23 @@ def _draw_phase(own: Mechanical, seed: str) -> Data:
     for attempt in range(ATTEMPTS):
         data = Drawing(own, f"{seed} {attempt}").problem()
         is_soft = any("soft" in part for part in data["constraints"])
-        if not ("unknowns" in data or "largest" in data["cost"] or is_soft):
+        if not ("references" in data or "unknowns" in data or "largest" in data["cost"] or is_soft):
             return {key: value for key, value in data.items() if key not in ("model", "solver")}
     raise NoMotionError("every problem has numbers of the whole horizon")
 
 
-def examine(data: Data, plant: Plant, seed: int) -> str:
+def examine(drawn: Drawn, seed: int) -> str:
     """Compare a problem of phases with this program. Raises InputError, ProblemError where it is refused."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "problem.ocp.yaml")
-        file.write_text(yaml.safe_dump(write(data), sort_keys=False), encoding="utf-8")
-        stated, plants = read_phased_problem(file, lambda _: plant)
-    solver, own = PhasedSolver(stated, plants), Mechanical.of(plant.manifest)
-    sections = []
+    data, own = drawn.data, Mechanical.of(drawn.plant.manifest)
+    solver, sections = PhasedSolver(*state(drawn)), []
+    stated = solver.problem
     for phase in data["phases"]:
-        problem = Problem({**phase, "constants": data["constants"]}, own, plant, f"{seed} {phase['name']}")
-        sections.append(Sections(problem, problem.move(), plant.manifest))
-    whole, motions = solver.transcription, [part.motion for part in sections]
-    guess = [convert(motion, phase.problem) for motion, phase in zip(motions, stated.phases, strict=True)]
-    x = whole.pack(stated, Guess(tuple(guess), ()))
-    defined = [Defined(whole.see(part.variables), whole.see_rows(part.rows)) for part in whole.defined]
-    functions, p = solver.program.casadi, whole.parameters(stated)
-    x = solve_links(
-        x,
-        tuple(defined),
-        lambda x: functions.constraint(x, p).full().ravel(),
-        lambda x: functions.jacobian(x, p).sparse(),
-    )
-    (link,) = data["links"]
-    known = {f"end_{name}": value for name, value in sections[0].last.items()}
-    known |= {f"start_{name}": value for name, value in sections[1].first.items()}
-    costs = sum(sum(part.list_costs().values()) for part in sections)
-    costs += WEIGHT * float(link["cost"][0]["expression"].evaluate(known)[0])
+        problem = Problem({**phase, "constants": data["constants"]}, own, drawn.plant, f"{seed} {phase['name']}")
+        sections.append(Sections(problem, problem.move(), drawn.plant.manifest))
+    crossings = [_cross(link, sections, drawn.hit) for link in data["links"]]
+    whole, functions = solver.transcription, solver.program.casadi
+    p, x = whole.parameters(stated), pack(solver, [part.motion for part in sections])
+    costs = sum(sum(part.list_costs().values()) for part in sections) + sum(crossing.cost for crossing in crossings)
     found, faults = float(functions.objective(x, p)), []
     if abs(found - costs) > SAME * (1 + abs(costs)):
         faults.append(f"the cost is {found:.9g}, not {costs:.9g}")
@@ -108,26 +114,51 @@ def examine(data: Data, plant: Plant, seed: int) -> str:
         for value, low, high in zip(values, lower, upper, strict=True)
         if np.isfinite((low, high)).any() and not (low == high and abs(value - low) <= SAME * (1 + abs(low)))
     ]
-    missing, left = compare_numbers(numbers, list(_list_demands(sections, link, known)))
+    missing, left = compare_numbers(numbers, list(_list_demands(sections, crossings)))
     faults += [*missing, *(f"{value:.9g} in [{low:.9g}, {high:.9g}] is not asked for" for value, low, high in left)]
     faults += find_wrong_derivatives(functions, p, bounds, x, np.random.default_rng(seed))
     return "; ".join(faults)
 
 
-def _list_demands(sections: list[Sections], link: Data, known: dict[str, np.ndarray]) -> Iterator[Demand]:
-    """List the limits of both phases, without the start of the second one, and the conditions of the link."""
-    first, second = sections
-    own, condition = first.own, link["conditions"][0]["expression"]
+def state(drawn: Drawn) -> tuple[PhasedProblem, Plants]:
+    """Read the file of a problem as any user's. Raises InputError."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "problem.ocp.yaml")
+        file.write_text(yaml.safe_dump(write(drawn.data), sort_keys=False), encoding="utf-8")
+        return read_phased_problem(file, lambda path: drawn.hit if path.name == HIT else drawn.plant)
+
+
+def pack(solver: PhasedSolver, motions: list[Motion]) -> Array:
+    """Return the variables at motions of the phases; links give theirs."""
+    stated, whole, functions = solver.problem, solver.transcription, solver.program.casadi
+    guess = [convert(motion, phase.problem) for motion, phase in zip(motions, stated.phases, strict=True)]
+    defined = [Defined(whole.see(part.variables), whole.see_rows(part.rows)) for part in whole.defined]
+    p = whole.parameters(stated)
+    return solve_links(
+        whole.pack(stated, Guess(tuple(guess), ())),
+        tuple(defined),
+        lambda x: functions.constraint(x, p).full().ravel(),
+        lambda x: functions.jacobian(x, p).sparse(),
+    )
+
+
+def _cross(link: Data, sections: list[Sections], hit: Plant) -> Crossing:
+    """Follow a link; its impact has the parameters of the phase before it."""
+    before, after = (sections["ab".index(link[key])] for key in ("from", "to"))
+    values = before.data.get("parameters", {})
+    plant = hit.with_parameters(**{name: before.problem.number(x) for name, x in values.items()})
+    return Crossing(link, before, after, plant)
+
+
+def _list_demands(sections: list[Sections], crossings: list[Crossing]) -> Iterator[Demand]:
+    """List the limits of both phases, without starts that links give, and of the links."""
+    own = sections[0].own
     starts = {f"start {x}" for x in (*own.positions, *own.velocities)}
-    yield from first.list_demands()
-    yield from (x for x in second.list_demands() if x.title not in starts)
-    assert isinstance(condition, Formula)
-    yield Demand("the condition of the link", condition.evaluate(known), LIMITS)
-    before, after = first.motion, second.motion
-    distances = [*(after.q[0] - before.q[-1]), *(after.qd[0] - before.qd[-1])]
-    kept = [x for x in after.states if x in before.states and x not in link["map"] and x[0] != "@"]
-    distances += [after.states[x][0] - before.states[x][-1] for x in kept]
-    yield Demand("the distance of a state over the link", np.array(distances), (0.0, 0.0))
+    for part in sections:
+        is_given = any(crossing.after is part for crossing in crossings)
+        yield from (x for x in part.list_demands() if not (is_given and x.title in starts))
+    for crossing in crossings:
+        yield from crossing.list_demands()
 
 
 def search(
@@ -137,8 +168,8 @@ def search(
     tally = Tally()
     for number in range(seed, seed + count):
         try:
-            data, plant = draw(number)
-            finding = examine(data, plant, number)
+            drawn = draw(number)
+            finding = examine(drawn, number)
         except (InputError, ProblemError, NoMotionError) as error:
             tally.refused.append((number, str(error).splitlines()[0]))
         except Exception as error:
@@ -149,6 +180,6 @@ def search(
                 tally.findings.append((number, finding))
         if keep is not None and tally.findings and tally.findings[-1][0] == number:
             keep.mkdir(parents=True, exist_ok=True)
-            (keep / f"phases_{number}.ocp.yaml").write_text(yaml.safe_dump(write(data), sort_keys=False), "utf-8")
+            (keep / f"phases_{number}.ocp.yaml").write_text(yaml.safe_dump(write(drawn.data), sort_keys=False), "utf-8")
         show(number, tally)
     return tally

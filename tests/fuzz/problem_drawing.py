@@ -1,4 +1,4 @@
-"""Random problem files for a mechanism: every section of `docs/problem.md` that needs no other file.
+"""Random problem files for a mechanism: the sections of `docs/problem.md`, and recordings.
 
 A problem is data with formulas in it. Numbers are such that a motion of a short time from the drawn start is near.
 """
@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from tests.fuzz.formulas import Formula, draw, draw_drive, draw_quantity
+from tests.fuzz.own_recordings import draw_recording, draw_track
 from tests.fuzz.problem_names import Mechanical, spell
 
 Data = dict[str, Any]
 
+RECORDED = 0.3  # of problems
 DELAYED = 0.25  # of problems with a given horizon
 SHORT = 0.09  # of an interval [s], about
 
@@ -23,6 +25,7 @@ class Drawing:
 
     def __init__(self, mechanism: Mechanical, seed: int | str) -> None:
         self.own, self.pick = mechanism, random.Random(f"{seed} problem")
+        self.recording = random.Random(f"{seed} recording")
         self.data: Data = {}
         self.is_standard = True
         self.is_free = False  # the horizon
@@ -63,6 +66,8 @@ class Drawing:
             ]
         if own.design and self.chance(0.2):
             data["solver"] = {"objective_scaling": 1}
+        if self.recording.random() < RECORDED:
+            self.draw_references()
         return data
 
     # -- names that expressions read ------------------------------------------------------------------------------
@@ -188,6 +193,13 @@ class Drawing:
             state |= {"end": pick.choice([0.2, [None, 0.9], [-0.7, 0.9], None])}
             if self.chance(0.5):
                 state["range"] = [-3, pick.choice([4, None])]
+
+    def draw_references(self) -> None:
+        """Draw a recording, and terms of the cost that read it."""
+        cost = self.data["cost"]
+        self.data["references"] = draw_recording(self.recording, self.T, is_free=self.is_free)
+        cost["track"], running = draw_track(self.recording, self.own, self.states())
+        cost["running"] += running
 
     def delays(self) -> list[float]:
         """List the times of inner mesh points, where the horizon is given."""

@@ -95,8 +95,14 @@ def state(drawn: Drawn, plant: Plant) -> tuple[Stated, Plant]:
     """Read the file of a problem as any user's. Raises InputError."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "problem.ocp.yaml")
-        file.write_text(yaml.safe_dump(write(drawn.data), sort_keys=False), encoding="utf-8")
+        file.write_text(write_problem(drawn.data, Path(folder)), encoding="utf-8")
         return read_problem(file, lambda _: plant)
+
+
+def write_problem(data: Data, folder: Path) -> str:
+    """Write the recording of a problem into a folder; return the text of the problem's file."""
+    given = {"references": data["references"].write(folder)} if "references" in data else {}
+    return yaml.safe_dump(write({**data, **given}), sort_keys=False)
 
 
 def examine(drawn: Drawn, plant: Plant) -> str:
@@ -304,5 +310,5 @@ def keep_files(folder: Path, drawn: Drawn, finding: str) -> None:
     own = folder / f"problem_{drawn.seed}"
     own.mkdir(parents=True, exist_ok=True)
     (own / "model.yaml").write_text(yaml.safe_dump(drawn.model, sort_keys=False), encoding="utf-8")
-    text = f"# seed {drawn.seed}: {finding}\n{yaml.safe_dump(write(drawn.data), sort_keys=False)}"
+    text = f"# seed {drawn.seed}: {finding}\n{write_problem(drawn.data, own)}"
     (own / "problem.ocp.yaml").write_text(text, encoding="utf-8")
