@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import random
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, problems
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, phased, problems, touching
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
 
@@ -24,6 +25,12 @@ LINKAGES = {  # seeds
 DRIVEN_PROBLEM = 2233  # the seed of a problem of a mechanism with a driven joint, and an unknown mass
 CLOSED_PROBLEM = 3637  # of a mechanism with a loop
 ROUGH = 9  # the seed of a mechanism that a tolerance changes
+RECORDED = 24  # the seed of a problem with a recording
+MULTIPLIERS = 60048  # of one with a loop, which multipliers close, too, and a recording
+CYCLE = 125  # the seed of a problem of two phases that follow each other in a cycle
+IMPACT = 130  # of one with an impact that rebounds
+STANDING = 122  # the seed of a problem with a contact that stands, with friction
+RELAXED = 124  # of one with a contact whose times are not given, with friction
 
 
 @pytest.mark.parametrize("name", inputs.KINDS)
@@ -135,10 +142,41 @@ def test_a_closed_mechanism_that_is_wrong_is_found() -> None:
     assert all(f"{name} by" in found for name in ("impl", "exp1: qdd", "exp1: tau", "exp2: lam", "semi_red: c"))
 
 
-@pytest.mark.parametrize("seed", [DRIVEN_PROBLEM, CLOSED_PROBLEM])
+@pytest.mark.parametrize("seed", [DRIVEN_PROBLEM, CLOSED_PROBLEM, RECORDED, MULTIPLIERS])
 def test_problems_agree_with_another_transcription(seed: int) -> None:
     """Costs, limits and derivatives."""
     assert problems.examine(*problems.draw(seed)) == ""
+
+
+@pytest.mark.parametrize("seed", [CYCLE, IMPACT])
+def test_problems_of_phases_agree_with_another_transcription(seed: int) -> None:
+    """Two phases, one after the other or in a cycle; their links have impacts, and map coordinates."""
+    assert phased.examine(phased.draw(seed), seed) == ""
+
+
+def test_an_impact_that_is_wrong_is_found() -> None:
+    """Otherwise agreement would show nothing: the program has another restitution."""
+    drawn = phased.draw(IMPACT)
+    data = copy.deepcopy(drawn.data)
+    (impact,) = (link["impact"] for link in data["links"] if "impact" in link)
+    impact["restitution"] += 0.1
+    changed = replace(drawn, data=data)
+    assert "the distance of a state over the link" in phased.examine(drawn, IMPACT, stated=phased.state(changed))
+
+
+@pytest.mark.parametrize("seed", [STANDING, RELAXED])
+def test_problems_with_contacts_agree_with_their_sections_written_out(seed: int) -> None:
+    """A point that stands, and one that may touch: forces, cones, products, velocities."""
+    assert touching.examine(touching.draw(seed)) == ""
+
+
+def test_a_contact_that_is_wrong_is_found() -> None:
+    """Otherwise agreement would show nothing: a stand along no axis, and no products."""
+    for seed in (STANDING, RELAXED):
+        drawn = touching.draw(seed)
+        kept = {key: x for key, x in drawn.named.data.items() if key not in ("contacts", "relaxation")}
+        free = {**kept, "wrenches": drawn.written.data["wrenches"]}
+        assert "no limits" in touching.examine(replace(drawn, named=replace(drawn.named, data=free)), drawn.contact)
 
 
 def test_a_problem_that_is_wrong_is_found() -> None:

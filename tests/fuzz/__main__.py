@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, phased, problems
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, phased, problems, touching
 
 
 @click.group()
@@ -54,14 +54,21 @@ def loops_command(count: int, seed: int, keep: Path | None) -> None:
 
 
 @cli.command("problems")
-@click.option("--count", default=600, show_default=True, help="Problems to try; a fourth as many of two phases follow.")
+@click.option(
+    "--count",
+    default=600,
+    show_default=True,
+    help="Problems to try; a fourth as many of two phases, and with a contact, follow.",
+)
 @click.option("--seed", default=0, show_default=True, help="The first seed; each problem has the next.")
 @click.option("--keep", type=click.Path(path_type=Path), help="A folder for the problems that disagree.")
 def problems_command(count: int, seed: int, keep: Path | None) -> None:
     """Draw optimal control problems: their programs agree with a transcription of another hand."""
     failed = run(problems.search, count, seed, keep)
-    click.echo("problems of two phases:")
-    sys.exit(run(phased.search, count // 4, seed, keep) or failed)
+    for title, search in (("problems of two phases", phased.search), ("problems with a contact", touching.search)):
+        click.echo(f"{title}:")
+        failed = run(search, count // 4, seed, keep) or failed
+    sys.exit(failed)
 
 
 @cli.command("bounds")

@@ -92,25 +92,28 @@ def _draw_phase(own: Mechanical, seed: str) -> Data:
     raise NoMotionError("every problem has numbers of the whole horizon")
 
 
-def examine(drawn: Drawn, seed: int) -> str:
-    """Compare a problem of phases with this program. Raises InputError, ProblemError where it is refused."""
+def examine(drawn: Drawn, seed: int, stated: tuple[PhasedProblem, Plants] | None = None) -> str:
+    """Compare a problem of phases, or another stated one, with this program.
+
+    Raises InputError, ProblemError where it is refused.
+    """
     data, own = drawn.data, Mechanical.of(drawn.plant.manifest)
-    solver, sections = PhasedSolver(*state(drawn)), []
-    stated = solver.problem
+    solver, sections = PhasedSolver(*(stated or state(drawn))), []
+    problem = solver.problem
     for phase in data["phases"]:
-        problem = Problem({**phase, "constants": data["constants"]}, own, drawn.plant, f"{seed} {phase['name']}")
-        sections.append(Sections(problem, problem.move(), drawn.plant.manifest))
+        own_problem = Problem({**phase, "constants": data["constants"]}, own, drawn.plant, f"{seed} {phase['name']}")
+        sections.append(Sections(own_problem, own_problem.move(), drawn.plant.manifest))
     crossings = [_cross(link, sections, drawn.hit) for link in data["links"]]
     whole, functions = solver.transcription, solver.program.casadi
-    p, x = whole.parameters(stated), pack(solver, [part.motion for part in sections])
+    p, x = whole.parameters(problem), pack(solver, [part.motion for part in sections])
     costs = sum(sum(part.list_costs().values()) for part in sections) + sum(crossing.cost for crossing in crossings)
     found, faults = float(functions.objective(x, p)), []
     if abs(found - costs) > SAME * (1 + abs(costs)):
         faults.append(f"the cost is {found:.9g}, not {costs:.9g}")
-    g, bounds = functions.constraint(x, p).full().ravel(), whole.constraint_bounds(stated)
+    g, bounds = functions.constraint(x, p).full().ravel(), whole.constraint_bounds(problem)
     numbers = [
         (float(value), float(low), float(high))
-        for values, (lower, upper) in ((x, whole.variable_bounds(stated)), (g, bounds))
+        for values, (lower, upper) in ((x, whole.variable_bounds(problem)), (g, bounds))
         for value, low, high in zip(values, lower, upper, strict=True)
         if np.isfinite((low, high)).any() and not (low == high and abs(value - low) <= SAME * (1 + abs(low)))
     ]

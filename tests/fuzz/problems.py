@@ -116,10 +116,35 @@ def examine(drawn: Drawn, plant: Plant) -> str:
     faults += find_differing_backends(stated, solver, x, rng)
     if drawn.seed % WITH_TABLES == 0:
         faults += find_differing_tables(stated, solver, solver.plant, x, rng)
+    if has_multipliers(drawn.data, sections):
+        faults += [f"by multipliers: {fault}" for fault in find_faults_of_multipliers(drawn, plant, sections)]
     if drawn.seed % WITH_SOLVES == 0:
         eased = replace(drawn, data=ease(drawn.data, sections.problem, sections.motion, sections))
         faults += find_wrong_solutions(*state(eased, plant))
     return "; ".join(fault for fault in faults if fault)
+
+
+def has_multipliers(data: Data, sections: Sections) -> bool:
+    """Return whether a problem can have all coordinates of a closed mechanism as variables."""
+    is_standard = data.get("form", "standard") == "standard" and data["integrator"] == "collocation"
+    return sections.own.is_closed and is_standard and data["scheme"] == "radau"
+
+
+def find_faults_of_multipliers(drawn: Drawn, plant: Plant, sections: Sections) -> list[str]:
+    """Compare a problem with all coordinates as variables: its costs and limits are the same, its equations are not.
+
+    The motion is one of the reduced form, so the equations of motion have residuals, and are left out.
+    """
+    stated, equipped = state(replace(drawn, data={**drawn.data, "loops": "multipliers"}), plant)
+    comparison = Comparison(stated, Solver(stated, equipped), sections.motion)
+    faults = comparison.run_without_equations(sections)
+    solver, x, rng = comparison.solver, comparison.x, np.random.default_rng(drawn.seed)
+    bounds = solver.transcription.constraint_bounds(stated)
+    faults += find_wrong_derivatives(solver.program.casadi, comparison.p, bounds, x, rng)
+    faults += find_differing_backends(stated, solver, x, rng)
+    if drawn.seed % WITH_TABLES == 0:
+        faults += find_differing_tables(stated, solver, solver.plant, x, rng)
+    return faults
 
 
 def compare(drawn: Drawn, plant: Plant, stated: Stated, equipped: Plant) -> tuple[Comparison, Sections]:
@@ -146,6 +171,23 @@ class Comparison:
         zeros = self.compare_demands(sections.list_demands(), sections.find_attitudes())
         self.compare_rank(zeros)
         return "; ".join(self.faults)
+
+    def run_without_equations(self, sections: Sections) -> list[str]:
+        """Compare the motion, its cost, and its limits, where the equations of motion are others."""
+        self.compare_motion()
+        self.compare_costs(sections.list_costs())
+        missing, _ = compare_numbers(self.list_numbers(), sections.list_demands())
+        return [*self.faults, *missing]
+
+    def list_numbers(self) -> list[Limited]:
+        """List all variables and rows that have limits."""
+        g = self.functions.constraint(self.x, self.p).full().ravel()
+        parts = (
+            (self.x, *self.transcription.variable_bounds(self.stated)),
+            (g, *self.transcription.constraint_bounds(self.stated)),
+        )
+        every = [x for part in parts for x in zip(*(values.tolist() for values in part), strict=True)]
+        return [x for x in every if np.isfinite(x[1:]).any()]
 
     def compare_motion(self) -> None:
         """Compare the states that the program has, or finds, with the motion."""
