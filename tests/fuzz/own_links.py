@@ -40,7 +40,7 @@ class Linking:
         self.own, self.plant, self.pick = own, plant, pick
 
     def draw(self, source: Data, target: Data) -> Data:
-        """Draw a link from the end of a phase to the start of another one, or of its own."""
+        """Draw a link from the end of a phase to the start of another one."""
         link: Data = {"from": source["name"], "to": target["name"]}
         names = [f"q_{spell(x)}" for x in self.own.positions] + [f"qd_{spell(x)}" for x in self.own.velocities]
         names += [f"x_{POINT}", f"vz_{POINT}", "T", *(f"u_{spell(x)}" for x in self.own.inputs)]

@@ -1,8 +1,8 @@
 """Random problems with a contact: one that stands for the whole horizon, or one that comes and goes, relaxed.
 
 Such a contact is other sections in short: open components of its wrench, and constraints. A problem that has these
-written out is compared with the program of the problem that names the contact. What keeps a point standing is added:
-its velocities at points, and its way over each interval.
+written out is compared with the program of the problem that names the contact. Conditions of a stand are added:
+no velocity at points, and no way over an interval.
 """
 
 from __future__ import annotations
