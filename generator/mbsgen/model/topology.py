@@ -34,7 +34,8 @@ def walk_bodies(model: Model) -> list[int]:
 
 def index_parents(model: Model) -> list[int | None]:
     """Return the parents' indices in the list of bodies; None for the base, and for unknown parents."""
-    places = {body.name: i for i, body in reversed(list(enumerate(model.bodies)))}
+    named = [(i, body) for i, body in enumerate(model.bodies) if body.name != BASE]  # no body may have this name
+    places = {body.name: i for i, body in reversed(named)}
     return [places.get(body.parent) for body in model.bodies]
 
 

@@ -263,6 +263,13 @@ def test_all_faults_of_a_file_come_at_once(tmp_path: Path) -> None:
     ]
 
 
+def test_a_body_called_base_is_one_fault(tmp_path: Path) -> None:
+    """Bodies without a parent stand on the fixed base, not on this body."""
+    joint = "joint: {type: revolute, axis: y}, mass: 1, com: [1, 0, 0]"
+    text = f"name: m\ngravity: [0, 0, -9.81]\nbodies:\n  - {{name: base, {joint}}}\n  - {{name: arm, {joint}}}\n"
+    assert [fault.path for fault in find_faults(text, tmp_path)] == ["bodies[0].name"]
+
+
 def test_a_key_that_stands_twice_does_not_hide_that_its_value_is_missing(tmp_path: Path) -> None:
     """Joints of a number without a value are not judged."""
     text = GOOD.replace("    mass: 10", "    mass: boom\n    mass: 10")
