@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from benchmarks.pages import tabulate
 from mbsgen.manifest import Kernel
 from mbsgen.output import write_folder
 from mbsgen.resources import folder
@@ -144,18 +145,13 @@ def write_page(problems: Sequence[str], place: Path) -> str:
         about,
         "## The solver",
         "`csrc/stages/example/bare.c`: a pendulum swings up in 60 intervals, with 2 states and 1 input.",
-        _table(["", *PRECISIONS], run_example(place)),
+        "\n".join(tabulate(["", *PRECISIONS], run_example(place))),
         "## Kernels of the paper's arm",
-        _table(["kernel", "flops", "sines and cosines", "instructions"], count_kernels(place)),
+        "\n".join(tabulate(["kernel", "flops", "sines and cosines", "instructions"], count_kernels(place))),
         "## Controllers",
-        _table([*titles, "`feedback`", "workspace, bytes", "code, bytes", "stack, bytes"], controllers),
+        "\n".join(tabulate([*titles, "`feedback`", "workspace, bytes", "code, bytes", "stack, bytes"], controllers)),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [titles, ["---", *["--:"] * (len(titles) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from benchmarks.compilation import describe_machine
+from benchmarks.pages import tabulate
 from mbsrun.cli import cli
 
 TRIALS = Path(__file__).parents[1] / "models" / "track"
@@ -62,8 +63,9 @@ def write_page(found: Mapping[tuple[str, str], Summary | None]) -> str:
         "",
     ]
     titles = ["trial", "controller", "samples", "failures", "a sample", "99.9 %", "preparation", "99.9 %", "iterations"]
-    lines += [_row([*titles, "measures"]), _row(["---"] * (len(titles) + 1))]
-    lines += [_row([name, way, *_list_cells(summary)]) for (name, way), summary in found.items()]
+    lines += tabulate(
+        [*titles, "measures"], ([name, way, *_list_cells(summary)] for (name, way), summary in found.items()), words=2
+    )
     return "\n".join(lines) + "\n"
 
 
@@ -85,10 +87,6 @@ def _judge(summary: Summary) -> str:
 
 def _milliseconds(times: Mapping[str, float], key: str) -> str:
     return f"{1e3 * times[key]:.3g}"
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from benchmarks.pages import tabulate
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import schemes
 from mbsrun.ocp.guess import make_guess
@@ -63,16 +64,14 @@ def write_page(rows: Sequence[Row]) -> str:
     about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
     titles = ["intervals", "method", "status", "iterations", "CPU [s]", "ms an iteration", "µs an interval of it", "GB"]
     lines = ["# Many intervals", "", "`python -m benchmarks.ocp.horizons` wrote this page.", "", about, ""]
-    lines += [_row([*titles, "cost"]), _row(["---"] * (len(titles) + 1))]
-    for row in rows:
-        each = row.seconds / max(row.iterations, 1)
-        times = [f"{row.seconds:.2f}", f"{1e3 * each:.2f}", f"{1e6 * each / row.intervals:.1f}", f"{row.memory:.2f}"]
-        lines.append(_row([str(row.intervals), row.method, row.status, str(row.iterations), *times, f"{row.cost:.8g}"]))
+    lines += tabulate([*titles, "cost"], map(_list_cells, rows))
     return "\n".join(lines) + "\n"
 
 
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+def _list_cells(row: Row) -> list[str]:
+    each = row.seconds / max(row.iterations, 1)
+    times = [f"{row.seconds:.2f}", f"{1e3 * each:.2f}", f"{1e6 * each / row.intervals:.1f}", f"{row.memory:.2f}"]
+    return [str(row.intervals), row.method, row.status, str(row.iterations), *times, f"{row.cost:.8g}"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

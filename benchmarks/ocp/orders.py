@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from benchmarks.pages import tabulate
 from mbsrun.external import load_on_demand
 from mbsrun.ocp import schemes
 from mbsrun.ocp.integrators import SECOND_ORDER
@@ -142,20 +143,19 @@ def write_page(rows: Sequence[Row]) -> str:
     lines += ["## Ratios", "", "Errors of second-order collocation over errors of first-order collocation, geometric "]
     lines[-1] += "means; in brackets, in how many rows the second order errs less."
     titles = ["scheme", "degree", "rows", *MEASURES, "iterations", "nonzeros"]
-    lines += ["", _row(titles), _row(["---"] * len(titles))]
-    for family in Family:
-        for degree in sorted({row.degree for row in rows}):
-            lines.append(
-                _row(_summarise([r for r in rows if (r.family, r.degree) == (family, degree)], family, degree))
-            )
+    schemes = [(family, degree) for family in Family for degree in sorted({row.degree for row in rows})]
+    summaries = [_summarise([row for row in rows if (row.family, row.degree) == each], *each) for each in schemes]
+    lines += ["", *tabulate(titles, summaries)]
     lines += ["", "## Errors", "", "Of two numbers, the first one is of first-order collocation.", ""]
     titles = ["problem", "intervals", "scheme", "degree", *MEASURES, "iterations"]
-    lines += [_row(titles), _row(["---"] * len(titles))]
-    for row in rows:
-        errors = [f"{a:.1e}, {b:.1e}" for a, b in zip(row.first.errors, row.second.errors, strict=True)]
-        effort = f"{row.first.iterations}, {row.second.iterations}"
-        lines.append(_row([row.problem, str(row.intervals), row.family.value, str(row.degree), *errors, effort]))
+    lines += tabulate(titles, map(_list_cells, rows))
     return "\n".join(lines) + "\n"
+
+
+def _list_cells(row: Row) -> list[str]:
+    errors = [f"{a:.1e}, {b:.1e}" for a, b in zip(row.first.errors, row.second.errors, strict=True)]
+    effort = f"{row.first.iterations}, {row.second.iterations}"
+    return [row.problem, str(row.intervals), row.family.value, str(row.degree), *errors, effort]
 
 
 def _describe() -> list[str]:
@@ -178,10 +178,6 @@ def _summarise(rows: Sequence[Row], family: Family, degree: int) -> list[str]:
         ratios = np.array([getattr(r.second, part) / getattr(r.first, part) for r in rows])
         cells.append(f"{np.exp(np.log(ratios).mean()):.2f}" if ratios.size else "")
     return cells
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

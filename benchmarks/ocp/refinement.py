@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from benchmarks.pages import tabulate
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Refinement
@@ -130,10 +131,12 @@ def write_page(rows: Sequence[Row]) -> str:
     lines[-1] += "shortest one. Costs differ, since inputs are constant over an interval: the grids are not the same."
     titles = ["problem", "accuracy", "grid", "intervals", "degree", "variables", "defect", "longest", "rounds"]
     titles += ["CPU [s]", "cost"]
-    lines += ["", _row(titles), _row(["---"] * len(titles))]
-    for row in rows:
-        for kind, found in (("refined", row.refined), ("equal", row.equal)):
-            lines.append(_row([row.problem, f"{row.accuracy:.0e}", kind, *_list_cells(found)]))
+    cells = [
+        [row.problem, f"{row.accuracy:.0e}", kind, *_list_cells(found)]
+        for row in rows
+        for kind, found in (("refined", row.refined), ("equal", row.equal))
+    ]
+    lines += ["", *tabulate(titles, cells)]
     return "\n".join(lines) + "\n"
 
 
@@ -143,10 +146,6 @@ def _list_cells(found: Found | None) -> list[str]:
     defect = f"{found.defect:.1e}" + ("" if found.is_accurate else ", too large")
     grid = [str(found.intervals), str(found.degree), str(found.variables), defect, f"{found.longest:.3g}"]
     return [*grid, str(found.rounds), f"{found.seconds:.2f}", f"{found.cost:.8g}"]
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,21 +1,38 @@
-"""Print what docs/solver.md shows: iterations, optima and optimality conditions beside IPOPT's.
+"""The solver in csrc/stages beside IPOPT: `python -m tests.csrc.stage_figures` writes a page.
 
-python -m tests.csrc.stage_figures
+Iterations, optima and optimality conditions of the problems that tests of the solver hold; warm starts; times of an
+iteration, callbacks included. Both solvers start from the same guess with their default options; IPOPT does not relax
+bounds. Conditions are the largest of stationarity, violation and complementarity, unscaled, from CasADi's derivatives.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
+from benchmarks.compilation import describe_machine
+from benchmarks.pages import tabulate
 from tests.csrc.stage_arm import arm
 from tests.csrc.stage_problems import POLE, UP, cart_pole_ode, far_guesses, nonlinear, pendulum_ode, shooting
 from tests.csrc.stage_quadratics import random_problem, random_sizes
 from tests.csrc.stages import Library, Problem, Quadratic, Solver, compile_solver
+
+PROBLEMS = (
+    "problem", "variables", "rows", "status", "iterations", "IPOPT", "factorisations", "evaluations", "cost",
+    "difference", "conditions",
+)  # fmt: skip
+WARM = "problem", "cold", "same", "first state 0.01 off", "0.1 off", "shifted, 0.003 off"
+DENSE = "states, v, equalities of a stage", "iterations", "ms an iteration", "kB a stage"
+CONDENSED = "points, joints, inputs", "inner variables", "iterations", "refinements", "ms an iteration", "kB a stage"
+SIZES = ((4, 1, 0, 0), (4, 0, 4, 0)), ((14, 7, 0, 0), (14, 0, 0, 0)), ((12, 28, 24, 0), (12, 0, 12, 0))
+ARMS = (2, 2, 1), (4, 2, 1), (4, 6, 4)
 
 
 def quadratics() -> list[tuple[str, Quadratic]]:
@@ -30,32 +47,47 @@ def quadratics() -> list[tuple[str, Quadratic]]:
     return problems
 
 
-def compare(library: Library, name: str, problem: Problem | Quadratic) -> tuple[int, int]:
-    """Print a line; return the iterations of both solvers."""
+def compare(library: Library, name: str, problem: Problem | Quadratic) -> list[str]:
+    """Solve a problem by both; return the row."""
     answer = Solver(library, problem).solve()
     solution, statistics = problem.ipopt()
     result, cost = answer.result, float(solution["f"][0])
+    counts = result.iterations, statistics["iter_count"], result.factorisations, result.evaluations
+    sizes = str(len(answer.w)), str(len(answer.y))
     worst = max(problem.residuals(*answer.point))
-    print(
-        f"| {name} | {len(answer.w)} | {len(answer.y)} | {answer.status} | {result.iterations} | "
-        f"{statistics['iter_count']} | {result.factorisations} | {result.evaluations} | {result.cost:.9g} | "
-        f"{abs(result.cost - cost):.0e} | {worst:.0e} |"
-    )
-    return result.iterations, statistics["iter_count"]
+    ends = f"{result.cost:.9g}", f"{abs(result.cost - cost):.0e}", f"{worst:.0e}"
+    return [name, *sizes, answer.status, *map(str, counts), *ends]
 
 
-def time_sizes(library: Library) -> None:
-    """Print the time of an iteration, callbacks included, of random quadratic programs with 100 intervals."""
-    print("\n| states, v, equalities | iterations | ms an iteration | bytes a stage |\n|---|---|---|---|")
-    for size, last in [((4, 1, 0, 0), (4, 0, 4, 0)), ((14, 7, 0, 0), (14, 0, 0, 0)), ((12, 28, 24, 0), (12, 0, 12, 0))]:
+def compare_all(library: Library) -> list[list[str]]:
+    """Return the rows of nonlinear problems, and of all quadratic ones with their sums and worst."""
+    rows = [compare(library, problem.name, problem) for problem in nonlinear()]
+    convex = [compare(library, name, problem) for name, problem in quadratics()]
+    sums = [str(sum(int(row[k]) for row in convex)) for k in (4, 5, 6, 7)]
+    worst = [f"{max(float(row[k]) for row in convex):.0e}" for k in (9, 10)]
+    statuses = ", ".join(sorted({row[3] for row in convex}))
+    return [*rows, [f"{len(convex)} convex quadratic programs at random", "", "", statuses, *sums, "", *worst]]
+
+
+def time_solve(solver: Solver, problem: Problem | Quadratic) -> tuple[Any, str, str]:
+    """Return the result, the time of an iteration at best of five solves, and the memory of a stage."""
+    best = np.inf
+    for _ in range(5):
+        solver.set(w=problem.guess)
+        start = time.process_time()
+        result = solver.solve().result
+        best = min(best, (time.process_time() - start) / result.iterations)
+    return result, f"{1e3 * best:.2f}", f"{solver.bytes / 1000 / len(problem.sizes):.0f}"
+
+
+def time_dense(library: Library) -> list[list[str]]:
+    """Return rows of random quadratic programs with 100 intervals."""
+    rows = []
+    for size, last in SIZES:
         problem = random_problem(np.random.default_rng(3), [size] * 100 + [last], bounds=0.3)
-        solver, best = Solver(library, problem), np.inf
-        for _ in range(5):
-            solver.set(w=problem.guess)
-            start = time.process_time()
-            result = solver.solve().result
-            best = min(best, (time.process_time() - start) / result.iterations)
-        print(f"| {size[0]}, {size[1]}, {size[2]} | {result.iterations} | {1e3 * best:.2f} | {solver.bytes // 101} |")
+        result, *cells = time_solve(Solver(library, problem), problem)
+        rows.append([f"{size[0]}, {size[1]}, {size[2]}", str(result.iterations), *cells])
+    return rows
 
 
 def horizons() -> list[Problem]:
@@ -68,11 +100,9 @@ def horizons() -> list[Problem]:
     return [*softly, walls]
 
 
-def compare_warm(library: Library) -> None:
-    """Print iterations of cold and of warm starts: from other first states, and from the next one of the plan."""
-    print(
-        "\n| problem | cold | same | first state 0.01 off | 0.1 off | shifted, 0.003 off |\n|---|---|---|---|---|---|"
-    )
+def compare_warm(library: Library) -> list[list[str]]:
+    """Return iterations of cold and of warm starts: from other first states, and from the next one of the plan."""
+    rows = []
     for problem in horizons():
         nx, rng = problem.sizes[0][0], np.random.default_rng(1)
         solver = Solver(library, problem)
@@ -88,32 +118,27 @@ def compare_warm(library: Library) -> None:
         library.lib.mbs_stages_shift(solver.solver)
         solver.lower[:nx] = solver.upper[:nx] = ahead
         counts.append(solver.solve(warm=1).result.iterations)
-        print(f"| {problem.name} | {' | '.join(map(str, counts))} |")
+        rows.append([problem.name, *map(str, counts)])
+    return rows
 
 
-def time_condensed(library: Library) -> None:
-    """Print the time of an iteration, callbacks included, of stages with the structure of an arm, 100 intervals."""
-    print("\n| points, joints, inputs | inner | iterations | refinements | ms an iteration | bytes a stage |")
-    print("|---|---|---|---|---|---|")
-    for points, joints, inputs in [(2, 2, 1), (4, 2, 1), (4, 6, 4)]:
+def time_condensed(library: Library) -> list[list[str]]:
+    """Return rows of stages with the structure of an arm, 100 intervals."""
+    rows = []
+    for points, joints, inputs in ARMS:
         problem = arm(np.random.default_rng(0), 100, joints, inputs, points)
-        solver, best = Solver(library, problem), np.inf
-        for _ in range(5):
-            solver.set(w=problem.guess)
-            start = time.process_time()
-            result = solver.solve().result
-            best = min(best, (time.process_time() - start) / result.iterations)
-        print(
-            f"| {points}, {joints}, {inputs} | {3 * points * joints} | {result.iterations} | {result.refinements} | "
-            f"{1e3 * best:.2f} | {solver.bytes // 101} |"
-        )
+        result, *cells = time_solve(Solver(library, problem), problem)
+        counts = 3 * points * joints, result.iterations, result.refinements
+        rows.append([f"{points}, {joints}, {inputs}", *map(str, counts), *cells])
+    return rows
 
 
-def compare_far(library: Library) -> None:
-    """Print how the nonlinear problems end from guesses that are far away, six of each."""
+def compare_far(library: Library) -> str:
+    """Return a sentence on the nonlinear problems from guesses that are far away, six of each."""
     ours, theirs = [0, 0], [0, 0]
     ratios = []
-    for problem in far_guesses(6):
+    problems = list(far_guesses(6))
+    for problem in problems:
         answer = Solver(library, problem).solve(iterations=400)
         _, statistics = problem.ipopt(**{"ipopt.max_iter": 400})
         solved = answer.status == "solved", statistics["success"]
@@ -121,27 +146,41 @@ def compare_far(library: Library) -> None:
         if all(solved):
             ours[1], theirs[1] = ours[1] + answer.result.iterations, theirs[1] + statistics["iter_count"]
             ratios.append(answer.result.iterations / statistics["iter_count"])
-    print(f"\n48 far guesses: {ours[0]} solved, by IPOPT {theirs[0]}; iterations where both: {ours[1]}, {theirs[1]}, ")
-    print(f"geometric mean of their ratios {np.exp(np.mean(np.log(ratios))):.3f}")
+    mean = np.exp(np.mean(np.log(ratios)))
+    counts = f"{len(problems)} starts: {ours[0]} solved, by IPOPT {theirs[0]}, in at most 400 iterations."
+    both = f"Where both solved, they took {ours[1]} iterations, IPOPT {theirs[1]};"
+    return f"{counts} {both} the geometric mean of the ratios is {mean:.2f}."
 
 
-def main() -> None:
-    with tempfile.TemporaryDirectory() as place:
-        library = Library(compile_solver(Path(place), "-O3", "-march=native"))
-        print(
-            "| problem | variables | rows | status | iterations | IPOPT | factorisations | evaluations | cost |", end=""
-        )
-        print(" difference | conditions |")
-        print("|---|---|---|---|---|---|---|---|---|---|---|")
-        for problems in ([(p.name, p) for p in nonlinear()], quadratics()):
-            counts = [compare(library, name, problem) for name, problem in problems]
-            ours, theirs = (sum(c) for c in zip(*counts, strict=True))
-            print(f"| **all** | | | | {ours} | {theirs} | | | | | |")
-        compare_warm(library)
-        time_sizes(library)
-        time_condensed(library)
-        if "--far" in sys.argv:
-            compare_far(library)
+def write_page(library: Library) -> str:
+    """Measure all, and return the page."""
+    about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
+    parts: list[tuple[str, Callable[[Library], list[list[str]]], Sequence[str], str]] = [
+        ("Beside IPOPT", compare_all, PROBLEMS, "Problems of the tests, from their own guesses."),
+        ("Warm starts", compare_warm, WARM, "Iterations with 100 intervals: `warm` from the solution itself, from "
+         "solutions for other first states, and from the plan moved ahead by one stage."),
+        ("Dense stages", time_dense, DENSE, "Random quadratic programs with 100 intervals."),
+        ("Inner variables", time_condensed, CONDENSED, "Collocation points of an arm with random numbers, 100 "
+         "intervals. Callbacks are dense and take a third of the time."),
+    ]  # fmt: skip
+    head = f"`python -m tests.csrc.stage_figures` wrote this page: {describe_machine()}, -O3 -march=native."
+    lines = ["# The solver in C", "", head, "", about]
+    for title, measure, titles, words in parts:
+        lines += ["", f"## {title}", "", words, "", *tabulate(titles, measure(library))]
+    lines += ["", "## Far guesses", "", "Six guesses for each nonlinear problem, near ones and far ones.", ""]
+    return "\n".join([*lines, compare_far(library)]) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compile, measure, and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m tests.csrc.stage_figures", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("build/solver.md"), help="the page")
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as place, Console().status("solving"):
+        page = write_page(Library(compile_solver(Path(place), "-O3", "-march=native")))
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(page, encoding="utf-8")
+    Console().print(f"wrote {given.out}")
 
 
 if __name__ == "__main__":
