@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -46,6 +47,14 @@ def test_linear_quadratic_problems_have_the_solution_of_dense_algebra(
         if unique:
             assert close(answer.y, y, 1e-10)
         assert max(problem.residuals(*answer.point)) < 1e-9
+
+
+def test_the_page_lists_the_headers() -> None:
+    """`docs/solver.md` shows what a program needs that copies the solver."""
+    root = Path(__file__).parents[2]
+    code = "".join(path.read_text(encoding="utf-8") for path in sorted((root / "csrc" / "stages").glob("*.[ch]")))
+    page = (root / "docs" / "solver.md").read_text(encoding="utf-8").split("## ", maxsplit=1)[0]
+    assert set(re.findall(r"#include <(.*)>", code)) == set(re.findall(r"`(\w+\.h)`", page))
 
 
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e9])

@@ -18,7 +18,7 @@ from mbsrun.ocp.statement import name_problem, read_problem
 CONTROLLER_HELP = """Write a model predictive controller for the problem of the file PROBLEM, in C.
 
 The folder has all that the controller needs: the kernels of its model, the problem as tables, a solver. It is C99 and
-links to nothing but <math.h>; it allocates no memory, and runs where there is no operating system. Start, targets,
+needs only the C library; it allocates no memory, and runs where there is no operating system. Start, targets,
 bounds, weights, constants and masses can change while it runs. From Python, mbsrun.controller("DIR") loads it.
 
 \b
