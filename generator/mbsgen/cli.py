@@ -33,6 +33,7 @@ from mbsgen.equations import (
     build_numeric,
     build_symbolic,
     derive,
+    derive_stepwise,
     show_lines,
     show_motion,
     write_lines,
@@ -450,10 +451,11 @@ def report_command(model: Path, form: str | None, compare: bool, choices: Choice
 @MODEL
 @click.option(
     "--form",
-    type=click.Choice(["auto", "whole", "lines"]),
+    type=click.Choice(["auto", "whole", "named", "lines"]),
     default="auto",
     show_default=True,
-    help="Whole equations, or the recursion line by line; auto chooses by their length.",
+    help="Whole equations, equations in named intermediate values, or the residual line by line as it is generated; "
+    "auto chooses whole ones where they are short, else lines.",
 )
 @click.option(
     "--format",
@@ -497,11 +499,13 @@ def _choose_page(tree: Tree, form: str) -> Page:
     """Lay out whole equations, or lines where these are too long."""
     if form == "lines":
         return show_lines(write_lines(tree))
+    if form == "named":
+        return show_motion(derive_stepwise(tree), "intermediate values")
     try:
         motion = derive(tree) if form == "whole" else derive(tree, _READABLE)
     except SizeError as error:
         if form == "whole":
-            raise SizeError(f"{error}; take --form lines") from None
+            raise SizeError(f"{error}; take --form named or --form lines") from None
         return show_lines(write_lines(tree))
     return show_motion(motion) if form == "whole" or motion.terms <= _READABLE else show_lines(write_lines(tree))
 

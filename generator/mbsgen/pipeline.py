@@ -17,7 +17,7 @@ from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
 from mbsgen.equations import Motion as Equations
-from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive
+from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive, derive_stepwise
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.expressions import Number
@@ -227,7 +227,8 @@ def derive_equations(
     """Derive the equations of motion that a call with the same options generates kernels of, and hash the mechanism.
 
     `parameters` replace values of the model. numbers: only parameters of the run time are symbols, else all of them.
-    Raises InputError with every fault of the file, SizeError for equations that are too long.
+    Equations whose sums would have thousands of terms are written in named intermediate values. Raises InputError with
+    every fault of the file.
     """
     whole = read(model)
     request = merge(options, _read_scene(options.scene, whole))
@@ -237,12 +238,14 @@ def derive_equations(
     shown = replace(shown, parameters=tuple(present))
     with _locating(model):
         tree = build_numeric(shown) if numbers else build_symbolic(shown)
-    try:
-        with _collecting_rarely():
-            return derive(tree), identify_mechanism(staged)
-    except SizeError as error:
-        remedy = "" if numbers else "there are fewer with numbers in place of names; "
-        raise SizeError(f"{error}; {remedy}`mbsgen equations --form lines` prints any equations") from None
+    with _collecting_rarely():
+        try:
+            return derive(tree, _MOST), identify_mechanism(staged)
+        except SizeError:
+            return derive_stepwise(tree), identify_mechanism(staged)
+
+
+_MOST = 2000  # terms of an equation on the way, beyond which it is written in intermediate values
 
 
 def build_parametric(model: Model, scene: Scene = EVERYTHING, *, zeros: bool = False) -> Tree:

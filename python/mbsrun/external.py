@@ -44,9 +44,9 @@ class Mechanism(Kernels):
         """Return the equations of motion as SymPy's objects: an `mbsgen.equations.Motion` with the present parameters.
 
         Its matrices M, c, g, applied, h and J make M qdd + c + g = applied and, with loops, h = 0. Named parameters
-        are symbols, with their numbers in `values`; numbers: only run-time and differentiated ones are. Raises
-        ArgumentError for the kernels of a generated folder and for a file that has changed, SizeError for equations
-        that are too long.
+        are symbols, with their numbers in `values`; numbers: only run-time and differentiated ones are. Long
+        equations read the intermediate values in `named`. Raises ArgumentError for the kernels of a generated folder
+        and for a file that has changed.
         """
         if self._origin is None:
             raise ArgumentError(f"{self.folder} holds code and no equations; load the file of its model")

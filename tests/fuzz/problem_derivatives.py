@@ -27,7 +27,7 @@ SMOOTH = 2e-6  # relative to the sum of magnitudes
 ROUNDING = 1e-8  # between backends
 AWAY = 0.02  # how far from the motion derivatives are taken
 ATTEMPTS = (
-    3  # a kink or a pole may lie within a step, but not everywhere; each takes a shorter step, for steep functions
+    4  # a kink or a pole may lie within a step, but not everywhere; each takes a shorter step, for steep functions
 )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbsgen.equations import EvaluationError, SizeError
+from mbsgen.equations import EvaluationError
 from mbsgen.roles import Role
 from mbsrun import Mechanism, load
 from mbsrun.binding import Array
@@ -141,6 +141,8 @@ def test_what_has_no_equations_says_so(tmp_path: Path) -> None:
         pendulum.symbolic()
 
 
-def test_equations_that_are_too_long_name_a_remedy() -> None:
-    with pytest.raises(SizeError, match=r"fewer with numbers .* --form lines"):
-        load(FOLDER / "six_axis.yaml", extent=Extent(("impl",), 0)).symbolic()
+@pytest.mark.parametrize("numbers", [False, True], ids=["names", "numbers"])
+def test_long_equations_have_intermediate_values(numbers: bool) -> None:
+    mechanism = load(FOLDER / "six_axis.yaml", extent=EXTENT)
+    assert mechanism.symbolic(numbers=numbers).named
+    _check(mechanism, numbers=numbers, by=("q", "qd"))

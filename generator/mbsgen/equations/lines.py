@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from mbsgen.equations.motion import Line, Naming, choose_name, keep_used, name_symbols
-from mbsgen.equations.named import Number, name_forces
+from mbsgen.equations.named import Forces, Number, name_forces
 from mbsgen.equations.sums import FUNCTIONS, to_number
 from mbsgen.formulations import coupling, impl
 from mbsgen.formulations.reductions import ALL
@@ -17,6 +17,9 @@ from mbsgen.model.tree import Tree
 from mbsgen.roles import Role
 from mbsgen.tape.counts import named_values
 from mbsgen.tape.types import Op, Tape
+
+Given = Mapping[Role, Callable[[int], Sequence[sp.Expr]]]  # inputs by their roles, from their sizes
+NOTHING: Given = {}
 
 
 @dataclass(frozen=True)
@@ -32,18 +35,14 @@ class Lines:
 def write_lines(tree: Tree) -> Lines:
     """Write the reduced recursion of Phi(q, qd, qdd) - Q, as it is generated, after the numbers of its forces."""
     naming, forces = name_symbols(tree), name_forces(tree)
-    writer = _Writer(naming)
-    values: list[sp.Expr] = []
-    for k, number in enumerate(forces.numbers):
-        given = [*values, *[sp.Integer(0)] * (len(forces.numbers) - k)]  # a number reads those before it
-        operands = writer.write(forces.write_operands(k), given)["value"]
-        values.append(writer.name(number, tuple(operands)))
+    writer = Writer(naming)
+    values = writer.write_numbers(forces)
     results = writer.write(coupling.write(impl.build, None, forces.tree, ALL), values)
     used = {symbol for value in results.values() for symbol in value.free_symbols}
     return Lines(tree.name, naming, keep_used(writer.lines, used), results)
 
 
-class _Writer:
+class Writer:
     """Writes tapes line by line; a line that is there already is not written again."""
 
     def __init__(self, naming: Naming) -> None:
@@ -60,12 +59,22 @@ class _Writer:
         self.lines.append(Line(symbol, value))
         return symbol
 
-    def write(self, tape: Tape, numbers: Sequence[sp.Expr]) -> dict[str, sp.Matrix]:
-        """Write a tape; the last parameters are numbers of forces."""
+    def write_numbers(self, forces: Forces) -> list[sp.Expr]:
+        """Write the numbers of forces; return names, or expressions in their place."""
+        values: list[sp.Expr] = []
+        for k, number in enumerate(forces.numbers):
+            given = [*values, *[sp.Integer(0)] * (len(forces.numbers) - k)]  # a number reads those before it
+            operands = self.write(forces.write_operands(k), given)["value"]
+            values.append(self.name(number, tuple(operands)))
+        return values
+
+    def write(self, tape: Tape, numbers: Sequence[sp.Expr], known: Given = NOTHING) -> dict[str, sp.Matrix]:
+        """Write a tape; the last parameters are numbers of forces. Inputs of some roles may be known."""
         values: list[sp.Expr] = []
         for given in tape.inputs:
             own = numbers if given.port.role is Role.PARAMETER else ()
-            values += [*self._naming.name(given.port, given.sparsity.nnz - len(own)), *own]
+            size, role = given.sparsity.nnz - len(own), given.port.role
+            values += [*(known[role](size) if role in known else self._naming.name(given.port, size)), *own]
         self._taken |= {str(x) for x in values if x.is_Symbol}
         values += map(to_number, tape.literals)
         named = named_values(tape)

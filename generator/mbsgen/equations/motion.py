@@ -106,7 +106,7 @@ class Motion:
     sensors: tuple[str, ...]
     position: sp.Matrix  # (3, sensors): in the base frame
     terms: int  # of all equations of motion, and of the numbers that they read
-    named: tuple[Line, ...] = ()  # numbers of contacts and force elements, each over the state and those before
+    named: tuple[Line, ...] = ()  # numbers of contacts and force elements, or all intermediate values, in order
     values: Mapping[sp.Symbol, float] = field(default_factory=dict)  # of parameters that are symbols
 
     @cached_property
@@ -267,12 +267,12 @@ def _derive(tree: Tree) -> Motion:
         sensors=sensors,
         position=position,
         terms=size + sum(len(row.terms) for row in Phi),
-        values=_list_values(tree, naming),
+        values=list_values(tree, naming),
         named=keep_used([Line(name, value.expression) for name, value in named], Q.free_symbols),
     )
 
 
-def _list_values(tree: Tree, naming: Naming) -> dict[sp.Symbol, float]:
+def list_values(tree: Tree, naming: Naming) -> dict[sp.Symbol, float]:
     """List the numbers of the parameters that are symbols."""
     columns = ((Kind.RUNTIME, naming.parameters), (Kind.DIFFERENTIATED, naming.design))
     found = [

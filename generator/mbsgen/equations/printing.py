@@ -47,7 +47,7 @@ class Page:
     naming: Naming
 
 
-def show_motion(motion: Motion) -> Page:
+def show_motion(motion: Motion, named_title: str = "contacts, springs and cables") -> Page:
     """Lay the equations of motion out, without the parts that are zero."""
     formulas = [
         Formula("M", motion.M, "mass matrix"),
@@ -62,7 +62,7 @@ def show_motion(motion: Motion) -> Page:
         for k, name in enumerate(motion.sensors)
     ]
     kept = tuple(f for f in formulas if not f.value.is_zero_matrix)
-    titles = ("contacts, springs and cables", *[""] * len(motion.named))
+    titles = (named_title, *[""] * len(motion.named))
     named = tuple(
         Formula(x.name.name, x.expression, title, is_line=True) for x, title in zip(motion.named, titles, strict=False)
     )
