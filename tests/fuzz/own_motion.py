@@ -152,17 +152,26 @@ def find_fixed_point(function: Callable[[Array], Array], x: Array) -> Array:
 
 
 def step_classically(law: Law, start: Parts, h: float) -> Step:
-    """Take a step of Runge and Kutta's method of order 4."""
+    """Take a step of Runge and Kutta's method of order 4. Raises NoMotionError where it goes too far."""
     nodes, states = np.array([0.0, 0.5, 0.5, 1.0]), []
     slopes: list[Parts] = []
     for c, before in ((0.0, 0.0), (0.5, 0.5), (0.5, 0.5), (1.0, 1.0)):
         state = tuple(x + before * h * k for x, k in zip(start, slopes[-1], strict=True)) if slopes else start
+        _limit(state)
         states.append(state)
         found = law(np.array([c]), tuple(x[None] for x in state)).parts
         slopes.append(tuple(k[0] for k in found))
     stages = tuple(np.array(part) for part in zip(*states, strict=True))
     rates = Rates(tuple(np.array(part) for part in zip(*slopes, strict=True)))
-    return ClassicalStep(h, nodes, start, stages, rates)
+    step = ClassicalStep(h, nodes, start, stages, rates)
+    _limit(step.state(1.0))
+    return step
+
+
+def _limit(state: Parts) -> None:
+    """Raise NoMotionError for states that are too large: rounding errors would grow as they do."""
+    if not all((abs(part) <= LARGE).all() for part in state):
+        raise NoMotionError("the steps of Runge and Kutta's method go too far")
 
 
 @dataclass(frozen=True)
