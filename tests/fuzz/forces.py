@@ -35,7 +35,8 @@ class Forces:
     ) -> None:
         self.own, self.bodies, self.model = kinematics, bodies, kinematics.model
         self.functions = kinematics.numbers.functions
-        self.names = {**kinematics.names, **given}
+        numbers = {name: kinematics.numbers.make(x) for name, x in given.items() if isinstance(x, float)}
+        self.names = {**kinematics.names, **given, **numbers}
         for kind, column in (("q", q), ("qd", qd)):
             self.names |= {f"{kind}_{spell(name)}": x for name, x in column.items()}
         for frame in self.model.get("frames", ()):

@@ -35,6 +35,7 @@ from mbsgen.tape import interpreter
 from mbsgen.verification.verify import verify
 from tests.fuzz import mechanisms
 from tests.fuzz.absolute import Absolute
+from tests.fuzz.forces import draw_inputs, order_inputs
 from tests.fuzz.free_bodies import FreeBodies, OpenLoopError, Solution
 from tests.fuzz.kinematics import DECIMALS, FLOATS, Array, Motion, Values, fifty_digits
 from tests.fuzz.mechanisms import CHOICES, Mechanism, Tally
@@ -271,10 +272,7 @@ class Comparison:
         self.driven = [tree.bodies[k - 1].joint.name for k in tree.driven]
         self.moves = 1.0 if mechanism.scene.get("motion", True) else 0.0
         self.u = {j.name: float(self.source.uniform(-3, 3)) for j in tree.joints if j.actuated}
-        self.w = {
-            f"{x['name']}.{key}": self.source.uniform(-3, 3, 3)
-            for x in mechanism.model["wrenches"] for key in ("force", "moment") if x[key] == "input"
-        }  # fmt: skip
+        self.w = draw_inputs(mechanism.model, self.source)
         self.faults: list[str] = []
 
     def run(self) -> str:
@@ -520,13 +518,7 @@ class Comparison:
             case "theta" | "p":
                 return self._parameters(Kind.DIFFERENTIATED if name == "theta" else Kind.RUNTIME)
             case "w":
-                return [
-                    float(x)
-                    for wrench in self.tree.wrenches
-                    for key, given in (("force", wrench.force), ("moment", wrench.moment))
-                    if given is None
-                    for x in self.w[f"{wrench.name}.{key}"]
-                ]
+                return order_inputs(self.tree, self.w)
         return list(at[name])
 
     def _parameters(self, kind: Kind) -> list[float]:

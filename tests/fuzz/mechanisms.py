@@ -38,7 +38,7 @@ from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
 from mbsgen.verification.verify import verify
 from tests.fuzz.absolute import Absolute, Array, Found
-from tests.fuzz.forces import spell
+from tests.fuzz.forces import draw_inputs, order_inputs, spell
 from tests.fuzz.forms import vary
 from tests.fuzz.kinematics import value_of
 from tests.number_paths import set_number
@@ -452,11 +452,7 @@ class _Comparison:
         self.qd = dict(zip(self.names, moves * source.uniform(-2, 2, len(self.names)), strict=True))
         self.qdd = dict(zip(self.names, source.uniform(-3, 3, len(self.names)), strict=True))
         self.u = {j.name: float(source.uniform(-3, 3)) for j in tree.joints if j.actuated}
-        self.w = {
-            f"{x['name']}.{key}": source.uniform(-3, 3, 3)
-            for x in mechanism.model["wrenches"] for key in ("force", "moment") if x[key] == "input"
-        }  # fmt: skip
-        self.w |= {name: source.uniform(-2, 2) for name in (*mechanism.model.get("signals", ()), "t")}
+        self.w = draw_inputs(mechanism.model, source)
         self.couplings = {
             joint["name"]: joint["follows"]
             for body in mechanism.model["bodies"]
@@ -574,14 +570,7 @@ class _Comparison:
                 return list(self.u.values())
             case "theta" | "p":
                 return self._parameters(Kind.DIFFERENTIATED if name == "theta" else Kind.RUNTIME)
-        components = [
-            float(x)
-            for wrench in self.tree.wrenches
-            for key, given in (("force", wrench.force), ("moment", wrench.moment))
-            if given is None
-            for x in self.w[f"{wrench.name}.{key}"]
-        ]
-        return [*components, *(self.w[name] for name in self.tree.signals)]
+        return order_inputs(self.tree, self.w)
 
     def _parameters(self, kind: Kind) -> list[float]:
         return [self.mechanism.parameters.get(x.name, x.value) for x in self.tree.parameters if x.kind is kind]

@@ -154,18 +154,26 @@ class Chain:
 
     @cached_property
     def known(self) -> dict[Expr, Scalar]:
-        """The numbers that forces may depend on, by symbol: parameters, and numbers of the state."""
+        """The numbers that forces may depend on, by symbol: parameters, and numbers of the state.
+
+        A function without w has no signals, nor definitions that depend on them.
+        """
         tree, state = self.tree, self.state
         known: dict[Expr, Scalar] = dict(self.symbols)
         for symbol, column in ((coordinate_symbol, state.q), (rate_symbol, state.qd)):
             known |= {symbol(body.joint.name): x for body, x in zip(tree.bodies, column, strict=True)}
-        if state.w and tree.signals:
-            known |= zip(map(signal_symbol, tree.signals), state.w[-len(tree.signals) :], strict=True)
+        signals = [signal_symbol(name) for name in tree.signals]
+        if state.w and signals:
+            known |= zip(signals, state.w[-len(signals) :], strict=True)
+        absent = {symbol for symbol in signals if symbol not in known}
         points = Points(self.links, state.qd, self.still)
         for probe in tree.probes:
             known |= zip(probe.symbols, points.read(probe.reading, probe.body, self.vector(probe.point)), strict=True)
         for definition in tree.definitions:
-            known[definition.symbol] = lower(definition.value, self.builder, known)
+            if absent and not absent.isdisjoint(definition.value.free_symbols):
+                absent.add(definition.symbol)
+            else:
+                known[definition.symbol] = lower(definition.value, self.builder, known)
         return known
 
     def components(self, vector: Sequence[Expr]) -> Vector[Scalar]:

@@ -313,6 +313,15 @@ def test_distances_are_of_spheres_and_corners(tmp_path: Path) -> None:
     assert gaps[1:] == pytest.approx([-0.05, 0.05] * 4, rel=1e-14)
 
 
+def test_distances_do_not_depend_on_signals(tmp_path: Path) -> None:
+    """Beside a force that a signal sets: the point is 0.5 from its joint, and the ground is the plane z = 0."""
+    touching = "contacts: [{name: tip, body: m, position: [0, 0, 0.5], radius: 0.1, plane: {}, stiffness: 100}]\n"
+    tree = build_tree(read(PULLED + touching, tmp_path))
+    distances = catalogue.FUNCTIONS["distances"].build(tree, ALL)  # type: ignore[arg-type]
+    gaps = evaluate(distances, {"q": [0.2, 0.3]})["distance"]
+    assert gaps == pytest.approx([0.5 * math.cos(0.3) - 0.1], rel=1e-14)
+
+
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
