@@ -27,14 +27,15 @@ from tests.shipped import FOLDER
 
 
 @pytest.fixture(scope="module")
-def moco() -> dict[str, Any]:
-    """Moco's numbers, from another process."""
+def moco(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Moco's numbers, from another process, which leaves its log in its own folder."""
     if not (peers.FOLDER / "opensim").exists():
         pytest.skip("python -m tests.peers build/peers installs OpenSim")
     script = Path(__file__).with_name("moco_peer.py")
     path = os.pathsep.join([os.environ.get("PYTHONPATH", ""), str(peers.FOLDER)])
     run = subprocess.run(
         [sys.executable, str(script)],
+        cwd=tmp_path_factory.mktemp("moco"),
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
