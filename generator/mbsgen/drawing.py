@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from sympy import Expr
 
 from mbsgen.formulations import ports
+from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.coupling import couple
-from mbsgen.formulations.links import declare_state, write_chain
 from mbsgen.formulations.poses import build_frames
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.symbols import exact, round_number, to_double, total
 from mbsgen.model.tree import Cut, Kind, Loop, LoopFrame, Motion, Sensor, Tree
 from mbsgen.style import PALETTE

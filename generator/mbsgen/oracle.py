@@ -16,9 +16,10 @@ from typing import Any
 from mbsgen.assembly import assemble
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.coupling import couple
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.states import declare_state
 from mbsgen.formulations.textbook import residual
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree

@@ -12,9 +12,10 @@ from numpy.testing import assert_allclose
 
 from mbsgen.formulations import catalogue, ports, poses, textbook
 from mbsgen.formulations.catalogue import SENSORS, Entry, Row, project
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
+from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import factorise
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.output import write_folder
 from mbsgen.pipeline import Options, make

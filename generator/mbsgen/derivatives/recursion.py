@@ -14,8 +14,8 @@ from sympy import Integer
 
 from mbsgen.derivatives import kernels
 from mbsgen.formulations import impl, ports
+from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.closure import count_forces
-from mbsgen.formulations.links import State, declare_state, write_chain
 from mbsgen.formulations.parsimony.curvatures import Curvatures, curvatures
 from mbsgen.formulations.parsimony.mass_matrix import Entries
 from mbsgen.formulations.parsimony.segments import align
@@ -23,6 +23,7 @@ from mbsgen.formulations.parsimony.sensitivities import Sensitivities, sensitivi
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import dynamics_alone, find_plans, finish
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.states import State, declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.roles import Order
 from mbsgen.tape import forward, reverse

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import sympy as sp
 
 from mbsgen.formulations import coupling
-from mbsgen.formulations.links import declare_state, write_chain
+from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.reductions import NONE
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.smooth import SMOOTH
 from mbsgen.model.tree import (
     COORDINATE,

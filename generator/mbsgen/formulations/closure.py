@@ -29,8 +29,9 @@ from dataclasses import replace
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports, rates
-from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.formulations.chain import Chain, write_chain
 from mbsgen.formulations.parsimony.segments import Segment, align
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Constraint, Cut, Loop, LoopFrame, Tree, coordinate_symbol
 from mbsgen.roles import Role
 from mbsgen.tape import forward, reverse

@@ -22,7 +22,7 @@ from operator import add
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import declare_state, write_chain
+from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.parsimony.articulated import Body, Inertia, articulate
 from mbsgen.formulations.parsimony.mass_matrix import Composite, compose, link
 from mbsgen.formulations.parsimony.motion import Kinematics
@@ -30,6 +30,7 @@ from mbsgen.formulations.parsimony.segments import Segment, align
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import find_plans
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Op, Tape

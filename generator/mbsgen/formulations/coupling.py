@@ -17,12 +17,13 @@ from typing import TypeGuard
 from sympy import Expr, Symbol
 
 from mbsgen.formulations import condition, exp1, exp2, multipliers, ports, semi
-from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
+from mbsgen.formulations.chain import assign_symbols, joint_forces, write_chain
 from mbsgen.formulations.multipliers import Bordered, Equations
 from mbsgen.formulations.parsimony.elimination import Factors, factorise
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import finish
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.model.tree import NO_FORCE, Kind, Parameter, Tree
 from mbsgen.roles import Axis, Role

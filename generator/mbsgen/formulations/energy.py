@@ -18,7 +18,9 @@ from operator import add
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import AppliedWrench, Chain, Link, declare_state, joint_forces, write_chain
+from mbsgen.formulations.chain import Chain, joint_forces, write_chain
+from mbsgen.formulations.links import AppliedWrench, Link
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

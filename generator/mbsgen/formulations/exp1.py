@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from functools import partial
 
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import check_pivot, declare_state, joint_forces, write_chain
+from mbsgen.formulations.chain import check_pivot, joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.segments import Segment, align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

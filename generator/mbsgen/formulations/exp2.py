@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
+from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.condition import give_way
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.articulated import Body, accelerations
 from mbsgen.formulations.parsimony.proportions import find_spatial
 from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import align_numbers, find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

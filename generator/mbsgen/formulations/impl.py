@@ -7,13 +7,14 @@ reductions off, the textbook's.
 from __future__ import annotations
 
 from mbsgen.formulations import ports, textbook
+from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.closure import add_multipliers
-from mbsgen.formulations.links import declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.ports import Function

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
 
 from mbsgen.errors import TapeError
-from mbsgen.formulations.links import Chain, check_pivot, declare_state, write_chain
+from mbsgen.formulations.chain import Chain, check_pivot, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
@@ -20,6 +20,7 @@ from mbsgen.formulations.parsimony.segments import Moments, Segment, align
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar

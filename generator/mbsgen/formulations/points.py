@@ -12,14 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbsgen.algebra.vectors import Matrix, Vector
+from mbsgen.formulations.links import Link
 from mbsgen.model.tree import Reading
 from mbsgen.tape.builder import Scalar
-
-if TYPE_CHECKING:
-    from mbsgen.formulations.links import Link
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.formulations.chain import Chain, write_chain
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Sensor, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import declare_state
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

@@ -18,8 +18,8 @@ from dataclasses import replace
 from functools import cached_property
 
 from mbsgen.formulations import closure, exp1, multipliers, ports
+from mbsgen.formulations.chain import Chain, joint_forces, write_chain
 from mbsgen.formulations.coupling import Map
-from mbsgen.formulations.links import Chain, State, joint_forces, share_out, write_chain
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
@@ -27,6 +27,7 @@ from mbsgen.formulations.partition import Partition
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
+from mbsgen.formulations.states import State, share_out
 from mbsgen.formulations.unknowns import Column, Unknowns
 from mbsgen.model.tree import Closure, Kind, Tree
 from mbsgen.tape import forward

@@ -10,8 +10,8 @@ from functools import reduce
 from operator import add
 
 from mbsgen.formulations import ports
+from mbsgen.formulations.chain import Chain, joint_forces, write_chain
 from mbsgen.formulations.closure import add_multipliers
-from mbsgen.formulations.links import Chain, State, declare_state, joint_forces, write_chain
 from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
 from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.residual import residual
@@ -19,6 +19,7 @@ from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.formulations.states import State, declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

@@ -19,7 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.links import Chain, Link
+from mbsgen.formulations.chain import Chain
+from mbsgen.formulations.links import Link
 from mbsgen.tape.builder import Scalar
 
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import Chain, declare_state, write_chain
+from mbsgen.formulations.chain import Chain, write_chain
 from mbsgen.formulations.poses import Pose, place_bodies
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Sensor, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape

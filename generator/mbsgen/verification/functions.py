@@ -16,7 +16,8 @@ from types import MappingProxyType
 from sympy import Expr, Symbol
 
 from mbsgen.formulations import ports, textbook
-from mbsgen.formulations.links import assign_symbols, declare_state, joint_forces, write_chain
+from mbsgen.formulations.chain import assign_symbols, joint_forces, write_chain
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Coupling, Kind, Probe, Reading, Tree, coordinate_symbol, rate_symbol, signal_symbol
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder

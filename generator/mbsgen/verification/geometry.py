@@ -13,7 +13,8 @@ from decimal import Decimal
 from sympy import Expr
 
 from mbsgen.formulations import ports
-from mbsgen.formulations.links import declare_state, write_chain
+from mbsgen.formulations.chain import write_chain
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Body, Motion, RigidPart, Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbsgen.formulations import exp1, exp2, impl, semi, textbook
-from mbsgen.formulations.links import declare_state, write_chain
+from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
 from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
 from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
@@ -17,6 +17,7 @@ from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.states import declare_state
 from mbsgen.model.construction import ball, body, free, inertia, make_model, prismatic, revolute
 from mbsgen.model.model import Model
 from mbsgen.model.reduction import build_tree

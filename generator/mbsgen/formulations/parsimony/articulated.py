@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.links import Chain, check_pivot
+from mbsgen.formulations.chain import Chain, check_pivot
 from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia

@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 from sympy import Expr
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.links import AppliedWrench, Chain
+from mbsgen.formulations.chain import Chain
+from mbsgen.formulations.links import AppliedWrench
 from mbsgen.model.tree import Body, Motion, RigidPart
 from mbsgen.tape.builder import Builder, Scalar
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mbsgen.formulations.links import Chain
+from mbsgen.formulations.chain import Chain
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia, keep, regroup
