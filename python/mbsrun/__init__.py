@@ -8,9 +8,10 @@ from mbsrun.controllers.loading import Controller, controller
 from mbsrun.external import Mechanism, load
 
 if TYPE_CHECKING:
+    from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
 
-__all__ = ["Controller", "Mechanism", "OptimalControl", "controller", "load", "problem", "read_problem"]
+__all__ = ["Controller", "Mechanism", "OptimalControl", "ProblemError", "controller", "load", "problem", "read_problem"]
 
 
 def __getattr__(name: str) -> Any:
@@ -19,4 +20,8 @@ def __getattr__(name: str) -> Any:
         from mbsrun.optimal import control
 
         return getattr(control, name)
+    if name == "ProblemError":
+        from mbsrun.ocp.checks import ProblemError
+
+        return ProblemError
     raise AttributeError(f"module {__name__} has no attribute {name}")

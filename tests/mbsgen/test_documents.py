@@ -12,7 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from mbsgen.documents import (
     Document,
@@ -235,6 +235,24 @@ def test_all_faults_come_together_sorted_by_line(tmp_path: Path) -> None:
         (10, "doors", "found 2.5", "give a whole number"),
         (12, 'extras.a["x y"]', "unknown key", "the keys here are radius, side, place"),
         (13, "extras.b", "found [1]", "give a finite number"),
+    ]
+
+
+class Trip(Section):
+    places: Annotated[
+        Annotated[tuple[str, ...], Tag("list")] | Annotated[dict[str, str], Tag("mapping")],
+        Discriminator(lambda found: "mapping" if isinstance(found, dict) else "list"),
+    ] = Field(examples=[{"first": "Lyon"}])
+    people: int = Field(ge=1, examples=[2])
+    speed: float = Field(lt=3e8, examples=[10.0])
+
+
+def test_remedies_name_every_form_that_is_taken(tmp_path: Path) -> None:
+    found = faults("places: Lyon\npeople: 0\nspeed: 3.0e+8\n", tmp_path, Trip)
+    assert [f.remedy for f in found] == [
+        'give a mapping or a list, e.g. {"first": "Lyon"}',
+        "give a number greater than or equal to 1",
+        "give a number less than 300000000",
     ]
 
 

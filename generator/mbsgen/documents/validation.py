@@ -159,7 +159,10 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel], data: D
         case "literal_error" | "enum":
             return found, f"give {context['expected']}"
         case "list_type" | "tuple_type":
-            return found, _give_example("a list", schema, place)
+            is_mapping = isinstance(_example(schema, place), dict)
+            return found, _give_example("a mapping or a list" if is_mapping else "a list", schema, place)
+        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
+            return found, error["msg"].replace("Input should be", "give a number", 1)
         case "string_type":
             return found, "give a string"
         case "float_type" | "int_type" | "finite_number" | "int_from_float":

@@ -62,7 +62,7 @@ def test_numbers_of_numpy_and_infinite_bounds_are_those_of_a_file(swing: Optimal
 
 
 def test_all_faults_of_a_problem_are_in_one_error(swing: OptimalControl) -> None:
-    with pytest.raises(ProblemError) as error:
+    with pytest.raises(mbsrun.ProblemError) as error:
         swing.with_changes(horizon=-1, degre=3, start={"pose": {"pol": 1}}, cost={"running": [{"expression": "q_x"}]})
     assert [finding[0] for finding in error.value.findings] == [
         "cost.running[0].expression",
