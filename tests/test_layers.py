@@ -36,7 +36,8 @@ MBSGEN = Package(
     layers=(
         "errors resources roles style",
         "manifest expressions",
-        "documents robots",
+        "documents help",
+        "robots",
         "model",
         "importing",
         "algebra",
@@ -191,6 +192,7 @@ MBSRUN = Package(
         "mbsgen.manifest",
         "mbsgen.roles",
         "mbsgen.expressions",
+        "mbsgen.help",
         "mbsgen.robots",
         "mbsgen.documents",
         "mbsgen.style",

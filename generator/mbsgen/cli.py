@@ -42,6 +42,7 @@ from mbsgen.errors import MbsError
 from mbsgen.families import Tell, say_nothing
 from mbsgen.formulations.catalogue import FUNCTIONS, list_rows
 from mbsgen.formulations.reductions import ALL
+from mbsgen.help import CommandsBySubject
 from mbsgen.importing import Choices, Mimic, Notice, import_model, is_foreign, list_formats, write_imported
 from mbsgen.model.model import Model
 from mbsgen.model.scene import EVERYTHING
@@ -65,6 +66,7 @@ from mbsgen.report import (
     write_markdown,
 )
 from mbsgen.robots import OPTIONS as ROBOT
+from mbsgen.robots import option as robot_option
 from mbsgen.robots import read_finite, read_locks
 from mbsgen.scaling import PERIOD, find_crossing, grow
 from mbsgen.targets.languages import TARGETS
@@ -79,25 +81,25 @@ MODEL = click.argument("model", type=click.Path(path_type=Path))
 
 
 _IMPORTING = (
-    click.option("--name", help="The model's name; by default, the name in the file."),
+    robot_option("--name", help="The model's name; by default, the name in the file."),
     *ROBOT,
-    click.option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, the file's own, or 0,0,-9.81."),
-    click.option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
-    click.option(
+    robot_option("--gravity", metavar="X,Y,Z", help="In m/s2; by default, the file's own, or 0,0,-9.81."),
+    robot_option("--quaternions", is_flag=True, help="Give balls and free bodies quaternions, not turns in a row."),
+    robot_option(
         "--friction-speed",
         type=click.FloatRange(0, 1e6, min_open=True),
         default=Choices.friction_speed,
         show_default=True,
         help="The speed at which dry friction reaches 3/4 of its force, rad/s or m/s.",
     ),
-    click.option(
+    robot_option(
         "--quarter-turns",
         type=click.FloatRange(0, 0.01),
         default=Choices.quarter_turns,
         show_default=True,
         help="Round angles within this distance of a quarter turn to it, rad.",
     ),
-    click.option("--allow-unphysical", is_flag=True, help="Accept inertias that no body can have."),
+    robot_option("--allow-unphysical", is_flag=True, help="Accept inertias that no body can have."),
 )
 
 
@@ -148,24 +150,21 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
 HELP = f"""Turn the description of a multibody system into C kernels for its dynamics.
 
 \b
-  mbsgen MODEL -o DIR       generate the folder DIR: C, manifest, report
-  mbsgen show MODEL         print the tree of its bodies; with -o, draw it
-  mbsgen report MODEL       print its cost, and write nothing
-  mbsgen equations MODEL    print its equations of motion, to be read
-  mbsgen scaling            count how cost grows with the length of a chain
-  mbsgen check MODEL        print every fault of the file
-  mbsgen compare MODEL      compare a URDF's equations with Pinocchio's
-  mbsgen import MODEL       make a model file of {list_formats()}
+  mbsgen models/pendulum.yaml -o pendulum    write C to the folder pendulum
+  mbsgen show models/pendulum.yaml           print the tree of its bodies
 
-MODEL is a YAML file (models/ holds examples), or a file of {list_formats()}. Write ./NAME for a file with the name of
-a subcommand.
+MODEL is a YAML file (models/ holds examples), or a file of {list_formats()}. Without COMMAND, `generate` is meant.
+Write ./NAME for a file with the name of a command. `mbsgen COMMAND --help` describes a command.
 
-Exit codes: 0 done; 1 with --check, the folder differs from the generated one, or compared equations
-differ; 2 the model or an argument cannot be accepted (nothing has been written).
+\b
+Exit codes
+  0   done
+  1   with --check, the folder differs; or compared equations differ
+  2   the model or an argument cannot be accepted; nothing written
 """
 
 
-class ModelFirst(click.Group):
+class ModelFirst(CommandsBySubject):
     """A group whose default command is `generate`: `mbsgen MODEL -o DIR`. A subcommand wins over a file of its name."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -275,11 +274,10 @@ def generate_command(
     check: bool,
     choices: Choices,
 ) -> None:
-    """Generate a folder from MODEL, the default command.
+    """Write a folder of C from MODEL; the default command.
 
-    It holds the kernels in C, their header, manifest.json, report.md and report.json.
-
-    The cost of the kernels is printed. The folder appears as a whole, and replaces one that mbsgen wrote before.
+    It holds the kernels, their header, manifest.json, report.md and report.json. The cost of the kernels is printed.
+    The folder appears as a whole, and replaces one that mbsgen wrote before.
     """
     if lump and "lump" in without:
         raise click.BadParameter("it contradicts --without lump; give one of the two", param_hint="--lump")

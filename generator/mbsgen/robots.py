@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable
 
 import click
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsgen.help import RobotOption
 
+option = functools.partial(click.option, cls=RobotOption)
 OPTIONS = (
-    click.option(
+    option(
         "--base",
         type=click.Choice(["fixed", "floating"]),
         default="fixed",
         show_default=True,
         help="Fix URDF's root link, or let it float.",
     ),
-    click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
-    click.option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
-    click.option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
-    click.option(
+    option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
+    option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
+    option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
+    option(
         "--mimic",
         type=click.Choice(["couple", "lock", "free"]),
         default="couple",

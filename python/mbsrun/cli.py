@@ -8,6 +8,7 @@ from importlib.metadata import version
 import click
 
 from mbsgen.errors import MbsError
+from mbsgen.help import CommandsBySubject
 from mbsrun.commands.advise import advise_command
 from mbsrun.commands.animate import animate_command
 from mbsrun.commands.cache import cache_command
@@ -34,47 +35,22 @@ from mbsrun.environment import describe_installation
 HELP = """Simulate multibody systems, and solve their optimal control problems.
 
 \b
-  mbsrun simulate MODEL -o DIR  integrate a motion, and write it, plots and an animation to DIR
-  mbsrun inverse MODEL -o FILE  compute the forces that a given motion takes, as a table
-  mbsrun fit-motion MODEL RECORDING  fit the motion of joints to recorded markers
-  mbsrun inverse-dynamics MODEL RECORDING  compute the forces that a recorded motion takes
-  mbsrun linearise MODEL        find linear equations, modes and transfer functions about a pose at rest
-  mbsrun animate MODEL MOTION... -o FILE  write a page, a GIF, a picture or an MP4
-  mbsrun solve PROBLEM -o DIR   solve, and write solution and pictures to DIR
-  mbsrun sweep PROBLEM -o FILE  solve for a grid of targets, by a protocol, and print its effort
-  mbsrun controller PROBLEM -o DIR  write a controller in C: solves, and steps in real time
-  mbsrun track PROBLEM -o DIR   control a simulated plant by solving from every measured state
-  mbsrun study PROBLEM          solve for all targets, formulations and costs of a paper, and report
-  mbsrun chart kernels MODEL    draw speed against accuracy of kernels, or of simulation
-  mbsrun advise MODEL           recommend the fastest choices for a model, at an accuracy
-  mbsrun fmu MODEL -o FILE      write a functional mock-up unit (FMI 2.0, 3.0)
-  mbsrun playground MODEL -o FILE  write a page on which the model moves, computed by its own C
-  mbsrun lab                    run the cases in which methods fail, and judge
-  mbsrun cache                  list generated and compiled files, or clear them
+  mbsrun simulate models/cart_pole.yaml --duration 5 --pose pole=2 -o moves
+  mbsrun solve models/cart_pole_swing_up.ocp.yaml -o swing_up
 
-MODEL and PROBLEM are YAML files; models/ holds examples. Summaries go to stdout, progress and messages to stderr.
+MODEL is a YAML file, a file of URDF, MJCF or SDF, or a folder that mbsgen wrote; PROBLEM is a YAML file. models/ holds
+examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, progress and messages to stderr.
 """
 
-
-COMMANDS = (
-    simulate_command,
-    inverse_command,
-    fit_motion_command,
-    inverse_dynamics_command,
-    linearise_command,
-    solve_command,
-    sweep_command,
-    animate_command,
-    track_command,
-    controller_command,
-    study_command,
-    chart,
-    advise_command,
-    lab_command,
-    playground_command,
-    fmu_command,
-    cache_command,
-)
+COMMANDS = {
+    "Motions": (simulate_command, inverse_command, linearise_command, animate_command),
+    "Optimal control": (solve_command, sweep_command),
+    "Controllers": (controller_command, track_command),
+    "Recorded motions": (fit_motion_command, inverse_dynamics_command),
+    "Other programs": (fmu_command, playground_command),
+    "Speed and accuracy": (advise_command, chart, lab_command, study_command),
+    "Files": (cache_command,),
+}
 
 
 def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -87,8 +63,9 @@ def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 
 
 @click.group(
+    cls=CommandsBySubject,
     help=HELP,
-    commands=COMMANDS,
+    subjects=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.option(

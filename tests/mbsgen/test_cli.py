@@ -192,9 +192,9 @@ def test_help_and_version_go_to_stdout(mbsgen: Command) -> None:
         assert "..." not in done.out.partition("Commands:")[2], "no summary is cut short"
         assert max(map(len, done.out.splitlines())) <= 80
     for name in cli.commands:
-        if name != "generate":
-            argument = "" if name == "scaling" else " MODEL"
-            assert f"mbsgen {name}{argument} " in mbsgen("--help").out
+        argument = "" if name == "scaling" else " MODEL"
+        assert f"\n  {name}{argument} " in mbsgen("--help").out
+        assert (name == "scaling") == ("Options for robots" not in mbsgen(name, "--help").out)
 
 
 @pytest.mark.parametrize("columns", ["40", "80", "200"])

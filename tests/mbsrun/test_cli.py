@@ -376,6 +376,20 @@ def test_help_and_version(arguments: list[str]) -> None:
     assert done.stderr == ""
 
 
+def test_help_lists_commands_by_subject_and_options_of_robots_apart(run: Run) -> None:
+    """Each summary stands whole on one line of 80 columns; `animate` lists the options of URDF and the like last."""
+    lines = run("--help").stdout.splitlines()
+    for name, command in cli.cli.commands.items():
+        line = next(line for line in lines if line.startswith(f"  {name} "))
+        assert line.endswith(command.get_short_help_str(1000))
+        assert len(line) <= 80
+    assert lines.index("Motions:") < lines.index("Optimal control:") < lines.index("Files:")
+    own, _, robots = run("animate", "--help").stdout.partition("Options for robots in URDF, MJCF and SDF:")
+    assert "--apart" in own
+    assert "--mimic" not in own
+    assert "--mimic" in robots
+
+
 def test_the_version_lists_what_was_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiler, flags, cache and optional packages; a compiler that is missing is no error."""
     shown = dict(line.split(maxsplit=1) for line in run("--version").stdout.splitlines()[1:])

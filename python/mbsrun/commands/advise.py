@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.help import ModelCommand
 from mbsrun.commands.console import keep_grid, open_console, show_progress
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism, load
@@ -41,7 +42,9 @@ Exit codes
 NOTHING_GOOD = 1  # exit code
 
 
-@click.command("advise", help=ADVISE_HELP)
+@click.command(
+    "advise", cls=ModelCommand, help=ADVISE_HELP, short_help="Find the fastest choices, for errors up to a limit."
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
 @click.option("--task", type=click.Choice(["simulate", "optimise", "control"]), default="simulate", help="simulate.")

@@ -11,6 +11,7 @@ import click
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.animation import Wanted, make_film
 from mbsrun.animation.files import Size, write_film
@@ -70,7 +71,9 @@ class SizeType(click.ParamType[Size]):
         return size
 
 
-@click.command("animate", help=ANIMATE_HELP)
+@click.command(
+    "animate", cls=ModelCommand, help=ANIMATE_HELP, short_help="Write motions as a page, a GIF, a picture or an MP4."
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("motions", metavar="MOTION...", nargs=-1, required=True)
 @click.option(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import Fault, InputError
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.animation import write_animation
 from mbsrun.commands.console import NOT_SOLVED, NumberType, choose_format, list_written, say, show_progress
@@ -62,7 +63,9 @@ Exit codes
 """
 
 
-@click.command("fit-motion", help=FIT_HELP)
+@click.command(
+    "fit-motion", cls=ModelCommand, help=FIT_HELP, short_help="Fit the motion of joints to recorded markers."
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")

@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import NumberType, say
 from mbsrun.commands.robots import accept_robots
@@ -36,7 +37,9 @@ Exit codes
 """
 
 
-@click.command("inverse", help=INVERSE_HELP)
+@click.command(
+    "inverse", cls=ModelCommand, help=INVERSE_HELP, short_help="Compute the forces that a given motion takes."
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "--motion",

@@ -9,6 +9,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import NumberType, choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
@@ -64,7 +65,9 @@ Exit codes
 """
 
 
-@click.command("inverse-dynamics", help=HELP)
+@click.command(
+    "inverse-dynamics", cls=ModelCommand, help=HELP, short_help="Compute the forces that a recorded motion takes."
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")

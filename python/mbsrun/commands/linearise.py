@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from mbsgen.help import ModelCommand
 from mbsrun.commands.console import choose_format, print_table, read_numbers, say
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
@@ -47,7 +48,12 @@ Exit codes
 _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less are not named
 
 
-@click.command("linearise", help=LINEARISE_HELP)
+@click.command(
+    "linearise",
+    cls=ModelCommand,
+    help=LINEARISE_HELP,
+    short_help="Find linear equations, modes and poles about a pose.",
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--pose", "poses", multiple=True, metavar="NAME=NUMBER", help="A coordinate [rad, m]: --pose pole=pi")
 @click.option("--input", "inputs", multiple=True, metavar="NAME=NUMBER", help="A constant input [N m, N].")

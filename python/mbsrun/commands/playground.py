@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from mbsgen.help import ModelCommand
 from mbsrun.commands.console import read_numbers, say
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
@@ -38,7 +39,12 @@ Exit codes
 """
 
 
-@click.command("playground", help=PLAYGROUND_HELP)
+@click.command(
+    "playground",
+    cls=ModelCommand,
+    help=PLAYGROUND_HELP,
+    short_help="Write a page that simulates the mechanism by its C.",
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "--controller",

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbsgen.documents import Data
 from mbsgen.errors import Fault, InputError
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import (
     MESSAGES,
@@ -104,7 +105,12 @@ def list_keeping() -> str:
     return "\n".join(lines)
 
 
-@click.command("simulate", help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()))
+@click.command(
+    "simulate",
+    cls=ModelCommand,
+    help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()),
+    short_help="Integrate a motion; write it with an animation.",
+)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "-o",

@@ -19,11 +19,11 @@ class NotInstalledError(MbsError):
 
 @click.command(
     "study",
-    short_help="Repeat the study of Docquier, Brüls and Fisette, and report.",
+    short_help="Carry out the study of a paper, and report.",
     add_help_option=False,
     context_settings={"ignore_unknown_options": True},
 )
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+@click.argument("arguments", metavar="PROBLEM", nargs=-1, type=click.UNPROCESSED)
 def study_command(arguments: tuple[str, ...]) -> None:
     """Pass all arguments to the command of the study, `python -m studies.docquier`."""
     find_study(SOURCES).main(args=list(arguments), prog_name="mbsrun study")

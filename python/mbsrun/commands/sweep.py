@@ -64,7 +64,7 @@ Exit codes
 """
 
 
-@click.command("sweep", help=SWEEP_HELP)
+@click.command("sweep", help=SWEEP_HELP, short_help="Solve for many targets, in several representations.")
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @click.option(
     "-o",
