@@ -17,7 +17,7 @@ from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.structure import Structure
 from mbsrun.ocp.transcription import Transcription
-from mbsrun.ocp.writing import find_targets
+from mbsrun.ocp.writing.ends import find_targets
 from mbsrun.quaternions import find_quaternion
 
 SHOWN = 4  # descriptions of a failure

@@ -52,7 +52,9 @@ from mbsrun.ocp.program import Program
 from mbsrun.ocp.schemes import Scheme
 from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.writing import Writer, find_targets
+from mbsrun.ocp.writing.ends import find_targets
+from mbsrun.ocp.writing.program import write_program
+from mbsrun.ocp.writing.sheet import Sheet, find_components
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions
 
 T = TypeVar("T")
@@ -391,19 +393,19 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     shape = structure(problem)
     scheme = schemes.build(shape.family, shape.degree)
     integrator = integrators.build(shape.integrator, scheme, shape.steps)
-    writer = Writer(shape, plant, scheme, integrator)
-    rows, program = writer.write()
+    sheet = Sheet(shape, plant, scheme, integrator)
+    rows, program = write_program(sheet)
     closure = find_closure(plant)
     return Transcription(
         shape,
-        writer.quaternions,
+        sheet.quaternions,
         scheme,
         integrator,
-        writer.layout,
+        sheet.layout,
         rows,
         program,
         plant,
         closure,
         list_fixed_values(shape.added.unknowns, plant),
-        writer.list_components(),
+        find_components(shape, plant.manifest),
     )
