@@ -237,7 +237,7 @@ class _Scene:
                 self._skipped[element.tag] += 1
                 if body.tag == "worldbody" and self._defaults.resolve(element, part.active).get("type") != "plane":
                     self._findings.omit(element, "this geom is not drawn: it belongs to the world")
-                self._touching += element.tag == "geom" and self._touches(part)
+                self._touching += element.tag == "geom" and body.tag != "worldbody" and self._touches(part)
         waiting += found[::-1]
 
     def _touches(self, part: _Placed) -> bool:
@@ -574,8 +574,10 @@ class _Scene:
             counts = ", ".join(f"{count} {tag}" for tag, count in sorted(self._skipped.items()))
             self._findings.sum_up(f"read for masses, or left out: {counts}")
         if self._touching:
-            text = f"{self._touching} geoms of bodies may touch others; contacts are not part of a model"
-            self._findings.sum_up(text, alters=True)
+            text = (
+                f"{self._touching} of the bodies' geoms may touch others: they pass through; a model describes contacts"
+            )
+            self._findings.sum_up(f"{text} under `contacts`", alters=True)
         if not self._driven:
             self._findings.sum_up("no actuator is given: every hinge and slide has an input u")
 

@@ -194,12 +194,15 @@ def test_locked_joints_and_sensors(tmp_path: Path) -> None:
 
 
 def test_contacts_that_a_model_leaves_out_are_a_warning(tmp_path: Path) -> None:
-    """Unless the masks of a geom, its class's among them, keep it from touching anything."""
+    """Unless the masks of a geom, its class's among them, keep it from touching anything, or it is the world's."""
     geoms = '<geom size="0.1"/><geom size="0.1" contype="0"/><geom size="0.1" contype="0" conaffinity="0"/>'
-    inner = world(f'<body name="a"><joint name="one"/>{INERTIAL}{geoms}<geom class="ghost" size="0.1"/></body>')
+    moving = f'<body name="a"><joint name="one"/>{INERTIAL}{geoms}<geom class="ghost" size="0.1"/></body>'
+    inner = world(f'<geom type="plane" size="1 1 1"/>{moving}')
     classes = '<default><default class="ghost"><geom contype="0" conaffinity="0"/></default></default>'
     (warning,) = warnings(import_model(write(tmp_path, classes + inner)))
-    assert "2 geoms of bodies may touch others; contacts are not part of a model" in warning
+    assert "2 of the bodies' geoms may touch others: they pass through; a model describes contacts" in warning
+    alone = f'<geom type="plane" size="1 1 1"/><body name="a"><joint name="one"/>{INERTIAL}</body>'
+    assert not warnings(import_model(write(tmp_path, world(alone))))
 
 
 def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:

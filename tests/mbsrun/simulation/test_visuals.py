@@ -183,7 +183,7 @@ def test_geoms_are_where_mujoco_has_them(package: Path) -> None:
     state, q = mujoco.MjData(peer), np.array([0.3, -0.7])
     state.qpos[:] = q
     mujoco.mj_forward(peer, state)
-    with pytest.warns(UserWarning, match="contacts are not part of a model"):
+    with pytest.warns(UserWarning, match="they pass through"):
         robot = load(file, extent=Extent(("frames",), derivatives=0))
     visuals = tuple(show_drawings(robot.manifest, package.parent, pytest.fail))
     film = make_film([Motion((Part(robot, np.zeros(1), q[None]),))], Wanted(visuals=visuals))
