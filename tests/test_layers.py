@@ -217,7 +217,7 @@ DOCQUIER = Package(
     source=ROOT / "studies" / "docquier",
     layers=(
         "growth spread export published optima markdown",
-        "results differentiated nonzeros",
+        "results differentiated nonzeros earlier",
         "judges",
         "claims",
         "judgement figures",

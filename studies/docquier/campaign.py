@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,14 +26,16 @@ from mbsrun.measuring.sections import Cell, Section, Table
 from mbsrun.models import find_folder, fingerprint_generator
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.record import Attempt, Record, open_record
+from mbsrun.ocp.record import Attempt, Record, Task, open_record
 from mbsrun.ocp.search import Executor, OutOfTimeError, Search
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.study import Study, Targets, Weights, describe, identify
+from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.trials import ProtocolName
 from studies.docquier import questions, spread
 from studies.docquier.differentiated import WAYS, Differentiated
-from studies.docquier.export import Row, list_rows
+from studies.docquier.earlier import read_page
+from studies.docquier.export import DIGITS, Row, list_rows
 from studies.docquier.figures import draw_figures, name_set
 from studies.docquier.growth import Growth, count_growth
 from studies.docquier.judgement import SHOWN, judge_all
@@ -265,10 +267,42 @@ def list_attempts(campaign: Campaign, out: Path) -> list[Row]:
     """List every attempt of the campaign, and of its questions, as rows."""
     rows: list[Row] = []
     with _open(campaign, out) as record:
-        rows += list_rows(campaign.study, record.list_all())
-        for study, own in _list_own_records(campaign, record):
-            rows += list_rows(study, own.list_all())
+        for study, own in _list_records(campaign, record):
+            rows += list_rows(study, own.identity, own.list_all())
     return rows
+
+
+def _list_records(campaign: Campaign, record: Record) -> Iterator[tuple[Study, Record]]:
+    """Yield the record of the campaign, and the records of the questions."""
+    yield campaign.study, record
+    yield from _list_own_records(campaign, record)
+
+
+def restore(campaign: Campaign, out: Path, folder: Path) -> str:
+    """Take attempts and certificates from a page of an earlier run into the record; return a sentence about it.
+
+    Raises InputError.
+    """
+    earlier = read_page(folder, campaign.study.targets)
+    with _open(campaign, out) as record:
+        own = {r.identity[:DIGITS]: r for _, r in _list_records(campaign, record)}
+        taken = 0
+        for identity, attempt, environment in earlier.attempts:
+            if identity in own:
+                own[identity].restore(attempt, environment)
+                taken += 1
+        for key, certificate in earlier.certificates.items():
+            record.find_or_derive(key, partial(json.dumps, asdict(certificate)))
+    rest = len(earlier.attempts) - taken
+    left = f"; {rest} belong to systems that are not given, or to other targets" if rest else ""
+    return f"{folder}: {taken} attempts and {len(earlier.certificates)} certificates are in the record{left}"
+
+
+def _recall(campaign: Campaign, record: Record) -> Callable[[Task, str, str], Trajectory | None]:
+    """Return a function that finds the motion of a best attempt; it solves again for one that was restored."""
+    plant = campaign.subject.plant
+    search = Search(campaign.study, LocalExecutor(plant, describe_environment()), record)
+    return lambda task, protocol, turns: search.find_motion(task, protocol, turns=turns)
 
 
 def _list_own_records(campaign: Campaign, record: Record) -> Iterator[tuple[Study, Record]]:
@@ -291,9 +325,9 @@ def gather(
     """Collect the results of the study proper."""
     study, report = campaign.study, _read_report(campaign.subject.folder)
     attempts = tuple(a for a in record.attempts() if _is_part(a, study))
-    motions = []
+    motions, recall = [], _recall(campaign, record)
     for weights in study.costs:
-        motion = record.best_motion(find_shown_task(study, weights), "paper")
+        motion = recall(find_shown_task(study, weights), "paper", "")
         if motion is not None:
             motions.append((weights, motion))
     efforts = tuple(
@@ -316,7 +350,7 @@ def gather(
 def list_lowest(campaign: Campaign, out: Path) -> list[Optimum]:
     """List the lowest optimum of every target and cost in the record, with certificates; minutes for all targets."""
     with _open(campaign, out) as record:
-        return list(list_optima(campaign.study, record, campaign.subject.plant))
+        return list(list_optima(campaign.study, record, campaign.subject.plant, _recall(campaign, record)))
 
 
 def describe_extent(campaign: Campaign, out: Path) -> list[str]:

@@ -45,19 +45,20 @@ from studies.docquier.campaign import (
     list_lowest,
     read_subject,
     report,
+    restore,
     restrict,
 )
-from studies.docquier.export import Form, export
+from studies.docquier.export import ATTEMPTS, Form, export
 from studies.docquier.figures import drawn_as
 from studies.docquier.judgement import INSIDE, TURNS
 from studies.docquier.judges import CONFIRMED, REFUTED
 from studies.docquier.markdown import ARCHIVE, write_archive, write_page
 from studies.docquier.nonzeros import explain_nonzeros
-from studies.docquier.optima import describe_optima, tabulate_optima
+from studies.docquier.optima import OPTIMA, describe_optima, tabulate_optima
 
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
 STYLES = {CONFIRMED: "confirmed", REFUTED: "refuted", TURNS: "open", INSIDE: "open"}  # of verdicts on the page
-PAGE, DATA, ATTEMPTS, OPTIMA = "study.html", "data", "attempts", "optima.csv"
+PAGE, DATA = "study.html", "data"
 SPEED = 1800.0  # s; the pace over this time gives the remaining time
 
 STUDY_HELP = """Carry out the study of Docquier, Bruls, Fisette on PROBLEM, and write a report.
@@ -154,6 +155,12 @@ Exit codes
     help="Also write the report to this folder as Markdown, and the lowest optima with certificates of optimality.",
 )
 @click.option(
+    "--from",
+    "earlier",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="A folder that --page wrote, such as docs/study: its attempts count, and are not made again.",
+)
+@click.option(
     "--with",
     "folders",
     type=click.Path(path_type=Path),
@@ -183,6 +190,7 @@ def study_command(
     drawn: str,
     form: Form | None,
     place: Path | None,
+    earlier: Path | None,
     folders: tuple[Path, ...],
 ) -> None:
     """Read the problem, solve, and write the report."""
@@ -212,6 +220,8 @@ def study_command(
     out = out or Path(f"{problem.name}.study")
     is_through = True
     with hold(out):
+        if earlier is not None:
+            click.echo(restore(campaign, out, earlier), err=True)
         if minutes > 0:
             processes = len(os.sched_getaffinity(0)) if workers is None else workers
             with open_workers(processes, scheduler) as executor_for, show_steps() as watch:

@@ -13,28 +13,39 @@ from mbsgen.errors import MbsError
 from mbsrun.ocp.record import Attempt
 from mbsrun.ocp.study import Study
 
+ATTEMPTS = "attempts"  # the table's name
 Form = Literal["csv", "parquet"]
 Row = dict[str, object]
+DIGITS = 16  # of the name of a study
 
 
 class ExportError(MbsError):
     """A package for the requested form is missing."""
 
 
-def list_rows(study: Study, attempts: Iterable[tuple[Attempt, str]]) -> list[Row]:
-    """Return attempts as rows with a name for each number."""
-    plain = [field.name for field in fields(Attempt) if field.name != "task"]
+_PLAIN = tuple(field.name for field in fields(Attempt) if field.name != "task")
+_PLACE = ("problem", "place_i", "place_j", "azimuth", "height")
+_PROBLEM = ("inputs", "input_rates", "representation", "scheme", "degree", "intervals", "tolerance", "max_iterations")
+
+
+def list_columns() -> tuple[str, ...]:
+    """List the columns of an attempt itself; the environment's columns follow."""
+    return ("study", *_PLACE, *_PROBLEM, *_PLAIN)
+
+
+def list_rows(study: Study, identity: str, attempts: Iterable[tuple[Attempt, str]]) -> list[Row]:
+    """Return attempts as rows with a name for each number; `identity` is the name of the study in a record."""
     rows: list[Row] = []
     for attempt, environment in attempts:
         task, problem = attempt.task, study.problem
         i, j = task.place
-        row: Row = {"problem": problem.name, "place_i": i, "place_j": j}
+        row: Row = {"study": identity[:DIGITS], "problem": problem.name, "place_i": i, "place_j": j}
         row["azimuth"] = study.targets.azimuths[i] if study.sensor is not None else None
         row["height"] = study.targets.heights[j] if study.sensor is not None else None
         row |= {"inputs": task.weights[0], "input_rates": task.weights[1], "representation": task.representation}
         row |= {"scheme": problem.family.value, "degree": problem.degree, "intervals": problem.intervals}
         row |= {"tolerance": problem.solver.tolerance, "max_iterations": problem.solver.max_iterations}
-        row |= {name: getattr(attempt, name) for name in plain}
+        row |= {name: getattr(attempt, name) for name in _PLAIN}
         row |= json.loads(environment) if environment else {}
         rows.append(row)
     return rows

@@ -218,7 +218,7 @@ def judge_explicit_lower(results: Results) -> Finding | None:
             for name in EXPLICIT
             for a in results.pick(results.rough, name)
         )
-    text = f"in {reached} of {len(trapped)} such tasks an explicit form reached the lowest minimum known"
+    text = f"in {reached} of {len(trapped)} such tasks an explicit form reached the lowest minimum"
     return _find(reached > 0.5 * len(trapped), text)
 
 

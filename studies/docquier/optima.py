@@ -31,6 +31,7 @@ from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.study import Place, Study, Weights
 from mbsrun.ocp.trajectory import Trajectory
 
+OPTIMA = "optima.csv"  # the file
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
 
@@ -55,8 +56,14 @@ class Optimum:
         return c.is_minimum and c.stationarity <= STATIONARY * c.gradient and c.violation <= FEASIBLE
 
 
-def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]:
-    """Yield the optima of a record by cost and target: the lowest without whole turns, then the lowest with some."""
+Recall = Callable[[Task, str, str], Trajectory | None]  # by task, protocol and turns, the motion of the best attempt
+
+
+def list_optima(study: Study, record: Record, plant: Plant, recall: Recall) -> Iterator[Optimum]:
+    """Yield the optima of a record by cost and target: the lowest without whole turns, then the lowest with some.
+
+    A restored attempt keeps the certificate of the page that it came from. Without one, `recall` solves it again.
+    """
     by_target: dict[tuple[Place, Weights], list[Attempt]] = {}
     for a in record.attempts():
         by_target.setdefault((a.task.place, a.task.weights), []).append(a)
@@ -69,16 +76,19 @@ def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]
                 if found is None or found.cost is None:
                     continue
                 problem = study.state(found.task)
-                motion = record.best_motion(found.task, found.protocol, turns=found.turns)
-                assert motion is not None, "a record keeps the motion of every best attempt"
+                kept = record.best_motion(found.task, found.protocol, turns=found.turns)
 
-                def check(problem: Problem = problem, motion: Trajectory = motion) -> Certificate:
+                def check(
+                    problem: Problem = problem, kept: Trajectory | None = kept, found: Attempt = found
+                ) -> Certificate:
+                    motion = kept or recall(found.task, found.protocol, found.turns)
+                    assert motion is not None, "a record keeps every best attempt"
                     kind = structure(problem)
                     if kind not in solvers:
                         solvers[kind] = Solver(problem, plant)
                     return certify_motion(problem, solvers[kind], motion)
 
-                key = _name(problem, motion, plant)
+                key = _name(problem, kept, plant) if kept else name_known(found.task, found.turns, found.cost)
                 paper = [a for a in tried if a.protocol == "paper" and a.cost is not None]
                 parts = ("turns",) if is_turned else INDEPENDENT
                 starts = [a for a in tried if a.protocol == "robust" and a.part in parts]
@@ -92,6 +102,11 @@ def list_optima(study: Study, record: Record, plant: Plant) -> Iterator[Optimum]
                     len(starts),
                     _find_or_certify(record, key, check),
                 )
+
+
+def name_known(task: Task, turns: str, cost: float) -> str:
+    """Name a certificate of a page, whose motion is not at hand."""
+    return f"certificate of {task.row} {turns or 'none'} {cost!r}"
 
 
 def _name(problem: Problem, motion: Trajectory, plant: Plant) -> str:
@@ -131,22 +146,30 @@ def _count_hits(attempts: Sequence[Attempt], found: Attempt) -> int:
     return sum(a.turns == found.turns and not is_higher(a.cost, found.cost) for a in attempts)
 
 
+COLUMNS = (
+    "azimuth [rad]",
+    "height [m]",
+    "k1",
+    "k2",
+    "cost",
+    "representation",
+    "whole turns",
+    "found by",
+    "of",
+    "independent finds",
+    "of starts",
+    "stationarity",
+    "gradient",
+    "violation",
+    "complementarity",
+    "active bounds",
+    "second order",
+    "certified",
+)
+
+
 def tabulate_optima(study: Study, optima: Sequence[Optimum]) -> Table:
     """Return a row for each optimum, with every digit of its cost."""
-    columns: tuple[str, ...] = ("azimuth [rad]", "height [m]", "k1", "k2", "cost", "representation", "whole turns")
-    columns += (
-        "found by",
-        "of",
-        "independent finds",
-        "of starts",
-        "stationarity",
-        "gradient",
-        "violation",
-        "complementarity",
-        "active bounds",
-        "second order",
-        "certified",
-    )
     rows = tuple(_write_row(study, optimum) for optimum in optima)
     note = (
         "Stationarity is the largest entry of the first-order conditions, beside the largest entry of the cost's "
@@ -154,7 +177,7 @@ def tabulate_optima(study: Study, optima: Sequence[Optimum]) -> Table:
         "paper's protocol ended in this optimum; `independent finds` counts random starts of the robust protocol. A "
         "target has a second row where motions with whole turns of a joint without limits were found."
     )
-    return Table("Lowest optima", columns, rows, note, is_folded=True)
+    return Table("Lowest optima", COLUMNS, rows, note, is_folded=True)
 
 
 def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:

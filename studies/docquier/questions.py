@@ -130,7 +130,7 @@ def answer_guess(results: Results) -> Section | None:
         "in a higher minimum",
     )
     columns += ("iterations, median", "CPU s, median", "CPU s, all")
-    note = "The motion is the same interpolation; a higher minimum lies above the lowest cost of all attempts."
+    note = "The motion is the same interpolation; a higher minimum lies above the lowest cost of either guess."
     items: list[Table | Picture] = [Table("By the inputs of the guess", columns, tuple(rows), note)]
     if apart:
         columns = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -9,14 +10,15 @@ from itertools import product
 import numpy as np
 
 from mbsrun.measuring.sections import Cell, Section, Table
-from mbsrun.ocp.attempts import count_finds, is_higher, list_turned, summarise
+from mbsrun.ocp.attempts import count_finds, find_lowest, is_higher, list_turned, summarise
 from mbsrun.ocp.record import SAME, Attempt, Record, Task
 from mbsrun.ocp.search import Progress, find_progress
 from mbsrun.ocp.starts import describe_turns
 from mbsrun.ocp.study import Place, Study, Targets, Weights
 from mbsrun.ocp.trials import COUNTS
 from studies.docquier.figures import name_set
-from studies.docquier.results import Results
+from studies.docquier.judgement import SHOWN
+from studies.docquier.results import ROBUST, Results
 
 PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their order
 Row = tuple[Cell, ...]
@@ -27,7 +29,8 @@ TEXT = (
     "measure of trust. A task is left in a higher minimum if any attempt in the record, of this protocol "
     f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
     "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
-    "statements are about motions without. The optima count here, not the times, so solves take the "
+    "statements are about motions without. A joint may also turn away and back, which counts as no turn. "
+    "The optima count here, not the times, so solves take the "
     "project's own method, mbs. The paper's protocol and the questions take IPOPT, since their times are compared with "
     "the paper's. The table of environments counts attempts by method and linear solver."
 )
@@ -85,9 +88,13 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
     rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))
     every = [attempt for attempts in own.values() for attempt in attempts]
     turned = (_tabulate_turns(every),) if list_turned(every) else ()
+    lower = (_tabulate_lower(results, every),) if _list_lower(results, every) else ()
     parts = Table("Effort of the parts", columns, rows, note)
     return Section(
-        "robust", "The robust protocol", " ".join((TEXT, *texts)), (left, parts, _tabulate_all(results), *turned)
+        "robust",
+        "The robust protocol",
+        " ".join((TEXT, *texts)),
+        (left, *lower, parts, _tabulate_all(results), *turned),
     )
 
 
@@ -123,6 +130,35 @@ def _describe_finds(attempts: Sequence[Attempt]) -> str:
     )
 
 
+def _list_lower(results: Results, attempts: Sequence[Attempt]) -> list[Row]:
+    """List the targets at which the robust protocol found a minimum lower than the solves from the interpolation."""
+    finds = {(f.place, f.weights): f for f in count_finds(attempts)}
+    turned: dict[tuple[Place, Weights], float] = {}
+    for t in list_turned(attempts):
+        turned[t.place, t.weights] = min(t.cost, turned.get((t.place, t.weights), t.cost))
+    rows: list[Row] = []
+    for (place, weights), cost in sorted(find_lowest([a for a in attempts if not a.turns]).items()):
+        before = results.lowest.get((place, weights))
+        if before is not None and cost < (1 - SHOWN) * before:
+            own = [a for a in attempts if (a.task.place, a.task.weights, a.cost, a.turns) == (place, weights, cost, "")]
+            find, turn = finds.get((place, weights)), turned.get((place, weights))
+            row = (name_set(weights), f"{place[0]},{place[1]}", _round(before), _round(cost), own[0].part, own[0].round)
+            numbers = (None, None) if find is None else (find.found, find.starts)
+            rows.append((*row, *numbers, None if turn is None else _round(turn)))
+    return rows
+
+
+def _tabulate_lower(results: Results, attempts: Sequence[Attempt]) -> Table:
+    columns: tuple[str, ...] = ("cost", "target", "from the interpolation", "robust protocol", "found by", "in round")
+    columns += ("independent finds", "of starts", "with whole turns")
+    note = (
+        f"Targets at which the robust protocol found a cost lower by more than {SHOWN:.0%}: azimuth and height as "
+        "numbers of the grid; the lowest of the solves that started as the paper's did; the lowest of the robust "
+        "protocol without whole turns, and with some."
+    )
+    return Table("Minima below the paper's protocol", columns, tuple(_list_lower(results, attempts)), note)
+
+
 def _tabulate_turns(attempts: Sequence[Attempt]) -> Table:
     """List the lowest costs with whole turns."""
     rows = tuple(
@@ -149,7 +185,7 @@ def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], st
     best, places, progress = _find_best(attempts), results.study.targets.places, state.progress
     tasks = len(places) * len(results.representations)
     higher = _list_higher(results, best)
-    above = [100 * (best[task] / results.lowest[task.place, weights] - 1) for task in higher]
+    above = [100 * (best[task] / results.known[task.place, weights] - 1) for task in higher]
     cpu = sum(a.cpu_seconds for a in attempts)
     progress_text = (
         "through" if progress.is_through else f"round {progress.round}: {progress.done} of {progress.trials}"
@@ -160,10 +196,28 @@ def _balance(results: Results, weights: Weights, attempts: Sequence[Attempt], st
     return (name_set(weights), len(places), tasks, *numbers, _round(cpu), _round(cpu / tried), progress_text, through)
 
 
+def describe_lower(results: Results) -> str:
+    """Describe how far below the solves from the interpolation the robust protocol found minima, by cost."""
+    texts = []
+    for weights in results.study.costs:
+        own = [a for a in results.attempts if a.protocol == ROBUST and a.task.weights == weights and not a.turns]
+        found = {place: cost for (place, _), cost in find_lowest(own).items()}
+        ratios = [cost / results.lowest[p, weights] for p, cost in found.items() if (p, weights) in results.lowest]
+        lower = sorted(ratio for ratio in ratios if ratio < 1 - SHOWN)
+        if ratios:
+            least = f", down to {lower[0]:.2g} of it" if lower else ""
+            tried = sorted(Counter(a.task.place for a in own).values())
+            texts.append(
+                f"With {name_set(weights)}, the robust protocol found minima lower by more than {SHOWN:.0%} at "
+                f"{len(lower)} of {len(ratios)} targets{least}, by {tried[0]} to {tried[-1]} attempts at each."
+            )
+    return " ".join(texts)
+
+
 def _list_parts(results: Results, weights: Weights, attempts: Sequence[Attempt]) -> list[Row]:
     first: dict[Place, Attempt] = {}
     for a in sorted(attempts, key=lambda a: (a.round, PARTS.index(a.part))):
-        if not a.turns and not is_higher(a.cost, results.lowest.get((a.task.place, weights), np.inf)):
+        if not a.turns and not is_higher(a.cost, results.known.get((a.task.place, weights), np.inf)):
             first.setdefault(a.task.place, a)
     whole = sum(a.cpu_seconds for a in attempts)
     rows: list[Row] = []
@@ -202,7 +256,7 @@ def _find_best(attempts: Sequence[Attempt]) -> dict[Task, float]:
 
 
 def _list_higher(results: Results, best: Mapping[Task, float]) -> list[Task]:
-    return [task for task, cost in best.items() if is_higher(cost, results.lowest[task.place, task.weights])]
+    return [task for task, cost in best.items() if is_higher(cost, results.known[task.place, task.weights])]
 
 
 def _round(value: float) -> float:

@@ -10,6 +10,7 @@ from mbsrun.measuring.sections import Cell, Picture, Section, Table
 from studies.docquier.figures import list_sets, name_set
 from studies.docquier.judgement import SHOWN, Judgement
 from studies.docquier.results import Results
+from studies.docquier.robustness import describe_lower
 from studies.docquier.tables import count_verdicts
 
 
@@ -22,8 +23,8 @@ def summarise_run(results: Results, judgements: Sequence[Judgement], answer: tup
     text = (
         f"The paper's protocol on {targets} targets, {len(results.study.costs)} costs and {names} representations. "
         f"Claims of the paper: {count_verdicts(judgements)}. A higher minimum lies more than {SHOWN:.0%} above "
-        "the lowest cost that any attempt in this record found; lower minima than that may exist."
-    )
+        f"the lowest cost of the solves that started as the paper's did. {describe_lower(results)}"
+    ).rstrip()
     rows = tuple(row for weights in list_sets(results) for row in _list_rows(results.with_same(SHOWN), weights))
     columns = ("cost", "representation", "tasks", "solved", "in a higher minimum", "iterations, median")
     note = "The paper's protocol alone. Differences of medians count only beyond the scatter, which is listed below."

@@ -129,7 +129,7 @@ def _tabulate_success(results: Results) -> Table | None:
         "in a higher minimum",
         "in the lowest %",
     )
-    note = "The lowest minimum is the lowest cost of all attempts in the record, by any protocol and representation."
+    note = "The lowest minimum is the lowest cost of the solves from the interpolation, in any representation."
     return Table("Success rates", columns, tuple(rows), note)
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -103,7 +104,7 @@ class Record:
 
     def __init__(self, connection: sqlite3.Connection, study: str, told: str = "") -> None:
         """Open a study of a file: `study` identifies it, `told` describes it for a reader."""
-        self._connection, self._identity, self._told = connection, study, told
+        self._connection, self.identity, self._told = connection, study, told
         found = connection.execute("select id from studies where identity = ?", (study,)).fetchone()
         self._study = _NONE if found is None else int(found[0])
 
@@ -122,8 +123,22 @@ class Record:
         It is the best if no earlier round has a cost as low, to rounding, and no other attempt of its round has one as
         low at all. An attempt that was kept before is not kept twice.
         """
+        return self._keep(attempt, None if motion is None else _pack(motion), circumstances)
+
+    def restore(self, attempt: Attempt, circumstances: str = "") -> None:
+        """Keep an attempt that was made elsewhere, without its motion: `put_motion` adds one that is found again."""
+        self._keep(attempt, _ELSEWHERE, circumstances)
+
+    def put_motion(self, attempt: Attempt, motion: Trajectory) -> None:
+        """Keep the motion of a restored attempt."""
+        update = f"update best set motion = ? where {_IS_TASK} and protocol = ? and round = ? and turns = ?"
+        row = (self._study, *attempt.task.row, attempt.protocol, attempt.round, attempt.turns)
+        with self._connection:
+            self._connection.execute(update, (_pack(motion), *row))
+
+    def _keep(self, attempt: Attempt, motion: bytes | None, circumstances: str) -> bool:
         if self._study == _NONE:
-            self._study = self._number("studies", "identity", self._identity)
+            self._study = self._number("studies", "identity", self.identity)
             with self._connection:
                 self._connection.execute("update studies set told = ? where id = ?", (self._told, self._study))
         is_better = motion is not None and attempt.cost is not None and self._is_best(attempt, attempt.cost)
@@ -132,9 +147,9 @@ class Record:
         row = (self._study, *attempt.key, attempt.round, attempt.status, *numbers, held)
         with self._connection:
             done = self._connection.execute(f"insert or ignore into attempts values ({_marks(row)})", row)
-            if is_better and motion is not None and done.rowcount:
+            if is_better and done.rowcount:
                 task = (self._study, *attempt.task.row, attempt.protocol, attempt.round)
-                values = (*task, attempt.turns, attempt.cost, _pack(motion))
+                values = (*task, attempt.turns, attempt.cost, motion)
                 self._connection.execute(f"insert or replace into best values ({_marks(values)})", values)
         return is_better
 
@@ -153,11 +168,25 @@ class Record:
         return {Task((row[0], row[1]), (row[2], row[3]), row[4]): Best(*row[5:]) for row in found}
 
     def best_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
-        """Return the motion of the best with some whole turns, by default none."""
-        query = f"select motion from best where {_IS_TASK} and protocol = ? and turns = ? and round < ?"
+        """Return the motion of the best with some whole turns, by default none; None too where it was not restored."""
+        found = self._find_best("motion", task, protocol, before, turns)
+        return _unpack(found[0]) if found and found[0] else None
+
+    def best_attempt(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Attempt | None:
+        """Return the attempt that found the best with some whole turns, by default none."""
+        found = self._find_best("round, cost", task, protocol, before, turns)
+        own = (a for a in self.attempts() if (a.task, a.protocol, a.turns) == (task, protocol, turns))
+        return next((a for a in own if (a.round, a.cost) == found), None)
+
+    def _find_best(
+        self, columns: str, task: Task, protocol: str, before: int | None, turns: str
+    ) -> tuple[Any, ...] | None:
+        query = f"select {columns} from best where {_IS_TASK} and protocol = ? and turns = ? and round < ?"
         values = (self._study, *task.row, protocol, turns, _LAST if before is None else before)
-        found = self._connection.execute(f"{query} order by round desc limit 1", values).fetchone()
-        return None if found is None else _unpack(found[0])
+        found: tuple[Any, ...] | None = self._connection.execute(
+            f"{query} order by round desc limit 1", values
+        ).fetchone()
+        return found
 
     def find_or_derive(self, key: str, derive: Callable[[], str]) -> str:
         """Return a text that follows from its key alone; derive and keep a text that is missing."""
@@ -204,6 +233,7 @@ class Record:
 _IS_TASK = "study = ? and place_i = ? and place_j = ? and inputs = ? and input_rates = ? and representation = ?"
 _NUMBERS = tuple(field.name for field in fields(Attempt))[6:]
 _LAST = 2**31
+_ELSEWHERE = b""  # in place of the motion of a restored attempt
 _NONE = 0  # the number of a study of which nothing is kept yet
 
 

@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from mbsrun.ocp.record import Attempt, Record
+from mbsgen.errors import MbsError
+from mbsrun.ocp.record import SAME, Attempt, Record, Task
 from mbsrun.ocp.study import Study
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.trials import Found, Hop, ProtocolName, Trial, plan_round
+from mbsrun.ocp.trials import Found, Hop, ProtocolName, Trial, plan_round, restate
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +89,33 @@ class Search:
         for trial in trials:
             if time.monotonic() > self.end:
                 return
-            start = trial.start
-            motion = None
-            if isinstance(start, Found):
-                motion = self.record.best_motion(start.origin, trial.protocol, trial.round)
-            elif isinstance(start, Hop):
-                motion = self.record.best_motion(start.origin, trial.protocol, trial.round, start.turns)
-            yield Order(self.study, trial, motion)
+            yield self._prepare(trial)
+
+    def _prepare(self, trial: Trial) -> Order:
+        """Order a trial with the motion that it starts from."""
+        start, motion = trial.start, None
+        if isinstance(start, Found):
+            motion = self.find_motion(start.origin, trial.protocol, trial.round)
+        elif isinstance(start, Hop):
+            motion = self.find_motion(start.origin, trial.protocol, trial.round, start.turns)
+        return Order(self.study, trial, motion)
+
+    def find_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
+        """Return the motion of the best of a task; solve again for a motion that was not restored. Raises MbsError."""
+        found = self.record.best_motion(task, protocol, before, turns)
+        attempt = self.record.best_attempt(task, protocol, before, turns) if found is None else None
+        if attempt is None or attempt.cost is None:
+            return found
+        (outcome,) = self.executor.carry_out([self._prepare(restate(self.study, attempt))])
+        again, motion = outcome.attempt, outcome.motion
+        if motion is None or again.cost is None or abs(again.cost - attempt.cost) > SAME * abs(attempt.cost):
+            raise MbsError(
+                f"target {task.place[0]},{task.place[1]} in {task.representation}: {attempt.part} {attempt.guess} ends "
+                f"in {again.cost or again.status} here, and ended in {attempt.cost} in the attempt that was restored; "
+                "begin a new record without restored attempts"
+            )
+        self.record.put_motion(attempt, motion)
+        return motion
 
 
 @dataclass(frozen=True)

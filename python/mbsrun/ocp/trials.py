@@ -33,7 +33,7 @@ from typing import Literal
 
 from mbsrun.ocp.attempts import is_higher
 from mbsrun.ocp.problem import Inputs
-from mbsrun.ocp.record import Best, Key, Task
+from mbsrun.ocp.record import Attempt, Best, Key, Task
 from mbsrun.ocp.starts import TURNS, Kind, Variation
 from mbsrun.ocp.study import Place, Study
 
@@ -125,6 +125,25 @@ def plan_round(
     return near or [trial for trial in _list_exchanges(study, best, number) if trial.key not in tried]
 
 
+def restate(study: Study, attempt: Attempt) -> Trial:
+    """Return the trial of an attempt by the paper's protocol or the robust one, from its names."""
+    task, part, guess = attempt.task, attempt.part, attempt.guess
+    start: Start
+    if part in ("neighbours", "exchange"):
+        place, representation, _ = guess.split(" ")
+        i, j = map(int, place.split(","))
+        start = Found(Task((i, j), task.weights, representation), is_held=part == "exchange")
+    elif part == "hops":
+        turns, _, *seed, k = guess.rsplit(" ", 2 + len(task.place))
+        start = Hop(task, "" if turns == "-" else turns, (*map(int, seed), attempt.round, int(k)))
+    elif part in COUNTS:
+        named = itertools.chain(*_vary_all(study, task.place, is_rough=task.weights[1] == 0))
+        start = Varied(next(variation for name, variation in named if (variation.kind, name) == (part, guess)))
+    else:
+        start = Interpolation("dynamic" if guess == "dynamic" else "zero")
+    return Trial(task, attempt.protocol, part, guess, start, attempt.round)
+
+
 def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) -> list[Trial]:
     """Start every task of a study from the interpolation with some inputs; representations of a task are adjacent."""
     return [
@@ -136,29 +155,38 @@ def list_interpolations(study: Study, protocol: str, part: str, inputs: Inputs) 
 
 
 def _list_variations(study: Study) -> list[Trial]:
+    """List the random starts: one of each kind at every target, then the next of each, so that any part is spread."""
     scout = study.representations[0].value
     return [
         Trial(Task(place, weights, scout), "robust", variation.kind, name, Varied(variation))
         for weights in study.costs
-        for place in study.targets.spread
-        for name, variation in _vary_all(study, place, is_rough=weights[1] == 0)
+        for rank in _rank_all(study, is_rough=weights[1] == 0)
+        for place, name, variation in rank
     ]
 
 
-def _vary_all(study: Study, place: Place, *, is_rough: bool) -> Iterator[tuple[str, Variation]]:
-    """Name the variations of a target; each part numbers its own."""
+def _rank_all(study: Study, *, is_rough: bool) -> Iterator[list[tuple[Place, str, Variation]]]:
+    """Yield the first variation of every kind at all targets, then the second ones, and so on."""
+    kinds = {place: _vary_all(study, place, is_rough=is_rough) for place in study.targets.spread}
+    for rank in range(max(len(own) for variations in kinds.values() for own in variations)):
+        yield [(place, *own[rank]) for place, variations in kinds.items() for own in variations if rank < len(own)]
+
+
+def _vary_all(study: Study, place: Place, *, is_rough: bool) -> list[list[tuple[str, Variation]]]:
+    """Name the variations of a target, in one list for each kind; each part numbers its own."""
     counts = {part: few_or_many[0 if is_rough else 1] for part, few_or_many in COUNTS.items()}
+    named: list[list[tuple[str, Variation]]] = []
     kinds: tuple[Kind, ...] = ("noise", "branches")
     if not study.problem.has_quaternions:  # whose velocities a bump would have to be found for
-        yield from ((str(k), Variation("bumps", (*place, k))) for k in range(counts["bumps"]))
+        named.append([(str(k), Variation("bumps", (*place, k))) for k in range(counts["bumps"])])
         kinds = (*kinds, "waves")
     for code, kind in enumerate(kinds):
-        yield from ((str(k), Variation(kind, (*place, k, code))) for k in range(counts[kind]))
+        named.append([(str(k), Variation(kind, (*place, k, code))) for k in range(counts[kind])])
     for i in study.turning:
         for turns in TURNS:
-            for k in range(counts["turns"]):
-                seed = (*place, k, len(COUNTS), i, turns % 2**32)
-                yield f"{i} {turns:+d} {k}", Variation("turns", seed, (i, turns))
+            seeds = [(*place, k, len(COUNTS), i, turns % 2**32) for k in range(counts["turns"])]
+            named.append([(f"{i} {turns:+d} {k}", Variation("turns", s, (i, turns))) for k, s in enumerate(seeds)])
+    return named
 
 
 def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:

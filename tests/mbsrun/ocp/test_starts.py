@@ -20,14 +20,14 @@ from mbsrun.ocp.guess import find_pose, interpolate, scatter_poses
 from mbsrun.ocp.multistart import describe_starts, gather, list_starts, state_study
 from mbsrun.ocp.pictures import plot_starts
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.record import Attempt, Best, Task, open_record
 from mbsrun.ocp.search import Order
 from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import Kind, Variation, add_waves, coarsen, count_turns, describe_turns, list_turning, vary
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.study import Targets
-from mbsrun.ocp.trials import COUNTS, plan_round
+from mbsrun.ocp.trials import COUNTS, plan_round, restate
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
@@ -147,6 +147,41 @@ def test_the_robust_protocol_tries_all_kinds(arm: Peer, coarse: Problem) -> None
             own = [trial for trial in trials if trial.part == part and trial.task.weights == weights]
             assert len(own) == counts[rough] * (4 if part == "turns" else 1)
             assert len({trial.start.variation for trial in own}) == len(own)  # type: ignore[union-attr]
+
+
+def test_any_part_of_the_random_starts_is_spread_over_targets_and_kinds(arm: Peer, coarse: Problem) -> None:
+    """The first of each kind at every target come before the second of any."""
+    targets = Targets(0.5, (0.0, 0.5, 1.0), (0.0,))
+    study = replace(state_study(coarse, arm), costs=((1.0, 0.0),), sensor="hand", targets=targets, turning=(0,))
+    trials = [t for t in plan_round(study, "robust", 0, {}, ()) if t.part in COUNTS]
+    first = trials[: 3 * (len(COUNTS) - 1 + 4)]  # whole turns come in four numbers
+    assert all(trial.guess.split(" ")[-1] == "0" for trial in first)
+    assert {t.task.place for t in first} == set(targets.places)
+    assert {t.part for t in first} == set(COUNTS)
+    assert len({t.key for t in trials}) == len(trials) == 3 * (6 + 6 + 8 + 2 + 4 * 2)
+
+
+def test_a_trial_is_stated_again_from_its_names(arm: Peer, coarse: Problem) -> None:
+    """Of every part: an attempt that was made elsewhere can be made again."""
+    targets = Targets(0.5, (0.0, 0.5, 1.0), (0.0,))
+    two = (Representation.IMPL, Representation.EXP1_O)
+    study = replace(state_study(coarse, arm), sensor="hand", targets=targets, turning=(0,), representations=two)
+    tasks = [Task(place, study.costs[0], two[0].value) for place in targets.places]
+    higher = Task(tasks[0].place, study.costs[0], two[1].value)
+    best = {task: Best(5.0 + k, 0) for k, task in enumerate(tasks)} | {higher: Best(9.0, 0)}
+    turned = {tasks[1]: Best(4.0, 0, "q1 +1, q2 -1")}
+    moves = plan_round(study, "robust", 3, best, (), turned)
+    trials = [
+        *plan_round(study, "paper", 0, {}, ()),
+        *plan_round(study, "robust", 0, {}, ()),
+        *moves,
+        *plan_round(study, "robust", 3, best, {trial.key for trial in moves}, turned),
+    ]
+    parts = {"paper", "interpolation", *COUNTS, "neighbours", "hops", "exchange"}
+    assert {trial.part for trial in trials} == parts
+    for trial in trials:
+        made = Attempt(trial.task, trial.protocol, trial.part, trial.guess, trial.round, "", 1, 0.1, 0.1, 1.0)
+        assert restate(study, made) == trial
 
 
 def attempt(part: str, cost: float | None, guess: str, turns: str = "", place: int = 0) -> Attempt:

@@ -10,14 +10,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from mbsrun.measuring.sections import Table
 from mbsrun.ocp.certificate import Certificate
 from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.search import Progress
 from mbsrun.ocp.study import Study
 from mbsrun.ocp.trajectory import Trajectory
 from studies.docquier import optima
 from studies.docquier.optima import describe_optima, list_optima, tabulate_optima
+from studies.docquier.robustness import State, describe_lower, report_robust
 from tests.mbsrun.ocp.plants import push
-from tests.studies.docquier.made import SMOOTH, STUDY
+from tests.studies.docquier.made import SMOOTH, STUDY, make
 
 CERTIFICATE = Certificate(1e-9, 1.0, 1e-9, 1e-9, 2, is_minimum=True)
 
@@ -57,8 +60,8 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
             task = Task((place, 0), SMOOTH, "IMPL")
             numbers = (0, "", 20, 1.0, 0.5, cost)
             record.add(Attempt(task, protocol, part, str(k), *numbers, turns=turns), motion)
-        found = list(list_optima(study, record, cast(Any, None)))
-        assert list(list_optima(study, record, cast(Any, None))) == found
+        found = list(list_optima(study, record, cast(Any, None), lambda *_: None))
+        assert list(list_optima(study, record, cast(Any, None), lambda *_: None)) == found
     assert len(certified) == 5, "the second time, only what has changed is checked again"
     assert [(o.task.place[0], o.turns, o.cost, o.found, o.tried, o.hits, o.starts) for o in found] == [
         (0, "", 4.0, 0, 1, 2, 3),
@@ -86,3 +89,23 @@ def test_a_certificate_depends_on_the_motion_the_problem_and_the_kernels() -> No
     ]
     assert len(set(names)) == 4
     assert optima._name(problem, replace(motion, q=motion.q.copy()), plant) == names[0]
+
+
+def test_what_the_robust_protocol_found_is_apart_from_the_verdicts() -> None:
+    """Its lower minimum at one target makes no solve of the paper's protocol a higher one."""
+    results = make()
+    task = Task((2, 0), SMOOTH, "IMPL")
+    found = [
+        Attempt(task, "robust", part, "0", round_, "", 20, 1.0, 0.5, cost, turns=turns)
+        for part, round_, cost, turns in (("waves", 0, 5.0, ""), ("hops", 1, 2.0, ""), ("turns", 0, 1.0, "q1 +1"))
+    ]
+    both = replace(results, attempts=(*results.attempts, *found))
+    assert not any(both.higher(SMOOTH, name) for name in both.representations)
+    assert both.lowest == results.lowest
+    assert both.known[(2, 0), SMOOTH] == 2.0
+    assert "lower by more than 1% at 1 of 1 targets, down to 0.4 of it, by 2 to 2 attempts" in describe_lower(both)
+    section = report_robust(both, {SMOOTH: State(Progress(1, 9, 4, is_through=False), None)})
+    assert section is not None
+    rows = [item for item in section.items if item.title == "Minima below the paper's protocol"]
+    assert isinstance(rows[0], Table)
+    assert rows[0].rows == (("k1 = 1, k2 = 10", "2,0", 5.0, 2.0, "hops", 1, 0, 1, 1.0),)

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from pyarrow import parquet
 
 from mbsgen.errors import InputError, MbsError
+from mbsrun.environment import describe_environment
 from mbsrun.measuring.page import render_page
 from mbsrun.measuring.sections import (
     Caption,
@@ -30,15 +31,17 @@ from mbsrun.measuring.sections import (
     Table,
     distinguish,
     read_folders,
+    write_csv,
     write_outline,
     write_section,
     write_table,
 )
 from mbsrun.ocp.attempts import find_lowest
 from mbsrun.ocp.cluster import ClusterError, open_workers
+from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, open_record
-from mbsrun.ocp.search import Progress
+from mbsrun.ocp.record import Attempt, Task, open_record
+from mbsrun.ocp.search import Progress, Search
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.study import Study, Targets, identify
 from studies.docquier.campaign import (
@@ -57,12 +60,14 @@ from studies.docquier.campaign import (
     list_tasks,
     read_subject,
     report,
+    restore,
 )
 from studies.docquier.differentiated import Differentiated
 from studies.docquier.export import export
 from studies.docquier.figures import drawn_as, name_set, save
-from studies.docquier.markdown import write_archive, write_page
+from studies.docquier.markdown import ARCHIVE, write_archive, write_page
 from studies.docquier.nonzeros import count_groups, explain_nonzeros
+from studies.docquier.optima import OPTIMA, tabulate_optima
 from studies.docquier.robustness import State, describe_outcome, find_state, list_slices, report_robust
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -231,6 +236,78 @@ def check_lowest(asked: Campaign, out: Path) -> None:
     with open_record(out / STORE, identify(asked.study, asked.subject.plant.manifest)) as record:
         lowest = find_lowest(list(record.attempts()))
     assert {(o.task.place, o.task.weights): o.cost for o in optima} == lowest
+
+
+def test_a_study_goes_on_from_the_page_of_another(
+    campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All attempts and certificates count; no task is solved twice, except for a motion that is needed."""
+    paper = replace(campaign, protocols=("paper",))
+    made = solve_alone(paper, tmp_path / "first")
+    page = write_files(paper, tmp_path / "first")
+    again = tmp_path / "second"
+    again.mkdir()
+    assert f"{len(made)} attempts and 14 certificates are in the record" in restore(campaign, again, page)
+    assert restore(campaign, again, page).endswith("are in the record")  # a second time changes nothing
+    assert list_attempts(paper, again) == list_attempts(paper, tmp_path / "first")
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.docquier.optima.certify_motion", lambda *_: pytest.fail("the page has a certificate"))
+        assert write_files(paper, again).joinpath(OPTIMA).read_bytes() == page.joinpath(OPTIMA).read_bytes()
+    assert solve_alone(paper, again) == []
+    solve_alone(campaign, tmp_path / "first")
+    robust = write_files(campaign, tmp_path / "first")
+    third = tmp_path / "third"
+    third.mkdir()
+    restore(campaign, third, robust)
+    study, plant = campaign.study, campaign.subject.plant
+    with open_record(third / STORE, identify(study, plant.manifest)) as record:
+        search = Search(study, LocalExecutor(plant, describe_environment()), record)
+        best = record.best("robust")
+        late = next(task for task, found in best.items() if found.round == max(b.round for b in best.values()))
+        motion = search.find_motion(late, "robust")
+        assert motion is not None
+        kept = record.best_motion(late, "robust")
+        assert kept is not None
+        np.testing.assert_array_equal(kept.point_q, motion.point_q)
+        record._connection.execute("update best set motion = ''")
+        record._connection.execute("update attempts set cost = cost + 1 where protocol = 'paper'")
+        record._connection.execute("update best set cost = cost + 1 where protocol = 'paper'")
+        with pytest.raises(MbsError, match="begin a new record"):
+            search.find_motion(Task((0, 0), SMOOTH, "IMPL"), "paper")
+
+
+def write_files(campaign: Campaign, out: Path) -> Path:
+    """Write the archive and the optima of a page."""
+    page = out / "page"
+    page.mkdir(exist_ok=True)
+    write_csv(tabulate_optima(campaign.study, list_lowest(campaign, out)), page / OPTIMA)
+    attempts = export(list_attempts(campaign, out), out / "attempts", "csv")
+    write_archive([], [attempts], page / ARCHIVE, out / "tables")
+    return page
+
+
+def test_faults_of_a_page_are_told_with_file_and_line(campaign: Campaign, tmp_path: Path) -> None:
+    solve_alone(replace(campaign, protocols=("paper",)), tmp_path / "out")
+    page = write_files(replace(campaign, protocols=("paper",)), tmp_path / "out")
+    optima, text = page / OPTIMA, (page / OPTIMA).read_text()
+    optima.write_text(text.replace(",yes,", ",perhaps,", 1))
+    with pytest.raises(InputError, match=r"optima.csv:2: is_minimum: Input should be a valid boolean"):
+        restore(campaign, tmp_path, page)
+    optima.write_text(text.replace("cost", "price"))
+    with pytest.raises(InputError, match="no column cost"):
+        restore(campaign, tmp_path, page)
+    optima.write_text(text)
+    attempts = tmp_path / "out" / "attempts.csv"
+    attempts.write_text(attempts.read_text().replace("Solve_Succeeded,", "fine,many,", 1))
+    write_archive([], [attempts], page / ARCHIVE, tmp_path / "tables")
+    with pytest.raises(InputError, match=r"tables.tar.xz:2: iterations"):
+        restore(campaign, tmp_path, page)
+    write_archive([], [], page / ARCHIVE, tmp_path / "none")
+    with pytest.raises(InputError, match=r"holds no attempts\.csv"):
+        restore(campaign, tmp_path, page)
+    (page / ARCHIVE).write_bytes(b"no archive")
+    with pytest.raises(InputError, match="cannot be read"):
+        restore(campaign, tmp_path, page)
 
 
 def test_nonzeros_are_counted_by_group(subject: Subject) -> None:
