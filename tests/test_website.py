@@ -18,7 +18,7 @@ from website import notebooks
 from website.__main__ import main
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
-from website.pages import Staging, list_examples
+from website.pages import FILM, START, Staging, list_examples, write_front
 
 ROOT = Path(__file__).parents[1]
 LOADED = re.compile(r"""<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=["']([^"']+)["']""")
@@ -124,6 +124,26 @@ def test_pages_fit_a_telephone_and_a_screen(site: Path, requires: Callable[[str]
     measured = re.search(r"<title>measured (.*?)</title>", done.stdout)
     assert measured is not None, done.stderr[-2000:]
     assert json.loads(measured.group(1).replace("&quot;", '"')) == {}
+
+
+def test_the_search_works_without_a_server(site: Path, requires: Callable[[str], str]) -> None:
+    """Chromium permits no worker to a page that is a file; the script of the search runs in a frame there."""
+    command = [requires("chromium"), "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000"]
+    page = f"{(site / 'index.html').as_uri()}?q=excavator"
+    done = subprocess.run([*command, "--dump-dom", page], capture_output=True, text=True, timeout=300, check=True)
+    assert re.search(r"\d+ matching documents", done.stdout)
+
+
+def test_the_front_page_shows_the_film_of_the_first_page(tmp_path: Path) -> None:
+    film = tmp_path / "run" / FILM
+    film.parent.mkdir(parents=True)
+    film.write_bytes(b"GIF89a")
+    assert FILM in (ROOT / START).read_text(encoding="utf-8")
+    write_front(tmp_path, "", {START: tmp_path / "run"})
+    assert "](written/up.gif)](start.md)" in (tmp_path / "index.md").read_text(encoding="utf-8")
+    assert (tmp_path / "written" / "up.gif").read_bytes() == film.read_bytes()
+    write_front(tmp_path, "", {})
+    assert "up.gif" not in (tmp_path / "index.md").read_text(encoding="utf-8")
 
 
 def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:

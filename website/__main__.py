@@ -40,10 +40,11 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     shutil.rmtree(source, ignore_errors=True)
     shown = {} if quick else pages.list_examples(ROOT)
     results = _run([*shown.values(), *chosen], out.parent / f"{out.name}-runs")
-    navigation = pages.write(ROOT, source, {path: result.folder for path, result in zip(shown, results, strict=False)})
+    folders = {path: result.folder for path, result in zip(shown, results, strict=False)}
+    navigation = pages.write(ROOT, source, folders)
     results = results[len(shown) :]
     gallery.write(results, source)
-    pages.write_front(source, gallery.write_front_cards(results))
+    pages.write_front(source, gallery.write_front_cards(results), folders)
     messages.write(source, 1 if quick else None)
     commands.write(source)
     listed = [] if quick else reference.PAGES

@@ -21,7 +21,7 @@ RECORD = "run.json"  # in the folder of a run
 SOURCES = ("generator", "python", "csrc", "templates", "models")  # what decides the result of a run
 LONGEST = 600  # seconds
 SHOWN = 40  # lines of a command's output
-FRONT = ("bound", "delta_pick", "stewart")  # examples on the front page
+FRONT = ("bound", "six_axis", "stewart", "play_cart_pole")  # examples on the front page
 
 
 class ExampleError(Exception):

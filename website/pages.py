@@ -21,6 +21,7 @@ from website.examples import Example
 
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
 FILES = "files"  # the folder of files that are no pages
+WORKER = "iframe-worker.js"  # for the search, in pages that are opened as files
 WRITTEN = "written"  # the folder of files that the commands of pages write
 STYLE = """\
 .md-typeset img { max-width: 100%; }
@@ -34,6 +35,10 @@ STYLE = """\
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
 .cards a { border: 1px solid var(--md-default-fg-color--lightest); border-radius: .3rem; padding: .6rem; }
 .cards a { color: inherit; }
+.front { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 18rem), 1fr)); gap: 2rem; }
+.front { align-items: center; margin-bottom: 1.5rem; }
+.front h1 { margin-bottom: .6rem; }
+.front img { width: 100%; border-radius: .3rem; }
 .cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
 """
 
@@ -181,6 +186,7 @@ def write(root: Path, target: Path, runs: Mapping[str, Path]) -> list[dict[str, 
     pages |= {f"benchmarks/{path.as_posix()}": f"{FIGURES}/{path.as_posix()}" for path in measured}
     Staging(root, target, pages, runs).write()
     (target / "site.css").write_text(STYLE, encoding="utf-8")
+    shutil.copyfile(Path(__file__).with_name(WORKER), target / WORKER)
     return _navigate(set(pages.values()), (root / "docs" / TUTORIALS / "README.md").read_text(encoding="utf-8"))
 
 
@@ -197,38 +203,54 @@ def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
     others = sorted(page for page in known - named if not page.startswith(FIGURES))
     figures = sorted(page for page in known if page.startswith(FIGURES))
     guides += [{"Figures": figures}, *([{"More": others}] if others else [])]
-    return [{"mbsgen": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
+    return [{"Home": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
 
 
-def write_front(target: Path, cards: str) -> None:
-    """Write the front page, with cards of examples."""
-    (target / "index.md").write_text(FRONT.format(cards=cards), encoding="utf-8")
+def write_front(target: Path, cards: str, runs: Mapping[str, Path]) -> None:
+    """Write the front page: what the project is for, the film that its first page makes, and cards of examples.
+
+    `runs` holds the folders in which the commands of pages were run; without the first page's, there is no film.
+    """
+    film = ""
+    if START in runs:
+        (target / WRITTEN).mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(runs[START] / FILM, target / WRITTEN / Path(FILM).name)
+        film = f"[![A cart swings its pole up with the least force]({WRITTEN}/{Path(FILM).name})](start.md)\n"
+    (target / "index.md").write_text(FRONT.format(film=film, cards=cards), encoding="utf-8")
 
 
+START = "docs/start.md"
+FILM = "build/up.gif"  # a file that the commands of this page write
 FRONT = """\
 ---
+title: mbsgen
 hide: [navigation, toc]
 ---
-# mbsgen
+<div class="front" markdown>
+<div markdown>
+# Equations of motion, as C
 
-The description of a mechanism in, C code for its dynamics out: the equations of motion in four forms, with exact first
-and second derivatives. Simulation, optimal control and controllers are built on it.
+Describe a robot or another mechanism in a file. mbsgen writes C code for its dynamics, with exact first and second
+derivatives. mbsrun simulates it, finds optimal motions, and turns them into controllers for small hardware.
 
-[Start here](start.md){{ .md-button .md-button--primary }} [Gallery](gallery/index.md){{ .md-button }}
-[Architecture](architecture.md){{ .md-button }}
+For engineers and researchers who compute with robots, legged machines, linkages and vehicles.
+
+[Start here](start.md){{ .md-button .md-button--primary }}
+[Gallery](gallery/index.md){{ .md-button }}
+</div>
+{film}
+</div>
 
 {cards}
 
 | I want to | |
 |---|---|
-| learn it by doing | [Tutorials](tutorials/README.md): nine short pages, each with something to see |
-| see it work | [Start here](start.md): ten minutes, from nothing to an animated optimal motion |
-| describe my mechanism | [The model file](model.md), or [import URDF, MJCF or SDF](importing.md) |
+| learn it by doing | [Tutorials](tutorials/README.md), each with something to see |
+| take my robot's URDF | [Importing URDF, MJCF or SDF](importing.md) |
+| describe my own mechanism | [The model file](model.md), [closed loops](loops.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
-| play with it | [A playground](playground.md): one page that computes by its C, as in the [gallery](gallery/index.md) |
 | call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |
 | find an optimal motion | [The problem file](problem.md) |
 | control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |
-| close a loop | [Closed loops](loops.md) |
-| know how exact it is | [Accuracy](accuracy.md), and [the laboratory](laboratory.md) of methods at their limits |
+| know how fast and how exact it is | [Figures](readme.md#figures), [accuracy](accuracy.md) |
 """
