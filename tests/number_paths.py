@@ -33,7 +33,7 @@ def set_number(data: Data, path: str, value: float) -> None:
         for item in data.get(section, []):
             if path.startswith(start := f"{section}.{item['name']}."):
                 key, *place = path.removeprefix(start).split(".")
-                inner = key in ("from", "to", "plane", "sphere")
+                inner = key in ("from", "to", "plane", "sphere", "box")
                 return _write(item.setdefault(key, {}), place, value) if inner else _write(item, [key, *place], value)
     owners = [(name, owner) for name, owner in _list_owners(data) if path.startswith(f"{name}.")]
     for name, owner in owners:

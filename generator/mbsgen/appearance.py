@@ -15,11 +15,26 @@ from sympy import ImmutableMatrix, eye
 
 from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
-from mbsgen.manifest import Appearance, Axle, Ball, Drawing, Element, Foot, Grip, Mass, Point, Seat, Tension, Touch
+from mbsgen.manifest import (
+    Appearance,
+    Axle,
+    Ball,
+    Brick,
+    Drawing,
+    Element,
+    Foot,
+    Grip,
+    Mass,
+    Point,
+    Seat,
+    Tension,
+    Touch,
+)
 from mbsgen.model.model import (
     BASE,
     HERE,
     WIDTH,
+    Block,
     Body,
     Contact,
     ForceElement,
@@ -28,6 +43,7 @@ from mbsgen.model.model import (
     Model,
     Placement,
     Plane,
+    Sphere,
     Triple,
     Visual,
     Wrench,
@@ -87,6 +103,7 @@ class _Seats:
     def __init__(self, model: Model, texts: Texts) -> None:
         ends = [end for x in model.forces for end in (x.first, x.second)]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
+        ends += [LoopEnd(x.other.body, x.other.placement) for x in model.contacts if isinstance(x.other, Block)]
         ends += [LoopEnd(body.name) for body in model.bodies]
         ends += [LoopEnd(x.body, x.placement) for x in model.frames if x.name in find_read_frames(model)]
         wanted = list(dict.fromkeys((end.body, end.placement) for end in ends if end.body != BASE))
@@ -202,13 +219,20 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
     seat, other = seats.find(contact.body, contact.placement), contact.other
-    carrier = seats.find(other.body)
-    place, plane, normal, sphere = _point(carrier.place(_floats(other.position, values))), None, None, None
-    if isinstance(other, Plane):
-        direction = carrier.axes @ _floats(other.normal, values)
-        plane, normal = place, _triple(direction / np.linalg.norm(direction))
-    else:
-        sphere = Ball(centre=place, radius=_float(other.radius, values))
+    carrier = seats.find(other.body, HERE if isinstance(other, Plane | Sphere) else other.placement)
+    plane, normal, ball, brick = None, None, None, None
+    match other:
+        case Plane():
+            direction = carrier.axes @ _floats(other.normal, values)
+            plane = _point(carrier.place(_floats(other.position, values)))
+            normal = _triple(direction / np.linalg.norm(direction))
+        case Sphere():
+            ball = Ball(
+                centre=_point(carrier.place(_floats(other.position, values))), radius=_float(other.radius, values)
+            )
+        case Block():
+            edges, axes = _triple(_floats(other.size, values)), tuple(carrier.axes.T.ravel().tolist())
+            brick = Brick(centre=_point((carrier.frame, carrier.position)), axes=axes, size=edges)
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
@@ -225,7 +249,8 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
             coefficient=0.0 if contact.friction is None else _float(contact.friction.coefficient, values),
             speed=1.0 if contact.friction is None else _float(contact.friction.speed, values),
         ),
-        sphere=sphere,
+        sphere=ball,
+        box=brick,
     )
 
 

@@ -60,6 +60,7 @@ from mbsgen.model.model import (
     LENGTH_RATE,
     ORIGIN,
     ZERO,
+    Block,
     Contact,
     ForceElement,
     Model,
@@ -186,7 +187,10 @@ class _Writing:
             if isinstance(other, Sphere):
                 side = ("sphere", "centre")
                 formulas += self._write_numbers(("contacts", k, "sphere"), {"radius": other.radius})
-            formulas += self._write_point(("contacts", k, *side), other.body, HERE, other.position)
+            elif isinstance(other, Block):
+                side = ("box", "centre")
+                formulas += self._write_numbers(("contacts", k, "box", "size"), dict(enumerate(other.size)))
+            formulas += self._write_point(("contacts", k, *side), other.body, other.placement)
         except ExpressionError:
             return found.model_copy(update={"law": None})
         self._formulas += formulas
@@ -194,7 +198,8 @@ class _Writing:
 
     def _refuse_turned(self, contact: Contact) -> None:
         """Refuse a box or a plane that run-time parameters turn."""
-        turned = [self._seats.find(contact.other.body)]
+        other = contact.other
+        turned = [self._seats.find(other.body, other.placement if isinstance(other, Block) else HERE)]
         turned += [self._seats.find(contact.body, contact.placement)] if contact.size is not None else []
         if any(seat.axes_symbols.free_symbols for seat in turned):
             raise ExpressionError("axes that run-time parameters turn", "keep their angles constant")

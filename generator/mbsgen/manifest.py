@@ -210,8 +210,16 @@ class Ball(_Entry):
     radius: float  # [m]
 
 
+class Brick(_Entry):
+    """A box that another side touches."""
+
+    centre: Point
+    axes: tuple[float, ...]  # in the frame of the centre, one after the other
+    size: tuple[float, float, float]  # [m]
+
+
 class Touch(_Entry):
-    """A contact of a sphere, a box or a point with a plane, or of a sphere or a point with a sphere."""
+    """A contact of a sphere, a box or a point with a plane, or of a sphere or a point with a sphere or a box."""
 
     name: str
     centre: Point
@@ -222,10 +230,11 @@ class Touch(_Entry):
     normal: tuple[float, float, float] | None = None  # of the plane, in the frame of its point, a unit vector
     law: Grip | None = None
     sphere: Ball | None = None  # in place of a plane
+    box: Brick | None = None  # in place of a plane
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        absent = ("plane", "normal") if self.plane is None else ("sphere",)
+        absent = [key for key in ("plane", "normal", "sphere", "box") if getattr(self, key) is None]
         return {k: x for k, x in write(self).items() if k not in absent}
 
 

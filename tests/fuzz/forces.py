@@ -99,7 +99,7 @@ class Forces:
         return [centre.carry(half * np.array(signs)) for signs in product((-1, 1), repeat=3)]
 
     def _contact(self, contact: Data, centre: Motion) -> Iterator[Applied]:
-        given = contact.get("sphere", contact.get("plane", {}))
+        given = contact.get("sphere", contact.get("box", contact.get("plane", {})))
         carrier = given.get("body", "base")
         body = self.bodies[carrier]
         foot = body.carry(self.own.vector(given.get("position", [0, 0, 0])))
@@ -108,6 +108,11 @@ class Forces:
             length, other = self.own.numbers.length(centre.p - foot.p), self.value(given["radius"])
             n, gap = (centre.p - foot.p) / length, length - radius - other
             touch = foot.p + length * other / (radius + other) * n
+        elif "box" in contact:
+            foot = self.own.place(body, given)
+            gap, slope = self._measure_box(foot.R.T @ (centre.p - foot.p), self.own.vector(given["size"]), width)
+            n = foot.R @ slope
+            touch, gap = centre.p - radius * n, gap - radius
         else:
             n = body.R @ self.own.direction(given.get("normal", "z"))
             touch = centre.p - radius * n
@@ -128,6 +133,18 @@ class Forces:
             force = force - coefficient * normal * slip / self.functions["sqrt"](slip @ slip + speed**2)
         yield Applied(contact["body"], centre, force, np.cross(touch - centre.p, force))
         yield Applied(carrier, foot, -force, -np.cross(touch - foot.p, force))
+
+    def _measure_box(self, x: Array, size: Array, width: Any) -> tuple[Any, Array]:
+        """Return the smooth distance of a point from a box, in its axes, and the gradient."""
+        exp, log, sqrt = (self.functions[name] for name in ("exp", "log", "sqrt"))
+        numbers = self.own.numbers
+        rises, falls = (np.array([exp(s * c / width) for c in x], dtype=numbers.kind) for s in (1, -1))
+        q = np.array([width * log(c) for c in rises + falls], dtype=numbers.kind) - size / 2
+        E = np.array([exp(c / width) for c in q], dtype=numbers.kind)
+        y = np.array([width * log(1 + e) for e in E], dtype=numbers.kind)
+        length = sqrt(y @ y + (numbers.make(1e-3) * width) ** 2)
+        slope = y * E / (1 + E) / length + E / E.sum() / (1 + E.sum())
+        return length - width * log(1 + 1 / E.sum()), slope * (rises - falls) / (rises + falls)
 
     def _soften(self, x: Any, width: Any) -> Any:
         """Return w log(1 + exp(x/w)), without overflow."""

@@ -93,6 +93,7 @@ class _Draw:
     def __init__(self, seed: int) -> None:
         self.source, self.seed = random.Random(seed), seed
         self.more = random.Random(f"{seed} forces")  # so that forces do not change the rest of the mechanism
+        self.boxes = random.Random(f"{seed} boxes")
         self.kinds = {name: self.source.choice(["constant", "runtime", "differentiated"]) for name in "mlak"}
         self.values = {"m": 1.7, "l": 0.6, "a": 0.35, "k": 2.5}
         self.bodies: list[dict[str, Any]] = []
@@ -198,6 +199,11 @@ class _Draw:
             given = contact.pop("plane", {"position": [0.3, 0, 0.4]})
             place = {key: x for key, x in given.items() if key != "normal" and x != "base"}
             contact["sphere"] = {**place, "radius": pick.choice([0.5, "l", "a/2"])}
+            if self.boxes.random() < 0.5:
+                del contact["sphere"]
+                size = [self.boxes.choice([0.5, "l", "a/2"]) for _ in range(3)]
+                turn = {"axis": self.boxes.choice("xyz"), "angle": self.boxes.choice(["pi/2", 0.4, "a"])}
+                contact["box"] = {**place, "orientation": [turn][: self.boxes.randint(0, 1)], "size": size}
         return contact
 
     def number(self, low: float, high: float) -> float:

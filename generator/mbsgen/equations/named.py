@@ -1,9 +1,9 @@
 """Numbers of forces that equations name: a tree -> the tree whose forces read them as parameters, and their values.
 
 A contact names its gap, depth, normal force N, slip and drag, a force element its length and tension F. A contact of
-spheres also names the distance of their centres, its length. A smooth
-function of the state is such a number too, without a name: its value is the function of its arguments. Values may
-depend on the state, and on numbers before.
+spheres also names the distance of their centres, its length; a contact with a box names the parts of its distance, in
+the box's axes. A smooth function of the state is such a number too, without a name: its value is the function of its
+arguments. Values may depend on the state, and on numbers before.
 """
 
 from __future__ import annotations
@@ -44,6 +44,12 @@ _SHOWN: Mapping[str, str] = {  # by the keys of definitions; the name of the con
     "N": "N_{}",
     "drag": "drag_{}",
     **{f"slip.{axis}": f"slip_{{}}_{axis}" for axis in "xyz"},
+    **{f"x.{axis}": f"at_{{}}_{axis}" for axis in "xyz"},
+    **{f"q.{axis}": f"beyond_{{}}_{axis}" for axis in "xyz"},
+    **{f"side.{axis}": f"side_{{}}_{axis}" for axis in "xyz"},
+    **{f"slope.{axis}": f"slope_{{}}_{axis}" for axis in "xyz"},
+    **{key: f"{key}_{{}}" for key in ("most", "inside", "both", "first")},
+    "outside": "outside_{}",
 }
 _DIRECT = ("slip.x", "slip.y", "slip.z")  # on planes, the rate is written out in them: much of it cancels
 _KEPT = (*SMOOTH, sp.Max, sp.Min)
@@ -95,6 +101,7 @@ class _Collector:
     def define(self, definitions: Sequence[Definition]) -> Iterator[Definition]:
         """Take the numbers out of definitions, and return the rest."""
         lengths = {x.owner: x.symbol for x in definitions if x.key == "length"}
+        curved = {x.owner for x in definitions if x.key in ("length", "outside")}
         for definition in definitions:
             value = self.take(definition.value)
             if definition.key not in _SHOWN:
@@ -105,7 +112,7 @@ class _Collector:
                 tension = self._add(name, (value * lengths[definition.owner],))
                 yield replace(definition, value=tension / lengths[definition.owner])
             else:
-                is_direct = definition.key in _DIRECT and definition.owner not in lengths
+                is_direct = definition.key in _DIRECT and definition.owner not in curved
                 self._add(name, (value,), symbol=definition.symbol, is_direct=is_direct)
 
     def bind(self, body: Body) -> Body:

@@ -103,7 +103,7 @@ DISTANCE = Port(
     Role.RESULT,
     Axis.CONTACTS,
     unit="m",
-    meaning="distances of the points of contact from their planes or spheres; below 0 inside",
+    meaning="distances of the points of contact from the other sides; below 0 inside",
 )
 VELOCITY = Port(
     "v",

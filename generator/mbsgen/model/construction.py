@@ -29,6 +29,7 @@ from mbsgen.model.model import (
     GROUND,
     WIDTH,
     ZERO,
+    Block,
     Body,
     Cable,
     Carrier,
@@ -46,6 +47,7 @@ from mbsgen.model.model import (
     Loop,
     LoopEnd,
     Model,
+    Other,
     Parameter,
     Placement,
     Plane,
@@ -274,6 +276,11 @@ def sphere(radius: Quantity, body: str = BASE, *, position: Vector = _ORIGIN) ->
     return Sphere(number(radius), body, vector(position))
 
 
+def box(size: Vector, body: str = BASE, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> Block:
+    """Make a box on a body, or on the base, that the sphere of a contact touches; its centre is at the position."""
+    return Block(vector(size), body, _place(position, orientation))
+
+
 def contact(
     name: str,
     body: str,
@@ -283,13 +290,13 @@ def contact(
     orientation: Turns = (),
     radius: Quantity = 0.0,
     size: Vector | None = None,
-    other: Plane | Sphere = GROUND,
+    other: Other = GROUND,
     exponent: float = 1.5,
     dissipation: Quantity = 0.0,
     width: Quantity | None = None,
     friction: tuple[Quantity, Quantity] | None = None,
 ) -> Contact:
-    """Make a contact of a sphere with a plane or a sphere, or of the corners of a box with a plane.
+    """Make a contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane.
 
     `friction` is a coefficient and a speed [m/s].
     """

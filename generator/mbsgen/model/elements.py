@@ -16,10 +16,11 @@ phi(x) is 1 + x within 5e-6 of itself for x >= 0, and above 0 everywhere (1 + x 
 "Coefficient of restitution interpreted as damping in vibroimpact", J. Appl. Mech. 42, 1975). phi grows; phi(0) is 1.
 The tension T differs from the elastic one by a force against the rate, which takes energy out.
 
-A contact of a sphere of centre c and radius r touches a plane or a sphere at the point p, along the normal n:
+A contact of a sphere of centre c and radius r touches a plane, a sphere or a box at the point p, along the normal n:
 
     plane through P of normal n:        gap = n.(c - P) - r,    p = c - r n
     sphere of centre P and radius R:    gap = |c - P| - r - R,  p = (R c + r P)/(r + R),   n = (c - P)/|c - P|
+    box of centre P and edges e:        gap = g - r,            p = c - r n,               n = the gradient of g by c
 A sphere with R -> inf is the plane, and either of two spheres may be called the other one. With the velocity v of the
 first side relative to the other one, both at p, and rate = n.v, the force
 
@@ -29,8 +30,16 @@ first side relative to the other one, both at p, and rate = n.v, the force
 
 acts on the sphere at p, and its opposite on the other side at p. Where the centres of two spheres coincide, there is no
 normal: kernels then fail, with a status of the contact. A half power is depth^k sqrt(depth + 1e-6 width): a root has no
-derivative at 0. The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction
-model", J. Comput. Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
+derivative at 0. The distance g of a box is, with c - P = x in its axes, and s(x) = softplus(x, width),
+
+    q_i = |x_i| - e_i/2,   y_i = s(q_i),   m = the largest q_i,    g = sqrt(y.y + (width/1000)^2) - s(-m),
+
+where |x| = s(2 x) - x, and m = q_z + s(q_y + s(q_x - q_y) - q_z) = width log(sum of exp(q_i/width)). A few widths from
+edges and from planes of equal depth, g is the distance, below 0 inside. It passes through a face without a bend, since
+s(q) - s(-q) = q. The gradient is never longer than step(m) + step(-m) = 1, so friction takes energy out everywhere.
+
+The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction model", J. Comput.
+Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 """
 
 from __future__ import annotations
@@ -42,7 +51,7 @@ from sympy import Expr, Symbol, sqrt
 
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
-from mbsgen.model.model import LENGTH, LENGTH_RATE, Contact, ForceElement, Sphere
+from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
 from mbsgen.model.tree import ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
@@ -54,6 +63,23 @@ _CABLE = parse(f"stiffness*softplus(length - rest, width)*{_PHI.format('dissipat
 _DEPTH = parse("softplus(-gap, width)")
 _NORMAL = parse(f"stiffness*power*{_PHI.format('-dissipation*rate')}")
 _ROOT = parse("sqrt(depth + 1e-6*width)")
+_BEYOND = parse("softplus(2*x, width) - x - edge/2")
+_OUTSIDE = parse("softplus(q, width)")
+_SIDE = parse("2*step(2*x, width) - 1")
+_BOX = {  # in turn
+    "outside": parse("sqrt(y_x**2 + y_y**2 + y_z**2 + (1e-3*width)**2)"),
+    "pair": parse("q_y + softplus(q_x - q_y, width)"),
+    "most": parse("q_z + softplus(pair - q_z, width)"),
+    "gap": parse("outside - softplus(-most, width) - radius"),
+    "inside": parse("step(-most, width)"),
+    "both": parse("inside*step(pair - q_z, width)"),
+    "first": parse("step(q_x - q_y, width)"),
+}
+_SLOPES = (  # of the gap by x
+    parse("side_x*(y_x*step(q_x, width)/outside + both*first)"),
+    parse("side_y*(y_y*step(q_y, width)/outside + both*(1 - first))"),
+    parse("side_z*(y_z*step(q_z, width)/outside + inside - both)"),
+)
 _DRAG = parse("coefficient*normal/sqrt(square + speed**2)")
 _NOTHING: Vector = (ZERO, ZERO, ZERO)
 
@@ -68,10 +94,10 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Side:
-    """The side of a contact that is touched: a point of a plane, or the centre of a sphere."""
+    """The side of a contact that is touched: a point of a plane, or the centre of a sphere or a box."""
 
     anchor: Anchor
-    normal: Vector | None  # of the plane, in the frame of that body, of length 1; None: of a sphere
+    axes: tuple[Vector, ...]  # in the frame of that body, of length 1: the normal of a plane; the axes of a box
 
 
 @dataclass(frozen=True)
@@ -156,8 +182,10 @@ class Loads:
         c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", side.anchor)))
         if isinstance(contact.other, Sphere):
             return self._meet_sphere(name, c, P, r, self._read(contact.other.radius, {}))
-        assert side.normal is not None, "a plane has a normal"
-        n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, side.normal))
+        if isinstance(contact.other, Block):
+            return self._meet_box(contact, contact.other, name, _subtract(c, P), r, side)
+        (normal,) = side.axes
+        n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, normal))
         arm = _scale(-r, n)
         reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))
         return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach)
@@ -169,6 +197,26 @@ class Loads:
         n = self._define_vector(name, "n", _scale(1 / length, d))
         gap = self._define(name, "gap", length - r - R)
         return _Meeting(n, gap, _scale(-r / (r + R), d), _scale(R / (r + R), d))
+
+    def _meet_box(self, contact: Contact, box: Block, name: str, d: Vector, r: Expr, side: Side) -> _Meeting:
+        # the distance is a smooth function of q = |x| - edge/2 in the box's axes, and n is its gradient
+        own = {"width": self._read(contact.width, {}), "radius": r}
+        axes = [
+            self._probe(name, k, Reading.DIRECTION, Anchor(side.anchor.body, a))
+            for k, a in zip("XYZ", side.axes, strict=True)
+        ]
+        for k, a, edge in zip("xyz", axes, box.size, strict=True):
+            near = {**own, "x": self._define(name, f"x.{k}", _dot(a, d)), "edge": self._read(edge, {})}
+            near["q"] = own[f"q_{k}"] = self._define(name, f"q.{k}", self._read(_BEYOND, near))
+            own[f"y_{k}"] = self._define(name, f"y.{k}", self._read(_OUTSIDE, near))
+            own[f"side_{k}"] = self._define(name, f"side.{k}", self._read(_SIDE, near))
+        for key, law in _BOX.items():
+            own[key] = self._define(name, key, self._read(law, own))
+        slopes = [self._define(name, f"slope.{k}", self._read(law, own)) for k, law in zip("xyz", _SLOPES, strict=True)]
+        x, y, z = (_scale(slope, a) for slope, a in zip(slopes, axes, strict=True))
+        n = self._define_vector(name, "n", _add(_add(x, y), z))
+        arm = _scale(-r, n)
+        return _Meeting(n, own["gap"], arm, _add(d, arm))
 
     def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> Expr:
         """Define the normal force."""

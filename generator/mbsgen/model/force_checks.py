@@ -16,10 +16,11 @@ from mbsgen.model.model import (
     LENGTH,
     LENGTH_RATE,
     ZERO,
+    Block,
     Contact,
     ForceElement,
     Model,
-    Sphere,
+    Plane,
     Triple,
     Wrench,
 )
@@ -125,15 +126,18 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
 
 
 def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
-    """Find what is wrong with the plane or the sphere that is touched."""
+    """Find what is wrong with the plane, the sphere or the box that is touched."""
     other, at = contact.other, (*place, contact.key)
-    valuation.triple((*at, "position"), other.position)
-    if not isinstance(other, Sphere):
+    valuation.placement(at, other.placement)
+    if isinstance(other, Plane):
         yield from _check_normal((*at, "normal"), other.normal, valuation)
-        return
-    yield from _check_positive((*at, "radius"), other.radius, valuation)
-    if contact.size is not None:
-        finding = "a box and a sphere: its corners miss a sphere between them"
+    elif isinstance(other, Block):
+        for k, edge in enumerate(other.size):
+            yield from _check_positive((*at, "size", k), edge, valuation)
+    else:
+        yield from _check_positive((*at, "radius"), other.radius, valuation)
+    if contact.size is not None and not isinstance(other, Plane):
+        finding = f"a box and a {contact.key}: its corners miss a {contact.key} between them"
         yield Finding((*place, "size"), finding, "give the contact a radius, one for each sphere that makes up the box")
 
 

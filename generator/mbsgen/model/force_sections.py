@@ -16,10 +16,12 @@ from mbsgen.model.model import (
     UNITS,
     WIDTH,
     ZERO,
+    Block,
     Cable,
     Contact,
     ForceElement,
     Grip,
+    Other,
     Plane,
     Sphere,
 )
@@ -69,6 +71,13 @@ class OtherSphereSection(Section):
     radius: NumberField = Field(examples=[0.05], description="m")
 
 
+class OtherBoxSection(PlacementSection):
+    """A box on a body, or on the base, that a sphere touches."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    size: TripleField = Field(examples=[[0.3, 0.2, 0.1]], description="its edges, m; its centre is its origin")
+
+
 class GripSection(Section):
     """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2)."""
 
@@ -77,7 +86,7 @@ class GripSection(Section):
 
 
 class ContactSection(PlacementSection):
-    """A compliant contact of a sphere with a plane or a sphere, or of the corners of a box with a plane."""
+    """A compliant contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
@@ -85,6 +94,7 @@ class ContactSection(PlacementSection):
     size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
+    box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
     stiffness: NumberField = Field(examples=[1e5], description="N/m**exponent")
     exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
     dissipation: NumberField = Field(
@@ -96,8 +106,10 @@ class ContactSection(PlacementSection):
     friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
 
     @property
-    def other(self) -> Plane | Sphere:
+    def other(self) -> Other:
         """The side that is touched, as a part of a Model."""
+        if self.box is not None:
+            return Block(self.box.size, self.box.body, self.box.placement)
         if self.sphere is not None:
             return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position)
         return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)

@@ -283,6 +283,11 @@ class Plane:
     position: Triple = ORIGIN  # of a point of it, in the body's frame [m]
     normal: Triple = UNITS["z"]  # out of the solid, in the body's frame
 
+    @property
+    def placement(self) -> Placement:
+        """Where it stands, apart from its normal."""
+        return Placement(self.position)
+
 
 @dataclass(frozen=True)
 class Sphere:
@@ -292,7 +297,22 @@ class Sphere:
     body: str = BASE
     position: Triple = ORIGIN  # of its centre, in the body's frame [m]
 
+    @property
+    def placement(self) -> Placement:
+        """Where its centre stands."""
+        return Placement(self.position)
 
+
+@dataclass(frozen=True)
+class Block:
+    """A box on a body, or on the base."""
+
+    size: Triple  # its edges [m]
+    body: str = BASE
+    placement: Placement = HERE  # of its centre and its axes, in the body's frame
+
+
+Other = Plane | Sphere | Block  # the side that a contact touches
 GROUND = Plane()
 HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwise
 
@@ -307,7 +327,7 @@ class Grip:
 
 @dataclass(frozen=True)
 class Contact:
-    """A compliant contact of a sphere with a plane or a sphere, or of the corners of a box with a plane."""
+    """A compliant contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
 
     name: str
     body: str
@@ -315,7 +335,7 @@ class Contact:
     placement: Placement = HERE  # of the centre of the sphere or the box, in the body's frame
     radius: Expression = ZERO  # of the sphere [m]; 0: a point
     size: Triple | None = None  # of a box [m]
-    other: Plane | Sphere = GROUND  # the side that is touched
+    other: Other = GROUND  # the side that is touched
     exponent: Expression = HERTZ  # of the depth
     dissipation: Expression = ZERO  # by which part of itself the force grows with the rate of the depth [s/m]
     width: Expression = WIDTH  # of the transition from distance to depth [m]
@@ -324,7 +344,12 @@ class Contact:
     @property
     def key(self) -> str:
         """The key of the touched side in a file."""
-        return "sphere" if isinstance(self.other, Sphere) else "plane"
+        match self.other:
+            case Sphere():
+                return "sphere"
+            case Block():
+                return "box"
+        return "plane"
 
 
 @dataclass(frozen=True)

@@ -144,8 +144,11 @@ def _check_joints(section: schema.ModelSection) -> Iterator[Finding]:
 
 def _check_contacts(section: schema.ModelSection) -> Iterator[Finding]:
     for i, contact in enumerate(section.contacts):
-        if contact.plane is not None and contact.sphere is not None:
-            yield Finding(("contacts", i, "sphere"), "a plane and a sphere", "give one of them, or make two contacts")
+        sides = {"plane": contact.plane, "sphere": contact.sphere, "box": contact.box}
+        given = [key for key, side in sides.items() if side is not None]
+        if len(given) > 1:
+            finding = " and ".join(f"a {key}" for key in given)
+            yield Finding(("contacts", i, given[1]), finding, "give one of them, or make a contact for each")
 
 
 def _follow_carriers(section: schema.ModelSection, doubtful: frozenset[Place]) -> frozenset[Place]:

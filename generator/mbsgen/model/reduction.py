@@ -495,10 +495,12 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
-        foot, normal = anchor(other.body, model.Placement(other.position)), None
+        seat = seats[other.body].carry(other.placement, reader)
+        axes: tuple[Vector, ...] = _transpose(seat.axes)
         if isinstance(other, model.Plane):
-            normal = seats[other.body].vector(normalise(reader.direction(other.normal)))
-        loads.add_contact(contact, points, Side(foot, normal), reader.constant(contact.exponent))
+            axes = (seat.vector(normalise(reader.direction(other.normal))),)
+        side = Side(Anchor(seat.number, seat.position), axes)
+        loads.add_contact(contact, points, side, reader.constant(contact.exponent))
     return loads
 
 

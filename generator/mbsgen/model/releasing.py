@@ -23,6 +23,7 @@ from mbsgen.model.joints import describe_joint
 from mbsgen.model.joints.dh import place_joint, place_tail
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
+    Block,
     Body,
     Cable,
     Constraint,
@@ -36,6 +37,7 @@ from mbsgen.model.model import (
     Law,
     Loop,
     Model,
+    Other,
     Parameter,
     Placement,
     Plane,
@@ -263,7 +265,10 @@ class _Release:
             friction=grip,
         )
 
-    def _other(self, path: str, other: Plane | Sphere) -> Plane | Sphere:
+    def _other(self, path: str, other: Other) -> Other:
+        if isinstance(other, Block):
+            placement = self._placement(path, other.placement)
+            return replace(other, placement=placement, size=self._triple(f"{path}.size", other.size))
         position = self._triple(f"{path}.position", other.position)
         if isinstance(other, Sphere):
             return replace(other, position=position, radius=self._number(f"{path}.radius", other.radius))

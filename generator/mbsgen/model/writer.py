@@ -23,6 +23,7 @@ from mbsgen.model.model import (
     UNITS,
     WIDTH,
     ZERO,
+    Block,
     Body,
     Constraint,
     Contact,
@@ -35,9 +36,9 @@ from mbsgen.model.model import (
     Loop,
     LoopEnd,
     Model,
+    Other,
     Parameter,
     Placement,
-    Plane,
     Sphere,
     Triple,
     Visual,
@@ -258,12 +259,13 @@ def _write_contact(contact: Contact) -> Mapped:
     return content
 
 
-def _write_other(other: Plane | Sphere) -> Mapped:
+def _write_other(other: Other) -> Mapped:
     content: Mapped = {} if other.body == BASE else {"body": _quote(other.body)}
-    if other.position != ORIGIN:
-        content["position"] = _write_triple(other.position)
+    content |= _write_placement(other.placement)
     if isinstance(other, Sphere):
         return {**content, "radius": _write_number(other.radius)}
+    if isinstance(other, Block):
+        return {**content, "size": _write_triple(other.size)}
     return content if other.normal == GROUND.normal else {**content, "normal": _write_axis(other.normal)}
 
 

@@ -201,6 +201,9 @@ def _draw_contacts(appearance: Appearance, size: float) -> Iterator[Solid]:
         else:
             diameter = max(2.0 * each.radius, 0.018 * size)
             yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
+        if each.box is not None:
+            frame, at = each.box.centre.frame, each.box.centre.at
+            yield Solid(Layer.CONTACTS, frame, Kind.BOX, each.box.size, "#009e73", at, each.box.axes)
         if each.sphere is not None:
             frame, at, diameter = each.sphere.centre.frame, each.sphere.centre.at, 2.0 * each.sphere.radius
             yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)

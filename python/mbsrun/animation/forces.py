@@ -5,7 +5,8 @@ second, its length |d|, and s(x, w) = w log(1 + exp(x/w)), a smooth max(x, 0),
 
     spring:   T = stiffness (length - rest) + damping rate + force
     cable:    T = stiffness s(length - rest, width) phi(dissipation rate) + force
-    contact:  gap = n.(p - P) of a plane, |c - P| - r - R of two spheres, n = (c - P)/|c - P|
+    contact:  gap = n.(p - P) of a plane, |c - P| - r - R of two spheres, n = (c - P)/|c - P|;
+              of a box, as `mbsgen.model.elements` writes it
               N = stiffness s(-gap, width)^exponent phi(-dissipation rate)
               F = N n - coefficient N v_t / sqrt(v_t.v_t + speed^2)
 
@@ -217,23 +218,45 @@ def _press(course: _Course, touch: Touch) -> Iterator[Load]:
     for corner in corners @ C:
         x, y, z = (np.array(touch.centre.at) + corner).tolist()
         foot = Point(frame=touch.centre.frame, at=(x, y, z))
-        frame, n, gap, p = _meet(course, touch, course.find(foot))
+        frame, n, gap, p = _meet(course, touch, touch.law, course.find(foot))
         v = course.move(foot.frame, p) - course.move(frame, p)
         yield Load(foot, find_contact_force(touch.law, n, gap, v))
 
 
-def _meet(course: _Course, touch: Touch, c: Array) -> tuple[int, Array, Array, Array]:
+def _meet(course: _Course, touch: Touch, law: Grip, c: Array) -> tuple[int, Array, Array, Array]:
     """Return the frame of the side that is touched at points c (K, 3), normals, gaps, and points of contact."""
     if touch.sphere is not None:
         P, r, R = course.find(touch.sphere.centre), touch.radius, touch.sphere.radius
         length = np.linalg.norm(c - P, axis=1)
         n = (c - P) / np.maximum(length, 1e-12)[:, None]
         return touch.sphere.centre.frame, n, length - r - R, (R * c + r * P) / (r + R)
+    if touch.box is not None:
+        frame, own = touch.box.centre.frame, np.array(touch.box.axes).reshape(3, 3)  # one a row
+        turned = own @ np.swapaxes(_axes(course.now, frame), 1, 2) if frame >= 0 else own
+        axes = np.broadcast_to(turned, (len(c), 3, 3))
+        x = np.einsum("kai,ki->ka", axes, c - course.find(touch.box.centre))
+        gap, slope = measure_box(x, np.array(touch.box.size), law.width)
+        n = np.einsum("kai,ka->ki", axes, slope)
+        return frame, n, gap - touch.radius, c - touch.radius * n
     assert touch.plane is not None, "a contact has another side"
     frame, normal = touch.plane.frame, np.array(touch.normal)
     n = np.broadcast_to(normal, (len(course.now.p), 3)) if frame < 0 else _axes(course.now, frame) @ normal
     p = c - touch.radius * n
     return frame, n, np.einsum("ki,ki->k", n, p - course.find(touch.plane)), p
+
+
+def measure_box(x: Array, size: Array, width: float) -> tuple[Array, Array]:
+    """Return the smooth distances from a box (K,), and their gradients (K, 3), at points in its axes (K, 3)."""
+    q = soften(2 * x, width) - x - size / 2
+    y = soften(q, width)
+    outside = np.sqrt(np.sum(y**2, axis=1) + (1e-3 * width) ** 2)
+    m = width * np.logaddexp.reduce(q / width, axis=1)
+    slope = y * _step(q / width) / outside[:, None] + (_step(-m / width)[:, None] * np.exp((q - m[:, None]) / width))
+    return outside - soften(-m, width), (2 * _step(2 * x / width) - 1) * slope
+
+
+def _step(x: Array) -> Array:
+    return np.asarray((1 + np.tanh(x / 2)) / 2)
 
 
 def find_contact_force(law: Grip, n: Array, gap: Array, v: Array) -> Array:

@@ -215,6 +215,28 @@ def test_a_contact_of_spheres_names_the_distance_of_its_centres(tmp_path: Path) 
     assert max(map(len, text.splitlines())) < 120
 
 
+SHELF = """\
+name: shelf
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: cart, joint: {name: x, type: prismatic, axis: x, actuated: false}, mass: 0}
+  - {name: ball, parent: cart, joint: {name: z, type: prismatic, axis: z, actuated: false}, mass: 1.3}
+contacts:
+  - {name: hit, body: ball, radius: 0.03, box: {size: [0.4, 0.3, 0.2]}, stiffness: 1e5, width: 1e-3,
+     friction: {coefficient: 0.8, speed: 0.01}}
+"""
+
+
+def test_a_contact_with_a_box_names_the_parts_of_its_distance(tmp_path: Path) -> None:
+    """In lines that can be read: the gap is the part outside less the part inside, and the radius."""
+    file = tmp_path / "shelf.yaml"
+    file.write_text(SHELF, encoding="utf-8")
+    text = FORMATS["text"](show_motion(derive(build_symbolic(read(file)))))
+    for line in ("at_hit_z = z", "beyond_hit_z = -at_hit_z + softplus(2*at_hit_z, 0.001) - 1/10"):
+        assert f"  {line}\n" in text
+    assert max(map(len, text.splitlines())) < 200
+
+
 def test_many_points_are_written_line_by_line(tmp_path: Path) -> None:
     """A crate has eight corners; each has its own numbers, and the residual is the kernel's."""
     file = tmp_path / "fall.yaml"

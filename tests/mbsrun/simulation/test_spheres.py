@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbsrun import Mechanism, load
 from mbsrun.animation import Motion as Shown
@@ -17,11 +16,8 @@ from mbsrun.kernel import KernelError
 from mbsrun.models import Extent
 from mbsrun.simulation import Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
+from tests.mbsrun.simulation.balls import ELASTIC, MASSES, ROUGH, SIMULATED, SPINNING, Array, momenta, stand
 
-Array = NDArray[np.float64]
-
-SIMULATED = Extent(("exp2", "impl", "energy", "power", "frames", "distances", "rates"), derivatives=1)
-MASSES, INERTIAS = (2.0, 3.0), (0.02, 0.05)
 BALLS = """\
 name: balls
 gravity: [0, 0, 0]
@@ -33,19 +29,11 @@ bodies:
 contacts:
   - {name: hit, body: a, radius: 0.1, sphere: {body: b, radius: R}, stiffness: 1e4, width: 1e-5, LAW}
 """
-SPINNING = [0.9, 0.1, 0, 3.0, -2.0, 5.0, -0.3, 0, 0.05, 1.0, 0.0, -4.0]
-ELASTIC = "exponent: 1"
-ROUGH = "dissipation: 0.5, friction: {coefficient: 0.4, speed: 0.05}"
 
 
 def make(folder: Path, law: str) -> Mechanism:
     (folder / "balls.yaml").write_text(BALLS.replace("LAW", law))
     return load(folder / "balls.yaml", extent=SIMULATED)
-
-
-def stand(a: tuple[float, ...], b: tuple[float, ...]) -> list[float]:
-    """Return q with the bodies at two places, without rotation."""
-    return [*a, 0, 0, 0, 1, *b, 0, 0, 0, 1]
 
 
 def collide(balls: Mechanism, a: tuple[float, ...], qd: Array, duration: float) -> Motion:
@@ -78,24 +66,6 @@ def test_a_rough_collision_keeps_momenta_and_loses_the_energy_of_its_work(tmp_pa
     assert motion.energy is not None
     assert motion.energy.total[-1] < 0.95 * motion.energy.total[0]
     assert np.abs(motion.energy.drift).max() < 1e-6
-
-
-def momenta(q: Array, v: Array) -> tuple[Array, Array]:
-    """Return linear and angular momentum about the origin, of balls whose inertia is a number: (K, 3) each."""
-    p, L = np.zeros((len(q), 3)), np.zeros((len(q), 3))
-    for k, (m, inertia) in enumerate(zip(MASSES, INERTIAS, strict=True)):
-        x, y, z, w = q[:, 7 * k + 3 : 7 * k + 7].T / np.linalg.norm(q[:, 7 * k + 3 : 7 * k + 7], axis=1)
-        axes = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        speed, spin = (np.einsum("ijk,kj->ki", axes, v[:, i : i + 3]) for i in (6 * k, 6 * k + 3))
-        p += m * speed
-        L += np.cross(q[:, 7 * k : 7 * k + 3], m * speed) + inertia * spin
-    return p, L
 
 
 def test_a_radius_is_a_parameter(tmp_path: Path) -> None:
