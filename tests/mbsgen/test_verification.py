@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from functools import cache
@@ -12,8 +13,19 @@ import pytest
 from mbsgen import pipeline
 from mbsgen.families import Functions, write_families, write_functions
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.construction import ball, body, frame, free, inertia, make_model, revolute, runtime, wrench
-from mbsgen.model.model import Model
+from mbsgen.model.construction import (
+    ball,
+    body,
+    frame,
+    free,
+    inertia,
+    make_model,
+    prismatic,
+    revolute,
+    runtime,
+    wrench,
+)
+from mbsgen.model.model import Joint, Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
@@ -28,6 +40,7 @@ from mbsgen.verification.states import draw_states
 from mbsgen.verification.verify import TOLERANCE, VerificationError, verify
 from tests.mbsgen.formulations.closed_mechanisms import make
 
+TENSOR = inertia(0.1, 0.1, 0.1)
 ONE_PLAN, OPTIONS = (kind(reductions=Reductions(trials=1)) for kind in (Request, Options))
 
 
@@ -174,6 +187,25 @@ def test_the_slope_of_a_far_contact_is_no_fault(tmp_path: Path) -> None:
     (tmp_path / "far.yaml").write_text(text)
     product = pipeline.make(read_model(tmp_path / "far.yaml"), replace(OPTIONS, functions=("impl",), derivatives=2))
     assert max(product.report.verification.deviations.values()) <= TOLERANCE
+
+
+@pytest.mark.parametrize("turned", [(), [("x", 0.3)]], ids=["straight", "turned"])
+@pytest.mark.parametrize("joint", [revolute, prismatic])
+def test_what_cancels_is_no_fault(joint: Callable[..., Joint], turned: Sequence[tuple[str, float]]) -> None:
+    """Momenta, velocities and powers are 0 in truth, and rounding in digits, where all lies on an axis of any slope."""
+    axis = (1, -2, 0.5)
+    on_axis, back = (0.3, -0.6, 0.15), (-0.3, 0.6, -0.15)
+    model = make_model(
+        "still",
+        [
+            body("first", joint(axis, orientation=turned, actuated=False), mass=1, com=on_axis, inertia=TENSOR),
+            body("second", joint(axis, position=on_axis), parent="first", mass=1, com=back, inertia=TENSOR),
+        ],
+        gravity=(0, 0, 0),
+        frames=[frame("here", "first", position=on_axis), frame("origin", "second", position=back)],
+        wrenches=[wrench("push", "second", position=back, frame="base", force=("0.1*q_first", 0.2, 0.3))],
+    )
+    pipeline.make(model, replace(OPTIONS, functions=("energy", "power", "motion", "jacobian", "semi", "sensors")))
 
 
 def test_the_report_says_what_was_compared() -> None:

@@ -7,8 +7,9 @@ differences of the adjoint. So each is compared with something that was compared
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from decimal import Decimal
+from decimal import Decimal, localcontext
 
+from mbsgen.derivatives.vanishing import COARSE
 from mbsgen.formulations import ports
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
 from mbsgen.procedure.wires import Wire
@@ -26,6 +27,7 @@ Vectors = dict[str, Numbers]  # by result or by input
 
 SMALL = Decimal("1e-6")  # of an adjoint beside the others: a far contact gives one in which logarithms lost digits
 LOST = Decimal("1e-12")  # of a result: differences over STEP round a derivative that is smaller off below the tolerance
+COARSENESS = Decimal(10) ** (1 - COARSE)  # of numbers of COARSE digits
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
 
 
@@ -45,12 +47,13 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
         weighted = [dot(given[i.name], along[i.port.of.name]) for i in family.adj1.inputs if i.port.of]
         sizes = [_size(value, arguments, i.port.of.name) for i in family.adj1.inputs if i.port.of]
         scale = max(largest(gradient), largest(weighted), LOST * largest(sizes))
+        floors = _lose(family.adj1, given)
         yield family.adj1.name, Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
         if family.jac_adj1:
             way = _Direction(family, of_adjoint=True)
             along = slope_of(family.adj1, given, way)
             for name, product in _products(family, family.jac_adj1, arguments, way):
-                size = max(largest(adjoint[name]), SMALL * scale)
+                size = max(largest(adjoint[name]), SMALL * scale, floors[name])
                 yield family.jac_adj1.name, Comparison(name, product, along[name], size)
 
 
@@ -136,7 +139,19 @@ def _multiply(
 
 
 def _size(tape: Computation, arguments: Arguments, name: str) -> Decimal:
-    return max(_floor(tape, name), largest(evaluate(tape, arguments(tape), DECIMALS)[name]))
+    given = arguments(tape)
+    return max(_floor(tape, name), largest(evaluate(tape, given, DECIMALS)[name]), _lose(tape, given)[name])
+
+
+def _lose(tape: Computation, given: Mapping[str, Numbers]) -> dict[str, Decimal]:
+    """Return LOST of the terms of each result, whose size fewer digits show: terms may cancel to nothing."""
+    fine = evaluate(tape, given, DECIMALS)
+    with localcontext(prec=COARSE):
+        coarse = evaluate(tape, given, DECIMALS)
+    return {
+        name: LOST * largest([a - b for a, b in zip(fine[name], coarse[name], strict=True)]) / COARSENESS
+        for name in fine
+    }
 
 
 def _floor(tape: Computation, name: str) -> Decimal:

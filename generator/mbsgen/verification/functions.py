@@ -320,6 +320,20 @@ class Truth:
             for s, r in zip(self.tree.sensors, places, strict=True)
         ]
 
+    @cached_property
+    def reach(self) -> Decimal:
+        """Bound the lengths of which places are sums, also where they cancel: of bodies, masses, sensors, wrenches."""
+        mechanism, points = self.mechanism, [(x.body, x.com) for x in self.mechanism.masses]
+        points += [(x.body, mechanism.vector(f"place_{k}")) for k, x in enumerate(self.tree.sensors)]
+        points += [(x.body, mechanism.vector(f"point_{k}")) for k, x in enumerate(self.tree.wrenches)]
+        places = [self.poses[body].place(r) for body, r in points]
+        return max(map(largest, [*(pose.p for pose in self.poses), *(r for _, r in points), *places]))
+
+    @cached_property
+    def swing(self) -> Decimal:
+        """Bound the velocities of which velocities are sums: the terms of a point on an axis cancel."""
+        return max(largest(v) + self.reach * largest(OM) for v, OM in self.speeds)
+
 
 Expectation = Callable[[Truth, Computation, Results], Iterator[Comparison]]
 
@@ -339,7 +353,7 @@ def _terms(truth: Truth, _: Computation, results: Results) -> Iterator[Compariso
         gain = [a - b for a, b in zip(truth.residual(truth.qdd), truth.bias, strict=True)]
         yield Comparison("M", product, gain)
     if "c" in results:
-        yield Comparison("c", results["c"], truth.bias)
+        yield Comparison("c", results["c"], truth.bias, largest(truth.residual(truth.qdd)))
 
 
 def _accelerations(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -429,7 +443,7 @@ def _size(truth: Truth, *forces: Numbers) -> Decimal:
 
 def _places(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     expected = [x for k in range(len(truth.tree.sensors)) for x in truth.sensor(k).p]
-    yield Comparison("position", results["position"], expected)
+    yield Comparison("position", results["position"], expected, truth.reach)
 
 
 def _distances(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -437,9 +451,10 @@ def _distances(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
 
 
 def _velocities(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
-    for place, name in enumerate(("v", "omega")):
+    turning = max(largest(OM) for _, OM in truth.speeds)
+    for place, (name, scale) in enumerate((("v", truth.swing), ("omega", turning))):
         if name in results:
-            yield Comparison(name, results[name], [x for speed in truth.sensor_speeds for x in speed[place]])
+            yield Comparison(name, results[name], [x for speed in truth.sensor_speeds for x in speed[place]], scale)
 
 
 def _jacobian(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
@@ -448,7 +463,7 @@ def _jacobian(truth: Truth, tape: Computation, results: Results) -> Iterator[Com
     found = [ZERO] * (6 * len(truth.tree.sensors))
     for (r, c), value in zip(tape.output("J").sparsity.entries, results["J"], strict=True):
         found[r] += value * truth.qd[c]
-    yield Comparison("J", found, [x for v, OM in truth.sensor_speeds for x in (*v, *OM)])
+    yield Comparison("J", found, [x for v, OM in truth.sensor_speeds for x in (*v, *OM)], truth.swing)
 
 
 def _frames(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -458,7 +473,7 @@ def _frames(truth: Truth, _: Computation, results: Results) -> Iterator[Comparis
     ]
     drawn = [*bodies, *(truth.sensor(k) for k in range(len(truth.tree.sensors)))]
     if "p" in results:
-        yield Comparison("p", results["p"], [x for pose in drawn for x in pose.p])
+        yield Comparison("p", results["p"], [x for pose in drawn for x in pose.p], truth.reach)
     if "R" in results:
         yield Comparison("R", results["R"], [x for pose in drawn for column in transpose(pose.R) for x in column])
 
@@ -473,7 +488,7 @@ def _rates(truth: Truth, _: Computation, results: Results) -> Iterator[Compariso
     )
     speeds = [velocity(*three) for three in zip(truth.poses, ahead, behind, strict=True)]
     found, expected = ([x for speed in way for v in speed for x in v] for way in (speeds, truth.speeds))
-    yield Comparison("rate", found, expected)
+    yield Comparison("rate", found, expected, truth.swing)
     for x in truth.tree.quaternions:
         first = truth.coupled.coordinates.index(x.coordinates[-4])
         q, rate = truth.select(truth.q)[first : first + 4], results["rate"][first : first + 4]
@@ -483,7 +498,7 @@ def _rates(truth: Truth, _: Computation, results: Results) -> Iterator[Compariso
 def _energy(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Sum over the bodies."""
     zero = [ZERO] * 3
-    kinetic, momentum, turning, first, total, size = ZERO, zero, zero, zero, ZERO, ZERO
+    kinetic, momentum, turning, first, total, size, spins = ZERO, zero, zero, zero, ZERO, ZERO, ZERO
     for mass in truth.mechanism.masses:
         pose, OM = truth.poses[mass.body], truth.speeds[mass.body][1]
         place, v = pose.place(mass.com), truth.moving_point(mass.body, mass.com)
@@ -492,14 +507,16 @@ def _energy(truth: Truth, _: Computation, results: Results) -> Iterator[Comparis
         kinetic += (dot(P, v) + dot(spin, OM)) / 2
         momentum, turning = add(momentum, P), add(turning, add(spin, cross(place, P)))
         first, total = add(first, [mass.m * x for x in place]), total + mass.m
-        size += abs(mass.m) * largest(place)
+        size += abs(mass.m) * truth.reach
+        spins += largest([largest(row) for row in mass.inertia]) * largest(OM)
     for i, rate in enumerate(truth.all_qd, 1):
         kinetic += truth.mechanism.vector(f"rotor_{i}")[0] * rate * rate / 2
+    moving = sum((abs(mass.m) for mass in truth.mechanism.masses), ZERO) * truth.swing
     expected = {
         "kinetic": ([kinetic], ZERO),
         "potential": ([-dot(truth.mechanism.gravity, first)], size * largest(truth.mechanism.gravity)),
-        "momentum": (momentum, ZERO),
-        "angular_momentum": (turning, ZERO),
+        "momentum": (momentum, moving),
+        "angular_momentum": (turning, moving * truth.reach + spins),
     }
     if ports.CENTRE_OF_MASS.name in results:
         expected[ports.CENTRE_OF_MASS.name] = ([x / total for x in first], size / abs(total))
@@ -509,12 +526,15 @@ def _energy(truth: Truth, _: Computation, results: Results) -> Iterator[Comparis
 
 def _power(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Sum the power of each force."""
-    parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *_work(truth)]
-    yield Comparison("power", results["power"], [sum(parts, ZERO)], largest(parts))
+    work, size = _work(truth)
+    parts = [*(Q * qd for Q, qd in zip(truth.Q, truth.qd, strict=True)), *work]
+    yield Comparison("power", results["power"], [sum(parts, ZERO)], max(largest(parts), size))
 
 
-def _work(truth: Truth) -> Iterator[Decimal]:
-    """Yield the power of each external force and moment."""
+def _work(truth: Truth) -> tuple[Numbers, Decimal]:
+    """Return the power of each external force and moment, and a bound of the products of which they are sums."""
+    turning = max(largest(OM) for _, OM in truth.speeds)
+    powers, size = [], ZERO
     open_ones = iter(truth.w)
     for k, wrench in enumerate(truth.tree.wrenches):
         force, moment = (
@@ -524,8 +544,10 @@ def _work(truth: Truth) -> Iterator[Decimal]:
         if not wrench.in_base:
             axes = times(truth.poses[wrench.body].R, truth.mechanism.matrix(f"axes_of_{k}"))
             force, moment = apply(axes, force), apply(axes, moment)
-        yield dot(force, truth.moving_point(wrench.body, truth.mechanism.vector(f"point_{k}")))
-        yield dot(moment, truth.speeds[wrench.body][1])
+        powers.append(dot(force, truth.moving_point(wrench.body, truth.mechanism.vector(f"point_{k}"))))
+        powers.append(dot(moment, truth.speeds[wrench.body][1]))
+        size = max(size, largest(force) * truth.swing, largest(moment) * turning)
+    return powers, size
 
 
 def _condition(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
@@ -630,8 +652,9 @@ def grow_energy(truth: Truth, energy: Callable[[dict[str, Numbers]], Results]) -
         results = energy(moved)
         totals.append([results["kinetic"][0] + results["potential"][0]])
     parts = [a * b for a, b in zip(truth.residual(truth.qdd), truth.qd, strict=True)]
-    parts += _work(truth)
-    return Comparison("growth", slope(*totals), [sum(parts, ZERO)], largest(parts))
+    work, size = _work(truth)
+    parts += work
+    return Comparison("growth", slope(*totals), [sum(parts, ZERO)], max(largest(parts), size))
 
 
 def _advance(truth: Truth, h: Decimal) -> Numbers:
