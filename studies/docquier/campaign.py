@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import time
 from collections import Counter
@@ -347,10 +348,11 @@ def gather(
     return Results(study, attempts, tuple(motions), efforts, growth, shooting, spreads)
 
 
-def list_lowest(campaign: Campaign, out: Path) -> list[Optimum]:
-    """List the lowest optimum of every target and cost in the record, with certificates; minutes for all targets."""
+def list_lowest(campaign: Campaign, out: Path, seconds: float = math.inf) -> list[Optimum]:
+    """List the lowest optimum of every target and cost in the record, with the certificates that the time allows."""
+    end = time.monotonic() + seconds
     with _open(campaign, out) as record:
-        return list(list_optima(campaign.study, record, campaign.subject.plant, _recall(campaign, record)))
+        return list(list_optima(campaign.study, record, campaign.subject.plant, _recall(campaign, record), end))
 
 
 def describe_extent(campaign: Campaign, out: Path) -> list[str]:

@@ -138,7 +138,12 @@ Exit codes
     default=MUMPS,
     help="Of IPOPT, for all parts except the robust protocol; mumps. With mbs a solve takes a third of the time.",
 )
-@click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Begin no attempt after this time.")
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0),
+    default=math.inf,
+    help="Begin no attempt, and no certificate for --page, after this time.",
+)
 @click.option("--quick", is_flag=True, help="Solve a small part of the questions.")
 @click.option(
     "--format",
@@ -234,7 +239,7 @@ def study_command(
             export(list_attempts(campaign, out), out / DATA / ATTEMPTS, form)
         if place is not None:
             with drawn_as(drawn):
-                _write_markdown(campaign, out, sections, place)
+                _write_markdown(campaign, out, sections, place, 60 * minutes)
         page = render_page(
             f"Formulations of multibody dynamics in optimal control: {problem.name}", _INTRODUCTION, sections, STYLES
         )
@@ -245,9 +250,9 @@ def study_command(
     context.exit(0 if is_through else NOT_THROUGH)
 
 
-def _write_markdown(campaign: Campaign, out: Path, sections: Sequence[Section], place: Path) -> None:
+def _write_markdown(campaign: Campaign, out: Path, sections: Sequence[Section], place: Path, seconds: float) -> None:
     """Write README.md with pictures, tables.tar.xz with all tables and attempts, and optima.csv."""
-    optima = list_lowest(campaign, out)
+    optima = list_lowest(campaign, out, seconds)
     place.mkdir(parents=True, exist_ok=True)
     write_csv(tabulate_optima(campaign.study, optima), place / OPTIMA)
     shown = [*sections, describe_optima(campaign.study, optima, OPTIMA)]

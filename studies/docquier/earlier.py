@@ -23,7 +23,7 @@ from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.study import Targets
 from studies.docquier.export import ATTEMPTS, list_columns
 from studies.docquier.markdown import ARCHIVE
-from studies.docquier.optima import COLUMNS, OPTIMA, name_known
+from studies.docquier.optima import COLUMNS, OPTIMA, UNCHECKED, name_known
 
 LARGEST = 1 << 28  # bytes of a table
 CORES = "cores"  # the one number among the columns of the environment
@@ -83,6 +83,8 @@ def _extract(path: Path) -> str:
 def _read_certificates(path: Path, targets: Targets) -> Iterator[tuple[str, Certificate]]:
     places = {(targets.azimuths[i], targets.heights[j]): (i, j) for i, j in targets.places}
     for line, row in _list_rows(path, path.read_text(encoding="utf-8"), COLUMNS):
+        if row["second order"] == UNCHECKED:
+            continue
         try:
             azimuth, height, k1, k2, cost = (_FINITE.validate_python(row[name]) for name in COLUMNS[:5])
             certificate = _CERTIFICATE.validate_python(

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -26,12 +28,14 @@ from mbsrun.ocp.certificate import Certificate, certify_motion
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, Task
+from mbsrun.ocp.search import OutOfTimeError
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.study import Place, Study, Weights
 from mbsrun.ocp.trajectory import Trajectory
 
 OPTIMA = "optima.csv"  # the file
+UNCHECKED = "not checked"  # for want of time
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
 
@@ -47,22 +51,23 @@ class Optimum:
     tried: int  # representations that were solved by the paper's protocol
     hits: int  # random starts of the robust protocol, independent of each other, that ended in it
     starts: int  # these starts at the target: with turns, the starts that make some
-    certificate: Certificate
+    certificate: Certificate | None  # None: there was no time for it
 
     @property
     def is_certified(self) -> bool:
         """Return whether the conditions of optimality of both orders hold."""
         c = self.certificate
-        return c.is_minimum and c.stationarity <= STATIONARY * c.gradient and c.violation <= FEASIBLE
+        return c is not None and c.is_minimum and c.stationarity <= STATIONARY * c.gradient and c.violation <= FEASIBLE
 
 
 Recall = Callable[[Task, str, str], Trajectory | None]  # by task, protocol and turns, the motion of the best attempt
 
 
-def list_optima(study: Study, record: Record, plant: Plant, recall: Recall) -> Iterator[Optimum]:
+def list_optima(study: Study, record: Record, plant: Plant, recall: Recall, end: float = math.inf) -> Iterator[Optimum]:
     """Yield the optima of a record by cost and target: the lowest without whole turns, then the lowest with some.
 
-    A restored attempt keeps the certificate of the page that it came from. Without one, `recall` solves it again.
+    After `end`, a moment of the monotonic clock, no certificate begins. A restored attempt keeps the certificate of
+    the page that it came from. Without one, `recall` solves it again.
     """
     by_target: dict[tuple[Place, Weights], list[Attempt]] = {}
     for a in record.attempts():
@@ -100,7 +105,7 @@ def list_optima(study: Study, record: Record, plant: Plant, recall: Recall) -> I
                     len(paper),
                     _count_hits(starts, found),
                     len(starts),
-                    _find_or_certify(record, key, check),
+                    _find_or_certify(record, key, check, end),
                 )
 
 
@@ -129,9 +134,16 @@ def _fingerprint_code() -> bytes:
     return digest.digest()
 
 
-def _find_or_certify(record: Record, key: str, check: Callable[[], Certificate]) -> Certificate:
-    told = record.find_or_derive(key, lambda: json.dumps(asdict(check())))
-    return TypeAdapter(Certificate).validate_json(told)
+def _find_or_certify(record: Record, key: str, check: Callable[[], Certificate], end: float) -> Certificate | None:
+    def derive() -> str:
+        if time.monotonic() > end:
+            raise OutOfTimeError
+        return json.dumps(asdict(check()))
+
+    try:
+        return TypeAdapter(Certificate).validate_json(record.find_or_derive(key, derive))
+    except OutOfTimeError:
+        return None
 
 
 def _find_attempt(attempts: Sequence[Attempt], *, is_turned: bool) -> Attempt | None:
@@ -183,8 +195,10 @@ def tabulate_optima(study: Study, optima: Sequence[Optimum]) -> Table:
 def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:
     (i, j), (k1, k2), c = optimum.task.place, optimum.task.weights, optimum.certificate
     place = (study.targets.azimuths[i], study.targets.heights[j], k1, k2)
-    numbers = tuple(float(f"{x:.2g}") for x in (c.stationarity, c.gradient, c.violation, c.complementarity))
-    verdicts = ("yes" if c.is_minimum else "no", "yes" if optimum.is_certified else "no")
+    checked: tuple[Cell, ...] = (None,) * 5 + (UNCHECKED,) * 2
+    if c is not None:
+        numbers = tuple(float(f"{x:.2g}") for x in (c.stationarity, c.gradient, c.violation, c.complementarity))
+        checked = (*numbers, c.active, "yes" if c.is_minimum else "no", "yes" if optimum.is_certified else "no")
     return (
         *place,
         optimum.cost,
@@ -194,9 +208,7 @@ def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:
         optimum.tried,
         optimum.hits,
         optimum.starts,
-        *numbers,
-        c.active,
-        *verdicts,
+        *checked,
     )
 
 
@@ -215,7 +227,8 @@ def _describe_cost(weights: Weights, optima: Sequence[Optimum]) -> Iterator[str]
     name = f"With k1 = {weights[0]:g}, k2 = {weights[1]:g}"
     sure, alone = sum(o.is_certified for o in own), sum(o.found == 1 for o in own)
     yield (
-        f"{name} and no whole turns, the conditions of both orders hold at {sure} of {len(own)} lowest optima; {alone} "
+        f"{name} and no whole turns, the conditions of both orders hold at {sure} of {len(own)} lowest optima"
+        f"{_describe_unchecked(own)}; {alone} "
         "of them were found by a single representation of the paper's protocol."
     )
     searched = [o for o in own if o.starts]
@@ -231,5 +244,11 @@ def _describe_cost(weights: Weights, optima: Sequence[Optimum]) -> Iterator[str]
         lower = [o for o in turned if is_higher(without.get(o.task.place), o.cost)]
         yield (
             f"Motions with whole turns were found at {len(turned)} targets, and are lower at {len(lower)} of them; the "
-            f"conditions of both orders hold at {sum(o.is_certified for o in turned)} of the {len(turned)}."
+            f"conditions of both orders hold at {sum(o.is_certified for o in turned)} of the {len(turned)}"
+            f"{_describe_unchecked(turned)}."
         )
+
+
+def _describe_unchecked(optima: Sequence[Optimum]) -> str:
+    unchecked = sum(o.certificate is None for o in optima)
+    return f" ({unchecked} were not checked)" if unchecked else ""

@@ -62,6 +62,8 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
             record.add(Attempt(task, protocol, part, str(k), *numbers, turns=turns), motion)
         found = list(list_optima(study, record, cast(Any, None), lambda *_: None))
         assert list(list_optima(study, record, cast(Any, None), lambda *_: None)) == found
+        monkeypatch.setattr(optima, "_name", lambda *_: "new")
+        late = list(list_optima(study, record, cast(Any, None), lambda *_: None, end=0.0))
     assert len(certified) == 5, "the second time, only what has changed is checked again"
     assert [(o.task.place[0], o.turns, o.cost, o.found, o.tried, o.hits, o.starts) for o in found] == [
         (0, "", 4.0, 0, 1, 2, 3),
@@ -69,6 +71,9 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
         (1, "", 4.0, 1, 1, 0, 0),
         (1, "q1 -1", 9.0, 0, 1, 1, 1),
     ]
+    assert [o.certificate for o in late] == [None] * 4
+    assert "hold at 0 of 2 lowest optima (2 were not checked)" in describe_optima(study, late, "optima.csv").text
+    assert [row[-1] for row in tabulate_optima(study, late).rows] == [optima.UNCHECKED] * 4
     text = describe_optima(study, found, "optima.csv").text
     assert "hold at 2 of 2 lowest optima" in text
     assert "found them 2 times of 3, and never at 0 of 1 targets" in text
