@@ -47,7 +47,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     pages.write_front(source, gallery.write_front_cards(results), folders)
     messages.write(source, 1 if quick else None)
     commands.write(source)
-    listed = [] if quick else reference.PAGES
+    listed = [] if quick else [{"Python": reference.PAGES}]
     if not quick:
         reference.write(source)
     config = load_config(
@@ -57,7 +57,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
         nav=[
             *navigation,
             {"Gallery": gallery.list_pages(results)},
-            {"Reference": [*commands.PAGES, *listed, *messages.PAGES]},
+            {"Reference": [{"Commands": commands.PAGES}, *listed, {"Messages": messages.PAGES}]},
         ],
         strict=True,
     )

@@ -10,6 +10,7 @@ import mbsgen.cli
 import mbsrun.cli
 
 GROUPS: dict[str, click.Command] = {"mbsgen": mbsgen.cli.cli, "mbsrun": mbsrun.cli.cli}
+WIDTH = 88  # characters, as many as a page is wide
 PAGES = [f"commands/{name}.md" for name in GROUPS]
 
 
@@ -23,7 +24,8 @@ def write(target: Path) -> None:
 
 def _describe(command: click.Command, name: str, parent: click.Context | None) -> list[str]:
     """Return the help of a command, and of its own commands."""
-    context = click.Context(command, info_name=name, parent=parent, max_content_width=96, terminal_width=96)
+    settings = {**command.context_settings, "max_content_width": WIDTH, "terminal_width": WIDTH}
+    context = click.Context(command, info_name=name, parent=parent, **settings)
     lines = ["``` { .text .help }", command.get_help(context), "```", ""]
     if isinstance(command, click.Group):
         for own in command.list_commands(context):
