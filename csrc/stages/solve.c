@@ -6,6 +6,7 @@
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
 #define LEAST_SCALE ((real)1e-8)
+#define FAR ((real)1e-2) /* barrier parameter of a warm start, beside the square of its largest violation */
 
 static const real NONE = 2 * MBS_STAGES_INFINITE;
 
@@ -279,6 +280,23 @@ static real first_barrier(const mbs_stages *s)
     return first > least ? first : least;
 }
 
+/* Put a warm start on the central path. The farther it is from its rows, the more do bounds that bind change, and the
+ * higher its barrier parameter must be, unless the caller chose one. */
+static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
+{
+    real violation, mu;
+    start_warm(s, p);
+    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+        return -1;
+    violation = mbs_stages_largest(s->rows, p->c);
+    mu = FAR * (violation < 1 ? violation * violation : 1);
+    if (s->options.barrier > 0 || !(mu > p->mu))
+        return 0;
+    p->mu = mu;
+    start_warm(s, p);
+    return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);
+}
+
 /* The first point and its multipliers; a status where that fails. */
 int mbs_stages_start(mbs_stages *s)
 {
@@ -296,11 +314,11 @@ int mbs_stages_start(mbs_stages *s)
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;
     p->mu = first_barrier(s);
-    if (o->warm)
-        start_warm(s, p);
-    else
+    if (!o->warm)
         start_bounds(s, p);
-    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c) || mbs_stages_phase_derivatives(s, p))
+    if (o->warm ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+        return MBS_STAGES_CALLBACK_FAILED;
+    if (mbs_stages_phase_derivatives(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
     if (!o->warm)
         mbs_stages_estimate_multipliers(s, p);

@@ -14,9 +14,9 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, wraps
 from importlib.util import find_spec
 from pathlib import Path, PurePath
@@ -28,7 +28,8 @@ from mbsrun.cache import COMPILED, find_or_make
 # ISO C, except contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
 # checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line code, of numbers
 # gathered from everywhere, would make it slower.
-FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", "-fno-tree-slp-vectorize", "-fno-math-errno")
+SCALAR = "-fno-tree-slp-vectorize"
+FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", SCALAR, "-fno-math-errno")
 COMPILERS = ("cc", "gcc", "clang")  # looked for in this order where CC names none
 ZIG = ("-m", "ziglang", "cc")  # of Python: the compiler in the package ziglang
 ZIG_FLAGS = ("-fno-sanitize=undefined",)  # which it would turn on below -O2
@@ -73,20 +74,31 @@ class _Object:
 
 
 def compile_library(
-    folder: Path, prefix: str, names: Iterable[str], compiler: Compiler, *beside: Path, **texts: str
+    folder: Path,
+    prefix: str,
+    names: Iterable[str],
+    compiler: Compiler,
+    *beside: Path,
+    rows: Collection[str] = (),
+    **texts: str,
 ) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
     C files and headers that are not in the folder are looked for in the folders `beside` it. `texts` are more C files,
-    by their names without the ending. Compiled files are found in the cache; `prefix` is the model's part of it. Raises
-    CompileError with the command and the compiler's message, or for a name that cannot be a generated file's;
-    CacheError.
+    by their names without the ending. Files among `rows` work on rows of numbers, and are compiled without the flag
+    that is good for straight-line code alone. Compiled files are found in the cache; `prefix` is the model's part of
+    it. Raises CompileError with the command and the compiler's message, or for a name that cannot be a generated
+    file's; CacheError.
     """
     if not re.fullmatch(r"\w+", prefix, re.ASCII):
         raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
     place, given = PurePath(COMPILED, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
     wanted = dict.fromkeys((*names, *given))
-    objects = [_plan(read_source((folder, *beside), name, given), place, compiler) for name in wanted]
+    vectors = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != SCALAR))
+    objects = [
+        _plan(read_source((folder, *beside), name, given), place, vectors if name in rows else compiler)
+        for name in wanted
+    ]
     return _link(objects, place / prefix, compiler)
 
 

@@ -376,6 +376,20 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
         assert np.array_equal(loop.w[:4], solver.lower[:4])
 
 
+def test_a_warm_start_far_away_begins_with_a_larger_barrier_parameter(library: Library) -> None:
+    """At most 1e-6 near a solution, and more far from it."""
+    solver = Solver(library, cart_pole())
+    cold = solver.solve()
+    barriers = []
+    for move in (0.0, 1e-4, 0.5):
+        solver.set(w=cold.w, y=cold.y, below=cold.below, above=cold.above)
+        solver.lower[:4] = solver.upper[:4] = cold.w[:4] + move
+        barriers.append(solver.solve(warm=1, iterations=1).result.barrier)
+    assert max(barriers[:2]) <= 1e-6
+    assert barriers[2] > 1e-4
+    assert solver.solve(warm=1).status == "solved"
+
+
 def test_a_warm_start_takes_the_scales_of_the_solve_before(library: Library) -> None:
     """It finds derivatives once less than another solver at the same point."""
     calls: list[int] = []

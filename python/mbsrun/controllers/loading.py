@@ -106,7 +106,9 @@ class Controller:
         self._ffi.cdef(_INSIDE.format(self._name))
         self._statuses = _name_statuses(self._ffi)
         compiler = find_compiler(os.environ)
-        self.library = compile_library(self.folder, self._name, self.manifest.sources, compiler)
+        sources = self.manifest.sources
+        rows = [name for name in sources if name.startswith("mbs_stages_")]
+        self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows)
         self._library: Any = self._ffi.dlopen(str(self.library))
         size = self._call("bytes")
         self._memory = self._ffi.new("char[]", size + _ALIGNMENT)

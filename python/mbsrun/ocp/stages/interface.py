@@ -16,7 +16,6 @@ from mbsgen import resources
 from mbsrun.library import CompileError, compile_library, find_compiler, once_per_compiler
 
 _TIMED = "mbs_timed_program.c"
-_SCALAR = "-fno-tree-slp-vectorize"  # a flag that is good for kernels; rows of the solver want vectors
 _COMMENTS = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CPLUSPLUS = re.compile(r"#ifdef __cplusplus.*?#endif", re.DOTALL)
 _PRECISION = re.compile(r"#ifdef MBS_STAGES_FLOAT.*?#else(.*?)#endif", re.DOTALL)
@@ -39,8 +38,7 @@ def load() -> tuple[Any, Any]:
         ffi.cdef(read_declarations(path.read_text(encoding="utf-8")))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
     compiler = find_compiler(os.environ)
-    compiler = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != _SCALAR))
-    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:])
+    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:], rows=names)
     return ffi, ffi.dlopen(str(library))
 
 
