@@ -94,6 +94,7 @@ class _Draw:
         self.source, self.seed = random.Random(seed), seed
         self.more = random.Random(f"{seed} forces")  # so that forces do not change the rest of the mechanism
         self.boxes = random.Random(f"{seed} boxes")
+        self.rules = random.Random(f"{seed} rules")
         self.kinds = {name: self.source.choice(["constant", "runtime", "differentiated"]) for name in "mlak"}
         self.values = {"m": 1.7, "l": 0.6, "a": 0.35, "k": 2.5}
         self.bodies: list[dict[str, Any]] = []
@@ -105,7 +106,7 @@ class _Draw:
             self.bodies.append(self.body(f"b{i}"))
         model: dict[str, Any] = {
             "name": f"fuzz{self.seed}",
-            "gravity": pick.choice([[0, 0, -9.81], [0.5, -3.0, 2.0], [0, -9.81, 0], [0, 0, 0]]),
+            "gravity": self.gravity(),
             "parameters": {
                 name: value if self.kinds[name] == "constant" else {"value": value, "kind": self.kinds[name]}
                 for name, value in self.values.items()
@@ -132,6 +133,10 @@ class _Draw:
         tolerance = pick.choice([1e-3, 1e-2, 0.1]) if numbers == "approximate" else 0.0
         vary(model, random.Random(f"{self.seed} forms"))
         return Mechanism(model, scene, parameters, reductions, numbers, tolerance)
+
+    def gravity(self) -> list[Any]:
+        given = self.source.choice([[0, 0, -9.81], [0.5, -3.0, 2.0], [0, -9.81, 0], [0, 0, 0]])
+        return given if self.rules.random() < 0.9 else ["0.3*l", 0, "-4*k"]
 
     def add_forces(self, model: dict[str, Any]) -> None:
         """Add force elements, contacts, and a wrench and a force law that read the state."""
@@ -308,6 +313,8 @@ class _Draw:
         if self.joints and pick.random() < 0.08:
             ratio = pick.choice([1, -1, 0.5, -2])
             joint["follows"] = {"joint": pick.choice(self.joints), "ratio": ratio, "offset": self.number(-1, 1)}
+            if self.rules.random() < 0.5:
+                joint["follows"] |= {"ratio": self.rules.choice(["k", "-l", "1 - m"]), "offset": "a - 0.2"}
             joint.pop("actuated", None)
         else:
             self.joints.append(name)
@@ -541,7 +548,8 @@ class _Comparison:
             return name, 1.0, 0.0
         given = self.couplings[name]
         leader, ratio, offset = self._lead(given["joint"])
-        return leader, given["ratio"] * ratio, given["ratio"] * offset + given["offset"]
+        own, shift = (self.absolute.number(given[key]) for key in ("ratio", "offset"))
+        return leader, own * ratio, own * offset + shift
 
     def _reference(self, qdd: Mapping[str, float], q: Mapping[str, float] | None = None) -> Found:
         q = self.q if q is None else q
