@@ -38,7 +38,7 @@ class Run:
     @property
     def cpu_seconds_solving(self) -> float:
         """Return the processor time of linear algebra and of the solver itself."""
-        return self.cpu_seconds - self.cpu_seconds_evaluating
+        return max(0.0, self.cpu_seconds - self.cpu_seconds_evaluating)  # two clocks may differ by their steps
 
 
 @dataclass(frozen=True)
