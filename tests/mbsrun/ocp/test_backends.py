@@ -185,7 +185,7 @@ def test_equations_of_explicit_methods_are_triangular(arm: Peer, reach: Problem)
 
 # --- no graph ------------------------------------------------------------------------------------------------------
 
-DATA = ("functions", "program", "structure", "layout", "writing", "transcription", "quantities", "formulas")
+DATA = ("functions", "program", "structure", "layout", "writing.program", "transcription", "quantities", "formulas")
 NUMPY = ("elimination", "backends.assembly", "backends.evaluations", "backends.numpy")
 
 
