@@ -190,7 +190,7 @@ class _Writing:
             elif isinstance(other, Block):
                 side = ("box", "centre")
                 formulas += self._write_numbers(("contacts", k, "box", "size"), dict(enumerate(other.size)))
-            # a plane and a sphere have a point in the axes of their body, a box has axes of its own
+            # a plane and a sphere have a point in the axes of their body, a box has its own axes
             at = (other.placement, ORIGIN) if isinstance(other, Block) else (HERE, other.position)
             formulas += self._write_point(("contacts", k, *side), other.body, *at)
         except ExpressionError:
