@@ -32,6 +32,7 @@ from benchmarks.loops.peers import (
 )
 from benchmarks.loops.placement import place_bodies
 from benchmarks.loops.problems import Problem, measure_error
+from mbsrun.limits import LimitError
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ class Diagram:
 
 
 def measure_problem(problem: Problem, ways: Sequence[Way], rounds: int, report: Callable[[str], None]) -> Diagram:
-    """Run all ways; a way ends at its first run that fails or is long."""
+    """Run all ways; a run that fails has no point, and a way ends at its first run that is long."""
     before, points = os.getloadavg()[0], []
     for way in ways:
         for run in way.runs:
@@ -98,6 +99,8 @@ def measure_problem(problem: Problem, ways: Sequence[Way], rounds: int, report: 
                     runs.append(run())
             except ArithmeticError:
                 continue
+            except LimitError:
+                break
             seconds = [x.seconds for x in runs]
             best, median = min(seconds), float(np.median(seconds))
             points.append(Point(way.author, way.method, runs[0].error, best, median, runs[0].steps, len(runs)))

@@ -13,11 +13,12 @@ from mpmath import mp, mpf
 from benchmarks.loops.kernels import Row, Timed
 from benchmarks.loops.mechanism import Law, find_obstacle, list_kinds, release, write_loops, write_xml
 from benchmarks.loops.models import find_model, write_four_bars
-from benchmarks.loops.motions import Diagram, Point
+from benchmarks.loops.motions import Diagram, Point, Run, Way, measure_problem
 from benchmarks.loops.placement import find_angle, place_bodies
 from benchmarks.loops.problems import make_andrews, measure_error
 from benchmarks.loops.table import Results, make_tables, write_json, write_markdown
 from mbsgen.pipeline import read_tree
+from mbsrun.limits import LimitError
 from mbsrun.measuring.store import Store
 from tests import loop_references
 from tests.loop_references import FOLDER, Andrews, Bricard, Flyball, find_beta, find_phi, find_tilt, swing_twice
@@ -48,6 +49,23 @@ def test_andrews_moves_as_published_and_as_a_coarser_quadrature() -> None:
         model = Andrews()
         for name, values in (("angles", model.angles(beta)), ("rates", model.speeds(beta))):
             assert max(abs(x / mpf(y) - 1) for x, y in zip(values, expected[name], strict=True)) < mpf("1e-13")
+
+
+def test_a_way_ends_at_a_limit_and_goes_on_after_a_failure() -> None:
+    """On a slow machine a run may use up its time; what was measured before it stays."""
+
+    def fail() -> Run:
+        raise ArithmeticError
+
+    def exceed() -> Run:
+        raise LimitError("60 s are used up", "loosen the tolerance")
+
+    def work() -> Run:
+        return Run(1e-3, 1e-6, 5)
+
+    ways = [Way("ours", "dear", (work, fail, work, exceed, work)), Way("ours", "cheap", (work,))]
+    found = measure_problem(make_andrews(), ways, 1, lambda _: None)
+    assert [x.method for x in found.points] == ["dear", "dear", "cheap"]
 
 
 def test_bricards_loop_is_closed_and_its_energy_kept() -> None:
