@@ -129,7 +129,7 @@ MBSRUN = Package(
         "ocp.phases.chain",
         "ocp.phases.sides",
         "ocp.phases.linking",
-        "ocp.phases.impacts",
+        "ocp.phases.impacts ocp.phases.delays",
         "ocp.phases.solution ocp.phases.standing",
         "ocp.phases.transcription",
         "ocp.phases",

@@ -173,7 +173,8 @@ class Delay:
     index: int  # into u, or into the controls
     seconds: float
     history: float | None = 0.0  # the command before the start; None: free
-    is_linked: bool = False  # whether these are commands of the phase before, which has the same delay
+    is_linked: bool = False  # whether these are commands of the phase before
+    state: int | None = None  # the state that is this input, where it is continuous; `index` is its rate, a control
 
 
 @dataclass(frozen=True)
@@ -487,7 +488,10 @@ def _place_delay(problem: Problem, delay: Delay) -> tuple[str, ...]:
     if delay.kind == "input" or delay.index >= len(problem.controls):
         return ("inputs",)
     name = problem.controls[delay.index].name
-    return ("inputs",) if name.startswith("rate_") else ("controls", name, "delay")
+    if delay.state is None:
+        return ("controls", name, "delay")
+    lifted = problem.states[delay.state].name
+    return ("controls", lifted, "delay") if name == f"rate_{lifted}" else ("inputs",)
 
 
 def _find_slopes(problem: Problem) -> list[Conflict]:

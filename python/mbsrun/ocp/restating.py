@@ -200,9 +200,7 @@ class Rewriting:
         seconds = reading.number(place, given, least=math.ulp(0))
         if history is None and reading.is_linked:
             finding = "the phase before gave the inputs that act first, and the file does not say which"
-            reading.fault(
-                place, finding, "give history: link, for the phase before with the same delay; a number; or free"
-            )
+            reading.fault(place, finding, "give history: link, for commands of the phase before; a number; or free")
             return
         before = None
         inner: Place = (*place[:-1], "history") if kind == "control" else ("inputs", "history")

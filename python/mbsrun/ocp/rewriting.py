@@ -152,7 +152,7 @@ def _delay(problem: Problem, delay: Delay, state: int | None, control: int) -> P
     if delay.history is not None:
         states[state] = replace(states[state], start=(delay.history, delay.history))
         history = 0.0
-    rate = replace(delay, kind="control", index=control, history=history)
+    rate = replace(delay, kind="control", index=control, history=history, state=state)
     return replace(problem, states=tuple(states), delays=(*problem.delays, rate))
 
 

@@ -19,6 +19,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.differentiation import DerivativeError, differentiate
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem
 from mbsrun.ocp.methods import METHODS, choose
+from mbsrun.ocp.phases.delays import Half, Shift, find_misfits, find_shifts
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
 from mbsrun.ocp.phases.problem import Impact, Link, Map, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import (
@@ -31,7 +32,8 @@ from mbsrun.ocp.phases.sides import (
     spell_velocities,
 )
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import SAME_TIME, Contact, Delay, Loops, Problem
+from mbsrun.ocp.problem import Contact, Loops, Problem
+from mbsrun.ocp.rewriting import RATE
 from mbsrun.quaternions import find_quaternion, list_quaternions, neutral
 
 APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the force at it
@@ -244,17 +246,17 @@ class _Link:
                 yield PhaseFault(self.place, finding, "leave one out: the link gives the other")
 
     def check_delays(self, source: Problem, target: Problem, before: Manifest, after: Manifest) -> Iterator[PhaseFault]:
-        """Refuse histories by this link where the phase before did not give them: its commands must act as late."""
-        known = {_name_delayed(delay, source, before): delay.seconds for delay in source.delays}
+        """Refuse histories by this link which the phase before cannot give."""
+        halves = Half(self.link.source, source, before), Half(self.link.target, target, after)
         k = self.problem.find(self.link.target)
-        for delay in target.delays:
-            if not delay.is_linked:
+        for shift in find_shifts(*halves):
+            if not shift.repeats:
                 continue
-            kind, name = _name_delayed(delay, target, after)
-            seconds, place = known.get((kind, name), 0.0), ("phases", k, *_place_history(kind, name))
-            if abs(seconds - delay.seconds) > SAME_TIME * delay.seconds:
-                finding = f"{name} acts {delay.seconds:g} s later, and {seconds:g} s later in phase {self.link.source}"
-                yield PhaseFault(place, finding, "give both phases the same delay, or history: a number, or free")
+            for finding, remedy in find_misfits(shift, *halves):
+                yield PhaseFault(("phases", k, *_place_history(shift)), finding, remedy)
+            if shift.kind == "state" and shift.name in dict(self.link.map):
+                finding = "inputs of the phase before give it, since it has history: link and a longer delay"
+                yield PhaseFault((*self.place, "map", shift.name), finding, "leave it out, or give another history")
 
     def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[PhaseFault]:
         """Check the contacts of an impact, and its model."""
@@ -283,17 +285,10 @@ class _Link:
                 yield PhaseFault((*self.place, "impact", "restitution"), finding, remedy)
 
 
-def _name_delayed(delay: Delay, problem: Problem, manifest: Manifest) -> tuple[str, str]:
-    """Return the kind and the name of an input or a control with a delay."""
-    if delay.kind == "input":
-        return delay.kind, manifest.coordinates[manifest.actuated[delay.index]].name
-    return delay.kind, problem.controls[delay.index].name
-
-
-def _place_history(kind: str, name: str) -> Place:
-    """Return the place of a history in the file of a phase; rates of continuous inputs have the histories of these."""
-    is_control = kind == "control" and not name.startswith("rate_")
-    return ("controls", name, "history") if is_control else ("inputs", "history")
+def _place_history(shift: Shift) -> Place:
+    """Return the place of a history in the file of a phase."""
+    is_control = shift.kind == "control" or (shift.kind == "state" and shift.rate == RATE + shift.name)
+    return ("controls", shift.name, "history") if is_control else ("inputs", "history")
 
 
 def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[PhaseFault]:

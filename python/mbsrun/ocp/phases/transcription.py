@@ -14,6 +14,7 @@ import numpy as np
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.phases.addition import Further, Offsets, Summand, add, add_parameters, place_summands
 from mbsrun.ocp.phases.chain import Joined, Joint, order_stages
+from mbsrun.ocp.phases.delays import Half, Placed, find_shifts, write_jump, write_shift
 from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
 from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_costs, write_transfer
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
@@ -138,18 +139,31 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         own, first = problem.phases[k].problem, offsets[k].variables
         return read_side(phases[k], plants.phases[k].manifest, numbers[k], first, own, is_end=is_end)
 
+    def place(k: int) -> Placed:
+        phase = problem.phases[k]
+        return Placed(Half(phase.name, phase.problem, plants.phases[k].manifest), phases[k], offsets[k].variables)
+
     links = []
     closed = [np.zeros(0, dtype=np.int64) for _ in phases]
     for i, link in enumerate(problem.links):
         source, target = problem.find(link.source), problem.find(link.target)
         before, after = side(source, is_end=True), side(target, is_end=False)
-        first, first_variable = rows.rows, rows.variables
         text, state, impact = f"link {link.source} to {link.target}", before.state, None
+        sides = place(source), place(target)
+        shifts = find_shifts(*(part.half for part in sides))
+        for shift in shifts:
+            if shift.repeats:
+                write_shift(rows, text, shift, *sides)
+        first, first_variable = rows.rows, rows.variables
         if link.impact is not None:
             plant = plants.find_impact(i, source)
             impact = write_impact(rows, text, link.impact, state, plant, plants.number(plant))
             state = impact.after
-        write_transfer(rows, text, state, after.state, link.map, link.velocities)
+        apart = tuple((x.name, None) for x in shifts if x.kind == "state" and x.name not in dict(link.map))
+        write_transfer(rows, text, state, after.state, (*link.map, *apart), link.velocities)
+        for shift in shifts:
+            if shift.kind == "state" and shift.seconds < 0:
+                write_jump(rows, text, shift, *sides)
         same, dependent = numbers[source] == numbers[target], len(plants.phases[target].manifest.dependent)
         closed[target] = np.concatenate(
             (

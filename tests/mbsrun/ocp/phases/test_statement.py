@@ -218,7 +218,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
         "    intervals: 4",
         "    intervals: 4\n    inputs: {delay: 0.25}",
         "phases[1].inputs.delay: the phase before gave the inputs that act first, and the file does not say which; "
-        "give history: link, for the phase before with the same delay; a number; or free",
+        "give history: link, for commands of the phase before; a number; or free",
     ),
     "price of a slack": (
         "    intervals: 4",
