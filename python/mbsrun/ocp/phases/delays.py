@@ -16,8 +16,7 @@ twice, and the ones of s seconds never act: they carry a continuous input on wit
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,11 +161,19 @@ def _find_missing_points(text: str, seconds: float, source: Problem, target: Pro
         yield finding, f"let intervals end there; or {USUAL}"
 
 
-def write_shift(rows: Rows, text: str, shift: Shift, before: Placed, after: Placed) -> None:
-    """Repeat the last inputs of the phase before.
+def write_repeats(rows: Rows, text: str, shifts: Sequence[Shift], before: Placed, after: Placed) -> Indices:
+    """Write that the last inputs of the phase before act again; return the rows.
 
     Variables that all stages share hold them, so that no row reads two distant stages.
     """
+    first = rows.rows
+    for shift in shifts:
+        if shift.repeats:
+            _repeat(rows, text, shift, before, after)
+    return np.arange(first, rows.rows)
+
+
+def _repeat(rows: Rows, text: str, shift: Shift, before: Placed, after: Placed) -> None:
     source, target = before.half.problem, after.half.problem
     t, own = source.grid.mesh(source.horizon) - source.horizon + shift.seconds, target.grid.mesh(target.horizon)
     last, same = before.find_values(shift), SAME_TIME * max(source.horizon, target.horizon)
@@ -212,14 +219,14 @@ def _snap(places: Array, nodes: Array) -> Array:
     return np.where(abs(places - nearest) <= SAME_TIME, nearest, places)
 
 
-def write_jump(rows: Rows, text: str, shift: Shift, before: Placed, after: Placed) -> None:
-    """Bound the change of a continuous input over the commands that never act."""
-    index = before.half.find(shift)
-    if index is None or after.half.find(shift) is None:
-        return
-    lower, upper = before.half.problem.controls[index].bounds
-    if math.isinf(lower) and math.isinf(upper):
-        return
-    found = rows.add_rows(1, f"{text}: the rate of {shift.name}", -shift.seconds * lower, -shift.seconds * upper)
-    rows.A.put(found, [after.find_state(shift, 0)], 1.0)
-    rows.A.put(found, [before.find_state(shift, before.half.problem.intervals)], -1.0)
+def write_jumps(rows: Rows, text: str, shifts: Sequence[Shift], before: Placed, after: Placed) -> None:
+    """Bound the changes of continuous inputs over commands that never act."""
+    for shift in shifts:
+        index = before.half.find(shift)
+        if shift.kind != "state" or shift.seconds > 0 or index is None or after.half.find(shift) is None:
+            continue
+        limits = -shift.seconds * np.array(before.half.problem.controls[index].bounds)
+        if np.isfinite(limits).any():
+            found = rows.add_rows(1, f"{text}: the rate of {shift.name}", *limits.tolist())
+            rows.A.put(found, [after.find_state(shift, 0)], 1.0)
+            rows.A.put(found, [before.find_state(shift, before.half.problem.intervals)], -1.0)

@@ -269,9 +269,7 @@ class PhasedSolver:
 
     def _read_link(self, i: int, x: Array, terms: Array, g: Array, lower: Array, upper: Array) -> LinkValues:
         link, rows = self.problem.links[i], self.transcription.links[i]
-        first, last = rows.extent
-        begin = self.transcription.offsets[-1].rows
-        own = slice(first - begin, last - begin)
+        own = np.concatenate((rows.repeats, np.arange(*rows.extent))) - self.transcription.offsets[-1].rows
         violation = measure_excess(g[own], lower[own], upper[own])
         priced = zip(link.cost, terms[rows.costs].tolist(), strict=True)
         cost = tuple((term.title, term.weight * value) for term, value in priced)

@@ -14,7 +14,7 @@ import numpy as np
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.phases.addition import Further, Offsets, Summand, add, add_parameters, place_summands
 from mbsrun.ocp.phases.chain import Joined, Joint, order_stages
-from mbsrun.ocp.phases.delays import Half, Placed, find_shifts, write_jump, write_shift
+from mbsrun.ocp.phases.delays import Half, Placed, find_shifts, write_jumps, write_repeats
 from mbsrun.ocp.phases.impacts import ImpactRows, write_impact
 from mbsrun.ocp.phases.linking import Defined, Rows, write_conditions, write_costs, write_transfer
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
@@ -36,6 +36,7 @@ class LinkRows:
     costs: Indices  # among the weights
     extent: tuple[int, int]  # the first row, and the one after the last
     variables: tuple[int, int]  # likewise
+    repeats: Indices  # further rows, which let inputs act again
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         text, state, impact = f"link {link.source} to {link.target}", before.state, None
         sides = place(source), place(target)
         shifts = find_shifts(*(part.half for part in sides))
-        for shift in shifts:
-            if shift.repeats:
-                write_shift(rows, text, shift, *sides)
+        repeats = write_repeats(rows, text, shifts, *sides)
         first, first_variable = rows.rows, rows.variables
         if link.impact is not None:
             plant = plants.find_impact(i, source)
@@ -161,9 +160,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
             state = impact.after
         apart = tuple((x.name, None) for x in shifts if x.kind == "state" and x.name not in dict(link.map))
         write_transfer(rows, text, state, after.state, (*link.map, *apart), link.velocities)
-        for shift in shifts:
-            if shift.kind == "state" and shift.seconds < 0:
-                write_jump(rows, text, shift, *sides)
+        write_jumps(rows, text, shifts, *sides)
         same, dependent = numbers[source] == numbers[target], len(plants.phases[target].manifest.dependent)
         closed[target] = np.concatenate(
             (
@@ -177,7 +174,8 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
             impulses = {name: int(impact.impulses[contact][k]) for name, contact, k in named}
         conditions = write_conditions(rows, text, link.conditions, before, after, impulses)
         costs = write_costs(rows, link.cost, before, after, impulses)
-        links.append(LinkRows(link, conditions, impact, costs, (first, rows.rows), (first_variable, rows.variables)))
+        extents = (first, rows.rows), (first_variable, rows.variables)
+        links.append(LinkRows(link, conditions, impact, costs, *extents, repeats))
     further = Further(
         rows.variables - rows.first_variable,
         len(problem.constants),

@@ -89,7 +89,9 @@ class Window:
     read: Callable[[float], Any]
 
 
-def write(course: str, first: float, second: float, count: int, rate: float = np.inf, history: float = 2.0) -> tuple[float, Any]:
+def write(
+    course: str, first: float, second: float, count: int, *, rate: float = np.inf, history: float = 2.0
+) -> tuple[float, Any]:
     """Return the least cost by a program of commands: u(t) = command(t - delay), in each phase with its own delay.
 
     The cart is a double integrator, so that three points of Gauss integrate its motion and the cost exactly.
