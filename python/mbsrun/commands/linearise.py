@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from mbsgen.expressions import spell
 from mbsgen.help import ModelCommand
 from mbsrun.commands.console import choose_format, print_table, read_numbers, say
 from mbsrun.commands.robots import accept_robots
@@ -45,6 +46,7 @@ Exit codes
   2   the model or an argument cannot be accepted, or the pose is no equilibrium; nothing written
 """
 
+_PRINTED = 1e-12  # of the largest gain of an input: smaller ones are roundings, and are not printed
 _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less are not named
 
 
@@ -115,23 +117,42 @@ def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains
     print_table(table)
     click.echo("stable" if found.is_stable else "not asymptotically stable")
     if gains is not None:
-        for feedback in _write_feedback(found, at, positions, gains):
-            click.echo(f"--input '{feedback}'")
+        feedback = _write_feedback(found, at, positions, gains)
+        for line in feedback:
+            click.echo(f"--input '{line}'")
+        if not feedback:
+            say("the gains are in linearisation.json alone: an expression cannot name all joints that they read")
 
 
 def _write_feedback(
     found: Linearisation, at: Equilibrium, positions: Sequence[str], gains: NDArray[np.float64]
 ) -> list[str]:
-    """Write each input as an expression of the state, as `mbsrun simulate` takes it."""
-    rest, d, lines = dict(zip(positions, at.q, strict=True)), len(found.freedoms), []
-    if not set(found.freedoms) <= set(rest):
+    """Write each input as an expression of the state, as `mbsrun simulate` takes it; none where a joint has no name."""
+    named, rest, lines = (
+        dict(zip(positions, spell(positions), strict=True)),
+        dict(zip(positions, at.q, strict=True)),
+        [],
+    )
+    words = [(word, rest[x]) for x in found.freedoms if (word := named.get(x)) is not None]
+    if len(words) < len(found.freedoms):
         return []  # turns of quaternions are no coordinates
+    states = [*(_write_change(word, place) for word, place in words), *(f"qd_{word}" for word, _ in words)]
     for name, u, row in zip(found.inputs, at.u, gains, strict=True):
-        terms = [f"{u:.12g}"]
-        terms += [f"{-k:+.12g}*(q_{x} - ({rest[x]:.12g}))" for x, k in zip(found.freedoms, row[:d], strict=True)]
-        terms += [f"{-k:+.12g}*qd_{x}" for x, k in zip(found.freedoms, row[d:], strict=True)]
-        lines.append(f"{name}={' '.join(terms)}")
+        held = np.where(np.abs(row) > _PRINTED * np.abs(row).max(), -row, 0.0)
+        lines.append(f"{name}={_write_sum([(u, '1'), *zip(held.tolist(), states, strict=True)])}")
     return lines
+
+
+def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
+    """Write a sum of numbers, each times a factor, without the terms that are 0."""
+    written = [f"{'-' if x < 0 else '+'} {abs(x):.12g}*{factor}".removesuffix("*1") for x, factor in terms if x]
+    text = " ".join(written).removeprefix("+ ") or "0"
+    return f"-{text[2:]}" if text.startswith("- ") else text
+
+
+def _write_change(word: str, rest: float) -> str:
+    """Write the distance of a coordinate from its place at rest."""
+    return f"(q_{word} {'-' if rest > 0 else '+'} {abs(rest):.12g})" if rest else f"q_{word}"
 
 
 def _summarise(found: Linearisation, positions: Sequence[str], gains: NDArray[np.float64] | None) -> dict[str, Any]:

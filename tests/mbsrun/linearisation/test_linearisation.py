@@ -172,6 +172,64 @@ def test_the_command_writes_a_feedback_that_balances(tmp_path: Path, monkeypatch
     assert runner.invoke(cli, arguments, catch_exceptions=False).exit_code == 0
     last = Path("out/trajectory.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")
     assert [float(x) for x in last[1:5]] == pytest.approx([0, np.pi, 0, 0], abs=1e-3)
+    assert feedback.startswith("cart=3.16227")
+    assert "(q_pole - 3.14159265359)" in feedback
+    assert "(q_cart" not in feedback
     wrong = runner.invoke(cli, ["linearise", model, "--pose", "pol=1"])
     assert wrong.exit_code == 2
     assert "give NAME=NUMBER" in wrong.output
+
+
+def test_a_feedback_names_the_turns_of_a_joint_as_expressions_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`arm.rx` is `arm_rx` in an expression; gains that are 0 are left out; the weight is held."""
+    monkeypatch.chdir(tmp_path)
+    Path("crane.yaml").write_text(CRANE, encoding="utf-8")
+    runner = CliRunner()
+    run = runner.invoke(cli, ["linearise", "crane.yaml", "--pose", "rope=0.3", "--regulate", "0.1"])
+    feedback = re.findall(r"--input '(.*)'", run.stdout)
+    assert [re.findall(r"q_\w+", line) for line in feedback] == [["q_arm_rx"], ["q_arm_ry"], ["q_rope"]]
+    assert feedback[2].startswith("rope=1.962 - 3.162")  # 0.2 kg
+    arguments = [part for line in feedback for part in ("--input", line)]
+    run = runner.invoke(
+        cli,
+        [
+            "simulate",
+            "crane.yaml",
+            "--pose",
+            "arm.rx=0.1",
+            "--pose",
+            "rope=0.2",
+            "--duration",
+            "9",
+            *arguments,
+            "-o",
+            "x",
+        ],
+    )
+    assert run.exit_code == 0, run.output
+    last = Path("x/trajectory.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")
+    assert [float(x) for x in last[1:4]] == pytest.approx([0, 0, 0.3], abs=1e-3)
+
+
+def test_gains_of_quaternions_are_said_to_be_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner().invoke(cli, ["linearise", str(FOLDER / "satellite.yaml"), "--regulate", "1", "-o", "out"])
+    assert run.exit_code == 0, run.output
+    assert "--input" not in run.stdout
+    assert "the gains are in linearisation.json alone" in run.stderr
+    assert json.loads(Path("out/linearisation.json").read_text(encoding="utf-8"))["gains"]
+
+
+CRANE = """\
+name: crane
+gravity: [0, 0, -9.81]
+bodies:
+  - name: arm
+    joint: {type: universal, axis: x, axis2: y}
+    mass: 0.5
+    com: [0, 0, -0.6]
+    inertia: [0.06, 0.06, 0.01]
+  - {name: hook, parent: arm, joint: {name: rope, type: prismatic, axis: z}, mass: 0.2}
+"""
