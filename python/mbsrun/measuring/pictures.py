@@ -1,21 +1,23 @@
 """Charts of speed against accuracy: points in series, their front drawn and labelled, failures at the edges.
 
 A point stands at the shortest time of its rounds, with a line to their median; left is faster, low is more accurate.
-Only points on the front have labels, and labels do not overlap; a table lists all points. One sentence above each chart
-names the two ends of its front.
+Only points on the front have labels, and labels cover neither marks nor each other; a table lists all points. One
+sentence below each chart names the two ends of its front.
 """
 
 from __future__ import annotations
 
 import io
-import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
+from matplotlib.transforms import Bbox, BboxBase
 from PIL import Image
 
 from mbsgen.style import PALETTE, in_format, save_figure, styled
@@ -29,10 +31,22 @@ from mbsrun.measuring.points import KernelPoint, MotionPoint
 
 COLORS = PALETTE
 SHADES = 128  # colours of a picture
-LEFT = 0.3  # of the axis: a label has no room to the left of it
-LABELS_APART = 0.5  # decades of error between two labels: a front falls, so no two of them overlap
+MARK = 6.0  # points that a mark covers
+BESIDE = 2  # pixels around a label that are free
+DISTANCES = (5.0, 9.0, 15.0)  # points between a mark and its label
+SIDES = (  # of a mark: horizontal and vertical alignment of a label there, and its direction
+    ("left", "bottom", 0.9, 0.9),
+    ("right", "top", -0.9, -0.9),
+    ("left", "top", 0.9, -0.9),
+    ("right", "bottom", -0.9, 0.9),
+    ("center", "bottom", 0.0, 1.0),
+    ("center", "top", 0.0, -1.0),
+    ("left", "center", 1.0, 0.0),
+    ("right", "center", -1.0, 0.0),
+)
 LINE = 80  # characters of a sentence below a small chart
 MARKERS = {"float64": "o", "float32": "s", DOUBLE_DOUBLE: "^", DIGITS: "D"}
+SHAPES = ("o", "s", "^", "D")  # of marks of one colour
 NARROW, TICKS, WIDE = 8, 4, 3e3  # spans of times with few labels, and with powers of 10
 EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
 LEAST = 1e-35  # the same as EXACT, where kernels in double-double are drawn
@@ -41,6 +55,7 @@ ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24, DOUBLE_DOUBLE: 2.0**-105}
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
     """Write a figure; a PNG in few colours, with a third of the bytes. The same figure gives the same bytes."""
+    arrange_labels(figure)
     if path.suffix != ".png":
         save_figure(figure, path)
         return
@@ -133,6 +148,8 @@ def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], fo
 def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
     """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; return its path."""
     kernels = list(dict.fromkeys(p.kernel for p in points))
+    reductions = list(dict.fromkeys(p.reduction for p in points if p.reduction != WHOLE))
+    shapes = {name: SHAPES[i // len(COLORS) % len(SHAPES)] for i, name in enumerate(reductions)}
     figure = Figure(figsize=(16, 5 * len(kernels)), layout="constrained")
     rows = figure.subplots(len(kernels), 2, squeeze=False)
     for kernel, row in zip(kernels, rows, strict=True):
@@ -141,7 +158,8 @@ def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
         for axes, (number, title) in zip(
             row, (("error", "states that agree with the reduction"), ("error_anywhere", "anywhere")), strict=True
         ):
-            sentence = _draw_marks(axes, [_mark_reduction(p, number) for p in own if p.reduction != WHOLE], "ns")
+            marks = [_mark_reduction(p, number, shapes[p.reduction]) for p in own if p.reduction != WHOLE]
+            sentence = _draw_marks(axes, marks, "ns")
             if whole.ns is not None:
                 axes.axvline(whole.ns.shortest, color="0.4", linewidth=0.8, linestyle="--")
             axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
@@ -203,11 +221,10 @@ def _mark_optimum(point: OptimumPoint, number: str, usual: float) -> Mark:
     return Mark(point.representation, label, point.seconds, getattr(point, number), marker, bool(point.finding))
 
 
-def _mark_reduction(point: FidelityPoint, number: str) -> Mark:
+def _mark_reduction(point: FidelityPoint, number: str, shape: str) -> Mark:
     saved = "" if point.flops is None else f", {1 - point.flops / point.flops_whole:.0%}"
-    return Mark(
-        point.reduction, point.reduction + saved, point.ns, getattr(point, number), is_failure=bool(point.finding)
-    )
+    label, error = f"{point.reduction}{saved}", getattr(point, number)
+    return Mark(point.reduction, label, point.ns, error, shape, bool(point.finding))
 
 
 def plain(name: str) -> str:
@@ -314,15 +331,44 @@ def prepare(axes: Axes) -> None:
 
 
 def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Sequence[str]) -> None:
-    """Draw the front as steps, with labels where neither marks nor other labels are."""
+    """Draw the front as steps, with labels; `arrange_labels` places them."""
     x, y = zip(*places, strict=True)
     axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
-    heights: list[float] = []
-    low, high = axes.get_xlim()
     for place, label in zip(places, labels, strict=True):
-        height = math.log10(place[1])
-        if all(abs(height - other) >= LABELS_APART for other in heights):
-            heights.append(height)
-            is_left = math.log(place[0] / low) < LEFT * math.log(high / low)
-            offset, ha, va = ((5, 3), "left", "bottom") if is_left else ((-5, -5), "right", "top")
-            axes.annotate(label, place, offset, textcoords="offset points", fontsize=6, color="0.2", ha=ha, va=va)
+        note = axes.annotate(label, place, (0, 0), textcoords="offset points", fontsize=6, color="0.2")
+        note.set_in_layout(False)
+
+
+def arrange_labels(figure: Figure) -> None:
+    """Place each label of a chart beside its mark, where it covers neither marks nor other labels, or take it away."""
+    figure.draw_without_rendering()  # lays out the charts
+    for axes in figure.axes:
+        taken = [mark for line in axes.lines for mark in _find_marks(line)]
+        for note in [text for text in axes.texts if isinstance(text, Annotation)]:
+            box = next((b for b in _try_places(note, axes.get_window_extent()) if not b.count_overlaps(taken)), None)
+            if box is None:
+                note.remove()
+            else:
+                taken.append(box)
+
+
+def _find_marks(line: Line2D) -> list[Bbox]:
+    """Return the boxes that the marks of a line cover, in pixels."""
+    if line.get_marker() in ("", "None", None):
+        return []
+    figure = line.get_figure(root=True)
+    assert figure is not None, "a line of a chart is in a figure"
+    half = MARK * figure.dpi / 144
+    places = line.get_transform().transform(line.get_xydata())
+    return [Bbox([place - half, place + half]) for place in places]
+
+
+def _try_places(note: Annotation, limits: BboxBase) -> Iterator[Bbox]:
+    """Move a label around its mark, nearest places first; yield its box for each place within the limits, in pixels."""
+    for distance in DISTANCES:
+        for ha, va, right, up in SIDES:
+            note.set(ha=ha, va=va)
+            note.set_position((right * distance, up * distance))
+            box = note.get_window_extent()
+            if limits.x0 < box.x0 and box.x1 < limits.x1 and limits.y0 < box.y0 and box.y1 < limits.y1:
+                yield box.padded(BESIDE)
