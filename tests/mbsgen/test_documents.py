@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import random
+from enum import Enum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -283,6 +284,24 @@ engines:
 plates: [a]
 owner: 7
 """
+
+
+class Paint(Enum):
+    MATT = "matt"
+    GLOSSY = "glossy"
+
+
+class Door(Section):
+    side: Literal["left", "right"] | None = Field(examples=["left"])
+    paint: Paint = Field(examples=["matt"])
+
+
+def test_a_word_in_the_place_of_a_key_is_given_its_key(tmp_path: Path) -> None:
+    found = faults("side: left\npaint: matt\nglossy: true\nright: true\n", tmp_path, Door)
+    assert [(f.path, f.remedy) for f in found] == [
+        ("glossy", "did you mean `paint: glossy`?"),
+        ("right", "did you mean `side: right`?"),
+    ]
 
 
 def test_a_word_tells_which_keys_belong_to_a_mapping(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import copy
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from types import NoneType, UnionType
 from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
@@ -152,7 +153,7 @@ def _explain(error: ErrorDetails, place: Place, schema: type[BaseModel], data: D
         case "missing" | "union_tag_not_found":
             return "missing", _give_example("it", schema, place)
         case "extra_forbidden":
-            return "unknown key", _suggest(str(place[-1]), _keys(schema, place[:-1], data))
+            return "unknown key", _suggest(str(place[-1]), _models(schema, place[:-1], data))
         case "model_type" | "model_attributes_type" | "dict_type":
             keys = _keys(schema, place, data)
             return found, f"give a mapping{' of ' + ', '.join(keys) if keys else ''}"
@@ -178,9 +179,12 @@ def _give_example(what: str, schema: type[BaseModel], place: Place) -> str:
     return f"give {what}{'' if example is None else f', e.g. {json.dumps(example)}'}"
 
 
-def _suggest(key: str, keys: Sequence[str]) -> str:
-    meant = nearest(key, keys)
-    return f"did you mean `{meant}`?" if meant else f"the keys here are {', '.join(keys)}"
+def _suggest(key: str, models: Sequence[type[BaseModel]]) -> str:
+    """Suggest a key of these models; the key and the word, where the wrong key is a word that a key takes."""
+    fields = {info.alias or name: info.annotation for model in models for name, info in model.model_fields.items()}
+    owner = next((name for name, annotation in fields.items() if key in _list_words(annotation)), None)
+    meant = f"{owner}: {key}" if owner else nearest(key, list(fields))
+    return f"did you mean `{meant}`?" if meant else f"the keys here are {', '.join(fields)}"
 
 
 def _stand_in(data: Data, place: Place, error: ErrorDetails, schema: type[BaseModel]) -> Place:
@@ -268,15 +272,31 @@ def _example(schema: type[BaseModel], place: Place) -> Data:
     return next((slot.example for slot in _slots(schema, place) if slot.example is not None), None)
 
 
-def _keys(schema: type[BaseModel], place: Place, data: Data) -> list[str]:
-    """List the keys of a schema at a place; of a union, the keys of the members that match the data there."""
+def _models(schema: type[BaseModel], place: Place, data: Data) -> list[type[BaseModel]]:
+    """List the models that a schema admits at a place; of a union, the members that match the data there."""
     choices = [c for slot in _slots(schema, place) for c in _choices(slot.annotation)]
     models = [c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)]
     inner: Any = data
     for step in place:
         inner = inner[step]
-    models = [model for model in models if _may_be(inner, model)] or models
+    return [model for model in models if _may_be(inner, model)] or models
+
+
+def _keys(schema: type[BaseModel], place: Place, data: Data) -> list[str]:
+    """List the keys of a schema at a place."""
+    models = _models(schema, place, data)
     return list(dict.fromkeys(info.alias or name for model in models for name, info in model.model_fields.items()))
+
+
+def _list_words(annotation: Any) -> list[Any]:
+    """List the words that a field takes, where these are given."""
+    words: list[Any] = []
+    for choice in _choices(annotation):
+        if get_origin(choice) is Literal:
+            words += get_args(choice)
+        elif isinstance(choice, type) and issubclass(choice, Enum):
+            words += [member.value for member in choice]
+    return words
 
 
 def _may_be(data: Data, model: type[BaseModel]) -> bool:

@@ -328,10 +328,10 @@ class _Robot:
         """Add a notice where the equations differ from Pinocchio's for the same file."""
         damped = sum(any(d.attributes.get(key, "0") != "0" for key in ("damping", "friction")) for d in self._losses())
         if damped:
-            text = (
-                f"damping and friction of {damped} joints are part of the equations; Pinocchio's recursions have none"
+            joints = "1 joint" if damped == 1 else f"{damped} joints"
+            self._findings.sum_up(
+                f"damping and friction of {joints} are part of the equations; Pinocchio's recursions have none"
             )
-            self._findings.sum_up(text)
         ours, theirs = (self._order(root, carried, by_name=by_name) for by_name in (False, True))
         if ours != theirs:
             self._findings.sum_up("joints have the order of the file; Pinocchio sorts the joints of a link by name")

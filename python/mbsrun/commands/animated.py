@@ -82,6 +82,12 @@ def read_parameters(path: Path) -> dict[str, float]:
 
 
 def _find_file(path: Path) -> Path:
+    if not path.exists():
+        finding, remedy = (
+            "there is no such file or folder",
+            "give a folder that solve, simulate or track wrote, or a file",
+        )
+        raise InputError([Fault(str(path), 0, "", finding, remedy)])
     if not path.is_dir():
         return path
     found = next((path / name for name in FILES if (path / name).is_file()), None)

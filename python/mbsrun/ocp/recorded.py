@@ -54,7 +54,7 @@ def find_guess(path: Path, problem: Problem, plant: Plant) -> Trajectory:
     if is_solution(path):
         return read_guess(path, plant.manifest)
     if path.suffix.lower() not in READERS:
-        finding = f"found {abbreviate(path.suffix)} at the end of its name"
+        finding = f"found {abbreviate(path.suffix) if path.suffix else 'nothing'} at the end of its name"
         remedy = f"give a solution (.json) or a recording ({', '.join(READERS)})"
         raise InputError([Fault(str(path), 0, "", finding, remedy)])
     return recall(read_recording(path), problem, plant)

@@ -243,10 +243,10 @@ class BoundsSection(Section):
     """Bounds at all times."""
 
     coordinates: dict[str, RangeField] = Field(default={}, examples=[{}])  # others keep the limits of the model
-    velocities: RangesField = Field(default={}, examples=[[None, None]])  # the same, by name or of all
-    inputs: RangesField = Field(default={}, examples=[[None, None]])
-    input_rates: RangesField = Field(default={}, examples=[[None, None]])
-    tau: RangesField = Field(default={}, examples=[[None, None]])  # forces of driven joints
+    velocities: RangesField = Field(default={}, examples=[[-10.0, 10.0]])  # the same, by name or of all
+    inputs: RangesField = Field(default={}, examples=[[-10.0, 10.0]])
+    input_rates: RangesField = Field(default={}, examples=[[-10.0, 10.0]])
+    tau: RangesField = Field(default={}, examples=[[-10.0, 10.0]])  # forces of driven joints
 
 
 class PositionSection(Section):

@@ -27,7 +27,7 @@ def read_recording(path: Path) -> Recording:
     """Read a recording. Raises InputError with every fault of its file."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        finding = f"found {abbreviate(path.suffix)} at the end of its name"
+        finding = f"found {abbreviate(path.suffix) if path.suffix else 'nothing'} at the end of its name"
         raise InputError([Fault(str(path), 0, "", finding, f"give a file that ends in {', '.join(READERS)}")])
     return reader(path)
 

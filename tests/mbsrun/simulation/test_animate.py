@@ -253,8 +253,9 @@ def test_motions_of_other_models_are_refused(tmp_path: Path, text: str, finding:
     (tmp_path / "motion.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=finding):
         CliRunner().invoke(animate_command, [str(MODEL), str(tmp_path)], catch_exceptions=False)
-    with pytest.raises(InputError, match="the folder holds no motion"):
-        CliRunner().invoke(animate_command, [str(MODEL), str(ROOT / "docs")], catch_exceptions=False)
+    for other, finding in (("docs", "the folder holds no motion"), ("nowhere", "there is no such file or folder")):
+        with pytest.raises(InputError, match=finding):
+            CliRunner().invoke(animate_command, [str(MODEL), str(ROOT / other)], catch_exceptions=False)
 
 
 def test_the_scene_names_shapes_that_the_renderer_knows() -> None:
