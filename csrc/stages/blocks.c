@@ -139,7 +139,8 @@ int mbs_stages_width(int n)
 /* Sums stay in registers: lengths of the inner loops are constants, so that compilers make vectors of them. */
 #define COMBINE(LENGTH)                                                                                               \
     static void combine_##LENGTH(int count, const int *restrict index, const real *restrict factor,                   \
-                                 const real *restrict rows, size_t width, real scale, real *restrict out)             \
+                                 size_t stride, const real *restrict rows, size_t width, real scale,                  \
+                                 real *restrict out)                                                                  \
     {                                                                                                                 \
         real sum[LENGTH];                                                                                             \
         int t, c;                                                                                                     \
@@ -147,7 +148,7 @@ int mbs_stages_width(int n)
             sum[c] = out[c];                                                                                          \
         for (t = 0; t < count; ++t) {                                                                                 \
             const real *restrict row = rows + (size_t)index[t] * width;                                               \
-            const real f = factor[t];                                                                                 \
+            const real f = factor[(size_t)t * stride];                                                                \
             for (c = 0; c < LENGTH; ++c)                                                                              \
                 sum[c] += f * row[c];                                                                                 \
         }                                                                                                             \
@@ -158,17 +159,17 @@ COMBINE(16)
 COMBINE(8)
 COMBINE(4)
 
-void mbs_stages_combine(int width, int count, const int *index, const real *factor, const real *rows, real scale,
-                        real *out)
+void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
+                        real scale, real *out)
 {
-    const size_t stride = (size_t)width;
+    const size_t step = (size_t)stride, w = (size_t)width;
     int c = 0;
     for (; c + 16 <= width; c += 16)
-        combine_16(count, index, factor, rows + c, stride, scale, out + c);
+        combine_16(count, index, factor, step, rows + c, w, scale, out + c);
     for (; c + 8 <= width; c += 8)
-        combine_8(count, index, factor, rows + c, stride, scale, out + c);
+        combine_8(count, index, factor, step, rows + c, w, scale, out + c);
     for (; c < width; c += 4)
-        combine_4(count, index, factor, rows + c, stride, scale, out + c);
+        combine_4(count, index, factor, step, rows + c, w, scale, out + c);
 }
 
 /* A tile of M, 4 by LENGTH */

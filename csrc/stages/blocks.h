@@ -40,9 +40,9 @@ void mbs_stages_apply_symmetric(int n, real factor, const real *A, int lda, cons
 #define MBS_STAGES_LANES 4
 int mbs_stages_width(int n);
 
-/* out = scale (out + sum over t of factor[t] times row index[t]) */
-void mbs_stages_combine(int width, int count, const int *index, const real *factor, const real *rows, real scale,
-                        real *out);
+/* out = scale (out + sum over t of factor[t stride] times row index[t]) */
+void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
+                        real scale, real *out);
 
 /* M += ST Z: S and Z have m rows, M has `width` of them. */
 void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M);

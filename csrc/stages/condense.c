@@ -180,6 +180,12 @@ static void write_units(const mbs_stages_stage *s)
         row_of_v(s, s->nx + y->variable[i])[s->n - y->n + i] = 1;
 }
 
+/* Where number t of the stage's lane is. */
+static const real *lane_of(const mbs_stages_inner *y, const real *numbers, int t)
+{
+    return numbers + (size_t)t * MBS_STAGES_TOGETHER + (size_t)y->lane;
+}
+
 /* S by the factors of the stage. */
 static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
@@ -191,39 +197,49 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     int i;
     for (i = 0; i < y->n; ++i)
         mbs_stages_combine(y->width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
-                           f->lower + p->lower[i], B, f->inverse[i], B + (size_t)p->row[i] * width);
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, *lane_of(y, f->inverse, i),
+                           B + (size_t)p->row[i] * width);
     for (i = y->n - 1; i >= 0; --i) {
         real *to = S + (size_t)p->column[i] * width;
         memcpy(to, B + (size_t)p->row[i] * width, width * sizeof *to);
         mbs_stages_combine(y->width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
-                           f->upper + p->upper[i], S, 1, to);
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, 1, to);
     }
 }
 
-/* Whether the inner equations of a stage have new numbers, and an order. */
-static int can_factorise(const mbs_stages_stage *s)
+int mbs_stages_group(const mbs_stages_recursion *r, int k)
 {
-    return s->inner.n > 0 && s->inner.stale && s->inner.pivots->ready;
+    while (k < r->stages && r->stage[k].inner.lane > 0)
+        ++k;
+    return k;
 }
 
-/* Factorise the inner equations of stages from `k` on that share an order; returns the stage after them. */
-static int factorise_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, int to)
+int mbs_stages_after_group(const mbs_stages_recursion *r, int k)
 {
-    const int first = k;
-    mbs_stages_pivots *p = r->stage[k].inner.pivots;
+    return mbs_stages_group(r, k + 1);
+}
+
+/* Factorise the inner equations of the group that begins at stage k, if any of them have new numbers. */
+static void factorise_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k)
+{
+    const int end = mbs_stages_after_group(r, k);
+    mbs_stages_inner *first = &r->stage[k].inner;
+    mbs_stages_pivots *p = first->pivots;
     mbs_stages_together several;
-    for (several.count = 0; k < to && several.count < MBS_STAGES_TOGETHER; ++k, ++several.count) {
-        mbs_stages_inner *y = &r->stage[k].inner;
-        if (!can_factorise(&r->stage[k]) || y->pivots != p)
-            break;
-        y->factors.upper = y->factors.lower + p->lower[p->n];
-        several.value[several.count] = r->stage[k].E.value;
-        several.factors[several.count] = &y->factors;
+    int l, stale = 0;
+    for (l = k; l < end; ++l) {
+        stale |= r->stage[l].inner.stale;
+        several.value[l - k] = r->stage[l].E.value;
     }
-    mbs_stages_factorise_together(p, &several, m->together, r->zero_pivot);
-    for (k = 0; k < several.count; ++k)
-        r->stage[first + k].inner.own = several.failed[k] >= 0;
-    return first + several.count;
+    if (!stale)
+        return;
+    several.count = end - k;
+    first->factors.upper = first->factors.lower + (size_t)p->lower[p->n] * MBS_STAGES_TOGETHER;
+    mbs_stages_factorise_together(p, &several, &first->factors, m->together[0], r->zero_pivot);
+    for (l = k; l < end; ++l) {
+        r->stage[l].inner.factors = first->factors;
+        r->stage[l].inner.own = several.failed[l - k] >= 0;
+    }
 }
 
 /* S by the factors that are there, or by complete pivoting. */
@@ -323,7 +339,8 @@ static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, 
     for (i = 0; i < s->inner.width; ++i)
         half[i] = diagonal / 2 * v[i];
     if (!r->plain && l < H->end[j])
-        mbs_stages_combine(s->inner.width, H->end[j] - l, H->row + l, H->value + l, s->inner.V, 1, half);
+        mbs_stages_combine(s->inner.width, H->end[j] - l, H->row + l, H->value + l, 1, s->inner.V, 1,
+                           half);
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */
@@ -373,52 +390,68 @@ static void condense_stage(const mbs_stages_recursion *r, const mbs_stages_scrat
     reduce_cost(r, m, s);
 }
 
+/* Condense the group that begins at stage k. */
+static void condense_group(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k)
+{
+    const int end = mbs_stages_after_group(r, k), inner = r->stage[k].inner.n > 0;
+    int l;
+    for (l = k; inner && l < end; ++l)
+        if (r->stage[l].inner.stale && !r->stage[l].inner.pivots->ready)
+            r->stage[l].inner.own = 1;
+    if (inner && r->stage[k].inner.pivots->ready)
+        factorise_inner(r, m, k);
+    for (l = k; l < end; ++l)
+        condense_stage(r, m, &r->stage[l]);
+}
+
 void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int from, int to)
 {
     int k;
-    for (k = from; k < to; ++k)
-        if (r->stage[k].inner.n > 0 && r->stage[k].inner.stale && !r->stage[k].inner.pivots->ready)
-            r->stage[k].inner.own = 1;
-    for (k = from; k < to;)
-        k = can_factorise(&r->stage[k]) ? factorise_inner(r, m, k, to) : k + 1;
-    for (k = from; k < to; ++k)
-        condense_stage(r, m, &r->stage[k]);
+    for (k = mbs_stages_group(r, from); k < to; k = mbs_stages_after_group(r, k))
+        condense_group(r, m, k);
+}
+
+/* The same for one stage, by complete pivoting. */
+static void solve_inner_completely(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s,
+                                   const real *rc)
+{
+    mbs_stages_inner *y = &s->inner;
+    const mbs_stages_complete c = factorise_completely(r, m, s);
+    const real left = mbs_stages_solve_completely(&c, rc + s->e, y->constant);
+    if (y->missing > y->deferred)
+        y->left = left;
 }
 
 /* s = -r_y^-1 r; deferred variables are 0. */
-static void solve_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s,
-                        const real *rc)
+void mbs_stages_solve_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc)
 {
-    mbs_stages_inner *y = &s->inner;
-    real *x = y->constant;
-    int i;
-    y->left = 0;
-    if (y->own) {
-        const mbs_stages_complete c = factorise_completely(r, m, s);
-        const real left = mbs_stages_solve_completely(&c, rc + s->e, x);
-        if (y->missing > y->deferred)
-            y->left = left;
-    } else {
-        mbs_stages_solve_block(y->pivots, &y->factors, rc + s->e, x, m->vector[5]);
+    const mbs_stages_inner *first = &r->stage[k].inner;
+    const int count = mbs_stages_after_group(r, k) - k;
+    const real *b[MBS_STAGES_TOGETHER];
+    int c, i;
+    if (first->n == 0)
+        return;
+    for (c = 0; c < count; ++c)
+        b[c] = rc + r->stage[k + c].e;
+    if (first->pivots->ready)
+        mbs_stages_solve_together(first->pivots, &first->factors, b, count, m->together[0], m->together[1]);
+    for (c = 0; c < count; ++c) {
+        mbs_stages_inner *y = &r->stage[k + c].inner;
+        y->left = 0;
+        if (y->own)
+            solve_inner_completely(r, m, &r->stage[k + c], rc);
+        for (i = 0; i < y->n; ++i)
+            y->constant[i] = y->own ? -y->constant[i] : -*lane_of(y, m->together[0], i);
     }
-    for (i = 0; i < y->n; ++i)
-        x[i] = -x[i];
 }
 
-const real *mbs_stages_correct_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc)
+void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, real *gradient,
+                               real *rows)
 {
-    solve_inner(r, m, &r->stage[k], rc);
-    return r->stage[k].inner.constant;
-}
-
-void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc,
-                               real *gradient, real *rows)
-{
-    mbs_stages_stage *s = &r->stage[k];
+    const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
     real *z = m->vector[5];
     int i;
-    solve_inner(r, m, s, rc);
     memset(z, 0, (size_t)s->n * sizeof *z);
     memcpy(z + s->nx, y->constant, (size_t)y->n * sizeof *z);
     if (!r->plain)
@@ -463,12 +496,13 @@ void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
                               : outer[mbs_stages_outer(s, i)];
 }
 
-void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
-                                   const real *z, real *force, real *dy)
+void mbs_stages_expand_gradient(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
+                                const real *z, real *force, const real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
-    real *gradient = force + s->nx, *found = m->vector[0];
+    const real *gradient = force + s->nx;
+    real *to = m->together[0] + y->lane;
     int i;
     for (i = s->nx; i < s->nx + y->n; ++i)
         force[i] += (rw ? rw[s->w + i] : 0) + r->diagonal[s->w + i] * z[i];
@@ -478,14 +512,42 @@ void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stag
         mbs_stages_matrix_apply_transposed(&s->E, dy + s->e, force);
     mbs_stages_matrix_apply_transposed(&s->F, dy + s->d, force);
     mbs_stages_matrix_apply_transposed(&s->G, dy + s->g, force);
-    if (y->own) {
-        const mbs_stages_complete c = factorise_completely(r, m, s);
-        mbs_stages_solve_completely_transposed(&c, gradient, found);
-    } else {
-        mbs_stages_solve_block_transposed(y->pivots, &y->factors, gradient, found, m->vector[5]);
-    }
+    for (i = 0; i < y->n; ++i, to += MBS_STAGES_TOGETHER)
+        *to = gradient[i];
+}
+
+/* The same for one stage, by complete pivoting. Multipliers of deferred rows are there. */
+static void expand_completely(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s,
+                              real *dy)
+{
+    const mbs_stages_inner *y = &s->inner;
+    const mbs_stages_complete c = factorise_completely(r, m, s);
+    real *gradient = m->vector[0], *found = m->vector[1];
+    int i;
+    for (i = 0; i < y->n; ++i)
+        gradient[i] = *lane_of(y, m->together[0], i);
+    mbs_stages_solve_completely_transposed(&c, gradient, found);
     for (i = 0; i < y->deferred; ++i)
         found[y->row[i]] = -dy[s->e + y->row[i]];
     for (i = 0; i < y->n; ++i)
         dy[s->e + i] = -found[i];
+}
+
+void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, real *dy)
+{
+    const mbs_stages_inner *first = &r->stage[k].inner;
+    const int end = mbs_stages_after_group(r, k);
+    int l, i;
+    for (l = k; l < end; ++l)
+        if (r->stage[l].inner.own)
+            expand_completely(r, m, &r->stage[l], dy);
+    if (!first->pivots->ready)
+        return;
+    mbs_stages_solve_together_transposed(first->pivots, &first->factors, m->together[0], m->together[1],
+                                         m->together[2]);
+    for (l = k; l < end; ++l) {
+        const mbs_stages_inner *y = &r->stage[l].inner;
+        for (i = 0; !y->own && i < y->n; ++i)
+            dy[r->stage[l].e + i] = -*lane_of(y, m->together[1], i);
+    }
 }

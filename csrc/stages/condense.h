@@ -20,13 +20,18 @@ int mbs_stages_outer(const mbs_stages_stage *s, int i);
 /* How variable i changes with the recursion's variables, if it is an inner one; NULL: it is one of these. */
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
 
-/* Newton's corrections of the inner variables of stage k for all rows `rc`, by the factors that are there. */
-const real *mbs_stages_correct_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc);
+/* The first group of stages that begins at stage k or later; the stage after the group that begins at stage k. */
+int mbs_stages_group(const mbs_stages_recursion *r, int k);
+int mbs_stages_after_group(const mbs_stages_recursion *r, int k);
 
-/* Right-hand sides of stage k where the inner equations hold with all outer variables 0: gradient += (H + diagonal) z,
- * rows (e, d, g) += J z. */
-void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc,
-                               real *gradient, real *rows);
+/* The inner variables of the group that begins at stage k, for all rows `rc`, by the factors that are there: `constant` of
+ * each stage. They are Newton's corrections of these variables where the others stay. */
+void mbs_stages_solve_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc);
+
+/* Right-hand sides of stage k where the inner equations hold with all outer variables 0, by `constant`:
+ * gradient += (H + diagonal) z, rows (e, d, g) += J z. */
+void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, real *gradient,
+                               real *rows);
 
 /* out = VT gradient; `out` has room for the width. */
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
@@ -34,9 +39,11 @@ void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradien
 /* All variables z from the recursion's, which zeros fill up to the width. */
 void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z);
 
-/* Multipliers of the inner equations, where dy holds all others; `force` takes the part of fixed variables in the gradient
- * (n numbers, overwritten). */
-void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
-                                   const real *z, real *force, real *dy);
+/* Multipliers of the inner equations of a group. First comes the gradient by the inner variables of each stage k of it,
+ * where dy holds all other multipliers; `force` takes the part of fixed variables in it (n numbers, overwritten). Then those
+ * of the group that begins at stage k follow. */
+void mbs_stages_expand_gradient(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rw,
+                                const real *z, real *force, const real *dy);
+void mbs_stages_expand_multipliers(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, real *dy);
 
 #endif

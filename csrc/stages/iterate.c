@@ -91,7 +91,10 @@ static int find_step(mbs_stages *s, mbs_stages_phase *p)
     for (i = 0; i < p->size; ++i)
         if (!(real_abs(p->step.x[i]) <= MBS_STAGES_LARGEST))
             return -1;
-    return contradict(s, p) ? -1 : 0;
+    if (contradict(s, p))
+        return -1;
+    mbs_stages_correct_products(s, p);
+    return 0;
 }
 
 /* No step: restore feasibility, or end. */

@@ -216,15 +216,20 @@ static void lay_shared(arena *a, mbs_stages *s, const mbs_stages_problem *proble
     lay_pivots(a, a->base ? t->inner.pivots : &spare, t->inner.n, t->nx, entries, t->inner.capacity);
 }
 
-static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
+static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     mbs_stages_inner *y = &t->inner;
     if (y->n == 0)
         return;
     lay_shared(a, s, problem, k, t);
     y->spare = smaller(y->n, SPARE);
-    y->factors.lower = numbers(a, y->capacity, 1);
-    y->factors.inverse = numbers(a, y->n, 1);
+    if (lane == 0) {
+        y->factors.lower = numbers(a, y->capacity, MBS_STAGES_TOGETHER);
+        y->factors.inverse = numbers(a, y->n, MBS_STAGES_TOGETHER);
+    } else if (s->recursion.stage) {
+        y->factors = s->recursion.stage[k - 1].inner.factors;
+    }
+    y->lane = lane;
     y->V = numbers(a, t->n, mbs_stages_width(t->n - y->n + y->spare));
     y->constant = numbers(a, y->n, 1);
     y->variable = take(a, (size_t)y->spare, sizeof(int));
@@ -247,7 +252,7 @@ static void lay_dense(arena *a, mbs_stages_stage *t, int patterns)
 }
 
 /* Places of a stage come after the places of earlier stages. */
-static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
+static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     const mbs_stages_size *z = &problem->size[k];
     const mbs_stages_patterns *p = z->patterns;
@@ -271,7 +276,7 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     lay_matrix(a, &t->F, t->next, t->n, p ? &p->dd : NULL);
     lay_matrix(a, &t->G, t->ng, t->n, p ? &p->dg : NULL);
     lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
-    lay_inner(a, s, problem, k, t);
+    lay_inner(a, s, problem, k, lane, t);
     lay_dense(a, t, p != NULL);
 }
 
@@ -291,7 +296,6 @@ typedef struct {
     int variables, rows;                /* of a stage */
     int outer, outer_rows;              /* of the recursion */
     int inner, inner_rows, width;       /* of inner variables, and of right-hand sides for them */
-    int factors;                        /* numbers of one factorisation */
 } extent;
 
 static void extend(extent *e, const mbs_stages_stage *t)
@@ -304,7 +308,6 @@ static void extend(extent *e, const mbs_stages_stage *t)
     if (t->inner.n == 0)
         return;
     e->inner = larger(e->inner, t->inner.n);
-    e->factors = larger(e->factors, 2 * t->inner.n + t->inner.capacity);
     e->inner_rows = larger(e->inner_rows, larger(larger(ne, t->inner.n), larger(t->next, t->ng)));
     e->width = larger(e->width, mbs_stages_width(outer));
 }
@@ -320,7 +323,8 @@ static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
     for (i = 0; i < 8; ++i)
         m->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
     m->block = numbers(a, e->inner, e->inner);
-    m->together = numbers(a, e->factors, MBS_STAGES_TOGETHER);
+    for (i = 0; i < 3; ++i)
+        m->together[i] = numbers(a, e->inner, MBS_STAGES_TOGETHER);
     m->right = numbers(a, e->inner_rows, e->width);
     m->product = numbers(a, e->width, e->width);
     m->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
@@ -341,14 +345,15 @@ static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int wor
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
-    extent most = {1, 1, 1, 1, 0, 0, 0, 0};
-    int k;
+    extent most = {1, 1, 1, 1, 0, 0, 0};
+    int k, lane = 0;
     mbs_stages_stage spare;
     for (k = 0; k < problem->stages; ++k) {
         mbs_stages_stage *t = r->stage ? &r->stage[k] : &spare;
         mbs_stages_step step, *p = r->step ? &r->step[k] : &step;
         mbs_stages_soft soft, *q = r->soft ? &r->soft[k] : &soft;
-        lay_stage(a, s, problem, k, t);
+        lane = k > 0 && are_alike(problem, k, k - 1) ? (lane + 1) % MBS_STAGES_TOGETHER : 0;
+        lay_stage(a, s, problem, k, lane, t);
         t->equal = count_equal(problem, t);
         lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next,
                  t->next);

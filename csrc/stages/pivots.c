@@ -8,7 +8,7 @@
  *
  *     l_ij = a_ij - sum_k l_ik u_kj  for j <= i,      u_ij = (a_ij - sum_k l_ik u_kj) / l_ii  for j > i.
  *
- * Full rows come last. Stages that share an order are factorised several at once. */
+ * Stages that share an order are factorised, and solved for, several at once. */
 #include "pivots.h"
 
 #include <string.h>
@@ -258,11 +258,9 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
         return -1;
     for (i = 0; i < r.n; ++i)
         r.size[i] = largest_in_row(&r, i);
-    p->dense = p->n;
     while (r.done < r.n) {
         if (!full && is_nearly_full(&r)) {
             full = 1;
-            p->dense = r.done;
             fill(&r);
         }
         if (!find_best(&r, full, &at_row, &at_column))
@@ -276,34 +274,13 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
     return 0;
 }
 
-static void add(int n, real factor, const real *restrict a, real *restrict b)
-{
-    int i, c;
-    for (i = 0; i + 4 <= n; i += 4)
-        for (c = 0; c < 4; ++c)
-            b[i + c] += factor * a[i + c];
-    for (; i < n; ++i)
-        b[i] += factor * a[i];
-}
-
-static real dot(int n, const real *restrict a, const real *restrict b)
-{
-    real sum[4] = {0, 0, 0, 0};
-    int i, c;
-    for (i = 0; i + 4 <= n; i += 4)
-        for (c = 0; c < 4; ++c)
-            sum[c] += a[i + c] * b[i + c];
-    for (; i < n; ++i)
-        sum[0] += a[i] * b[i];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
 /* Numbers of several stages: one of each side by side, so that one instruction takes them all. Below, lanes are read
  * from memory, all of them before one is written, for compilers to find this instruction. */
 typedef struct {
     const mbs_stages_pivots *p;
     mbs_stages_together *stages;
-    real *row, *lower, *inverse, *upper;
+    mbs_stages_factors factors;
+    real *row;
     real size[MBS_STAGES_TOGETHER], most[MBS_STAGES_TOGETHER];
 } lanes;
 
@@ -366,19 +343,23 @@ static void spread_row(lanes *a, int i)
     }
 }
 
-/* row += factor * the part of another row right of its pivot */
-static void add_upper(int count, const int *place, const real *factor, const real *upper, real *row)
+/* to += factor * x */
+static void add_product(const real *factor, const real *x, real *to)
+{
+    const real a = to[0] + factor[0] * x[0], b = to[1] + factor[1] * x[1];
+    const real c = to[2] + factor[2] * x[2], d = to[3] + factor[3] * x[3];
+    to[0] = a;
+    to[1] = b;
+    to[2] = c;
+    to[3] = d;
+}
+
+/* Numbers at places += factor * as many others */
+static void add_products(int count, const int *place, const real *factor, const real *x, real *to)
 {
     int t;
-    for (t = 0; t < count; ++t, upper += MBS_STAGES_TOGETHER) {
-        real *to = lane(row, place[t]);
-        const real a = to[0] + factor[0] * upper[0], b = to[1] + factor[1] * upper[1];
-        const real c = to[2] + factor[2] * upper[2], d = to[3] + factor[3] * upper[3];
-        to[0] = a;
-        to[1] = b;
-        to[2] = c;
-        to[3] = d;
-    }
+    for (t = 0; t < count; ++t, x += MBS_STAGES_TOGETHER)
+        add_product(factor, x, lane(to, place[t]));
 }
 
 /* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor. */
@@ -390,8 +371,8 @@ static void eliminate_row(const lanes *a, int i)
     for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {
         const int j = p->lower_place[t], first = p->upper[j];
         const real *factor = lane(a->row, j);
-        add_upper(p->upper[j + 1] - first, p->upper_place + first, factor, lane(a->upper, first), a->row);
-        multiply(minus, factor, lane(a->lower, t));
+        add_products(p->upper[j + 1] - first, p->upper_place + first, factor, lane(a->factors.upper, first), a->row);
+        multiply(minus, factor, lane(a->factors.lower, t));
     }
 }
 
@@ -401,7 +382,7 @@ static void take_pivots(lanes *a, int i, real zero_pivot)
 {
     const mbs_stages_pivots *p = a->p;
     const real *pivot = lane(a->row, i);
-    real *inverse = lane(a->inverse, i), minus[MBS_STAGES_TOGETHER];
+    real *inverse = lane(a->factors.inverse, i), minus[MBS_STAGES_TOGETHER];
     int t, c;
     clear(a->most);
     for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
@@ -414,31 +395,18 @@ static void take_pivots(lanes *a, int i, real zero_pivot)
         minus[c] = -inverse[c];
     }
     for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        multiply(minus, lane(a->row, p->upper_place[t]), lane(a->upper, t));
+        multiply(minus, lane(a->row, p->upper_place[t]), lane(a->factors.upper, t));
 }
 
-/* Sort n lanes into one row a stage. */
-static void copy_lanes(const lanes *a, int n, const real *from, real *const *to)
+void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, const mbs_stages_factors *f,
+                                   real *work, real zero_pivot)
 {
-    int i, c;
-    for (i = 0; i < n; ++i, from += MBS_STAGES_TOGETHER)
-        for (c = 0; c < a->stages->count; ++c)
-            to[c][i] = from[c];
-}
-
-void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, real *work,
-                                   real zero_pivot)
-{
-    const int lower = p->lower[p->n], upper = p->upper[p->n];
-    real *lowers[MBS_STAGES_TOGETHER], *inverses[MBS_STAGES_TOGETHER], *uppers[MBS_STAGES_TOGETHER];
     lanes a;
     int i, c;
     a.p = p;
     a.stages = stages;
+    a.factors = *f;
     a.row = work;
-    a.inverse = a.row + p->n * MBS_STAGES_TOGETHER;
-    a.lower = a.inverse + p->n * MBS_STAGES_TOGETHER;
-    a.upper = a.lower + lower * MBS_STAGES_TOGETHER;
     for (c = stages->count; c < MBS_STAGES_TOGETHER; ++c)
         stages->value[c] = stages->value[0];
     for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
@@ -448,52 +416,60 @@ void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_togeth
         eliminate_row(&a, i);
         take_pivots(&a, i, zero_pivot);
     }
-    for (c = 0; c < stages->count; ++c) {
-        lowers[c] = stages->factors[c]->lower;
-        inverses[c] = stages->factors[c]->inverse;
-        uppers[c] = stages->factors[c]->upper;
-    }
-    copy_lanes(&a, lower, a.lower, lowers);
-    copy_lanes(&a, p->n, a.inverse, inverses);
-    copy_lanes(&a, upper, a.upper, uppers);
 }
 
-void mbs_stages_solve_block(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *b, real *x,
-                            real *work)
+/* sum += factors times numbers at places; the sum stays in registers. */
+static void add_row(int count, const int *restrict place, const real *restrict factor, const real *restrict x,
+                    real *restrict sum)
 {
-    int i, t;
+    real a[MBS_STAGES_TOGETHER];
+    int t, c;
+    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+        a[c] = sum[c];
+    for (t = 0; t < count; ++t, factor += MBS_STAGES_TOGETHER) {
+        const real *restrict y = x + (size_t)place[t] * MBS_STAGES_TOGETHER;
+        for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+            a[c] += factor[c] * y[c];
+    }
+    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+        sum[c] = a[c];
+}
+
+void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *const *b, int count,
+                               real *x, real *work)
+{
+    int i, c;
     for (i = 0; i < p->n; ++i) {
-        const int full = i > p->dense ? i - p->dense : 0, end = p->lower[i + 1] - full;
-        real sum = b[p->row[i]];
-        for (t = p->lower[i]; t < end; ++t)
-            sum += f->lower[t] * work[p->lower_place[t]];
-        work[i] = (full > 0 ? sum + dot(full, f->lower + end, work + p->dense) : sum) * f->inverse[i];
+        const int first = p->lower[i];
+        real *to = lane(work, i);
+        for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+            to[c] = c < count ? b[c][p->row[i]] : 0;
+        add_row(p->lower[i + 1] - first, p->lower_place + first, lane(f->lower, first), work, to);
+        multiply(lane(f->inverse, i), to, to);
     }
     for (i = p->n - 1; i >= 0; --i) {
-        real sum = work[i];
-        for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-            sum += f->upper[t] * x[p->upper_column[t]];
-        x[p->column[i]] = sum;
+        const int first = p->upper[i];
+        real *to = lane(x, p->column[i]);
+        memcpy(to, lane(work, i), MBS_STAGES_TOGETHER * sizeof *to);
+        add_row(p->upper[i + 1] - first, p->upper_column + first, lane(f->upper, first), x, to);
     }
 }
 
-void mbs_stages_solve_block_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
-                                       real *work)
+void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
+                                          real *work)
 {
-    int i, t;
+    int i;
     for (i = 0; i < p->n; ++i) {
-        const real a = b[p->column[i]];
-        for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-            b[p->upper_column[t]] += f->upper[t] * a;
-        work[i] = a;
+        const int first = p->upper[i];
+        const real *a = lane(b, p->column[i]);
+        add_products(p->upper[i + 1] - first, p->upper_column + first, a, lane(f->upper, first), b);
+        memcpy(lane(work, i), a, MBS_STAGES_TOGETHER * sizeof *a);
     }
     for (i = p->n - 1; i >= 0; --i) {
-        const int full = i > p->dense ? i - p->dense : 0, end = p->lower[i + 1] - full;
-        const real a = work[i] * f->inverse[i];
-        for (t = p->lower[i]; t < end; ++t)
-            work[p->lower_place[t]] += f->lower[t] * a;
-        if (full > 0)
-            add(full, a, f->lower + end, work + p->dense);
-        x[p->row[i]] = a;
+        const int first = p->lower[i];
+        real *a = lane(work, i), *to = lane(x, p->row[i]);
+        multiply(lane(f->inverse, i), a, a);
+        add_products(p->lower[i + 1] - first, p->lower_place + first, a, lane(f->lower, first), work);
+        memcpy(to, a, MBS_STAGES_TOGETHER * sizeof *a);
     }
 }

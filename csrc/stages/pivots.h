@@ -20,10 +20,10 @@ typedef struct {
     int *lower, *lower_place, *lower_row; /* nonzeros before the pivot: places of their columns, rows at these */
     int *upper, *upper_place;            /* nonzeros right of it */
     int *upper_column;                   /* the same as columns of the block */
-    int dense;                           /* from this place on the factors are full */
 } mbs_stages_pivots;
 
-/* Factors of a stage: negative lower entries, the inverse of pivots, negative upper entries after the lower ones. */
+/* Factors of several stages with one order, number t of lane c at 4 t + c: negative lower entries, the inverse of pivots,
+ * negative upper entries. */
 typedef struct {
     real *lower, *inverse, *upper;
 } mbs_stages_factors;
@@ -34,24 +34,22 @@ typedef struct {
 int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, real *block, real *sizes, char *marks,
                              int *spots, real zero_pivot);
 
-/* Stages with one order that are factorised at once: the numbers of de, and where factors come to. */
+/* Stages with one order that are factorised at once, a lane each: the numbers of de. */
 typedef struct {
     int count;
     const real *value[MBS_STAGES_TOGETHER];
-    const mbs_stages_factors *factors[MBS_STAGES_TOGETHER];
     int failed[MBS_STAGES_TOGETHER]; /* -1, or the place where the pivot is too small */
 } mbs_stages_together;
 
-/* Factorise, and write `failed`. Works in `work`: 2 n numbers and as many as the factors have, of each stage. No number of
- * a stage depends on the others. */
-void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, real *work,
-                                   real zero_pivot);
+/* Factorise, and write `failed`. Works in `work` (n numbers a lane). No number of a stage depends on the others. */
+void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, const mbs_stages_factors *f,
+                                   real *work, real zero_pivot);
 
-/* x = B^-1 b: b by rows and x by columns of the block; x = B^-T b: b by columns (overwritten), x by rows. Both work in
- * `work` (n). */
-void mbs_stages_solve_block(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *b, real *x,
-                            real *work);
-void mbs_stages_solve_block_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
-                                       real *work);
+/* x = B^-1 b in all lanes: `b` by rows of the block for `count` stages, x by columns, in lanes. Works in `work` (n a lane).
+ * x = B^-T b: b in lanes by columns (overwritten), x by rows, in lanes. */
+void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *const *b, int count,
+                               real *x, real *work);
+void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
+                                          real *work);
 
 #endif

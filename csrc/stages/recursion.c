@@ -163,14 +163,14 @@ static void condense_stages(void *recursion, int from, int to, int worker)
     mbs_stages_condense(r, &r->scratch[worker], from, to);
 }
 
-/* Without a team, stages are condensed while they are in the cache: as many as are factorised at once. */
+/* Without a team, stages are condensed while they are in the cache: a group at once, when the recursion comes to it. */
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     mbs_stages_stage *s = &r->stage[k];
     mbs_stages_step *p = &r->step[k];
     real *Q = r->work[3];
-    if (!r->team && (k + 1 == r->stages || (k + 1) % MBS_STAGES_TOGETHER == 0))
-        condense_stages(r, k - k % MBS_STAGES_TOGETHER, k + 1, 0);
+    if (!r->team && mbs_stages_group(r, k + 1) == k + 1)
+        condense_stages(r, k - s->inner.lane, k + 1, 0);
     s->inner.poor = s->inner.own && s->inner.missing == 0;
     p->n = s->dense.n;
     p->nv = s->dense.nv;
@@ -283,7 +283,7 @@ static void collect_stage(const sweep *t, const mbs_stages_scratch *m, int k)
     memcpy(gradient, t->rw + s->w, (size_t)s->n * sizeof *gradient);
     memcpy(rows, t->rc + s->e, (size_t)(s->ne + s->next + s->ng) * sizeof *rows);
     if (s->inner.n > 0)
-        mbs_stages_condense_right(r, m, k, t->rc, gradient, rows);
+        mbs_stages_condense_right(r, m, k, gradient, rows);
     collect_all_rows(r, m, k, rows, gradient, p->constant);
     memcpy(p->ahead, rows + s->ne, (size_t)s->next * sizeof *rows);
     if (s->inner.n > 0)
@@ -293,9 +293,15 @@ static void collect_stage(const sweep *t, const mbs_stages_scratch *m, int k)
 static void collect_stages(void *data, int from, int to, int worker)
 {
     const sweep *t = data;
-    int k;
-    for (k = from; k < to; ++k)
-        collect_stage(t, &t->r->scratch[worker], k);
+    const mbs_stages_scratch *m = &t->r->scratch[worker];
+    int k, end;
+    for (k = mbs_stages_group(t->r, from); k < to; k = end) {
+        int l;
+        end = mbs_stages_after_group(t->r, k);
+        mbs_stages_solve_inner(t->r, m, k, t->rc);
+        for (l = k; l < end; ++l)
+            collect_stage(t, m, l);
+    }
 }
 
 /* Add what the next state costs, and what it must meet. */
@@ -427,7 +433,7 @@ static void price_next(const mbs_stages_recursion *r, int k, real *dy)
     mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, p->constant + p->own, dy + s->d);
 }
 
-/* All variables and multipliers of stage k, from the recursion's. */
+/* All variables and multipliers of stage k, from the recursion's, but inner multipliers. */
 static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
 {
     const mbs_stages_recursion *r = t->r;
@@ -443,7 +449,7 @@ static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
     if (s->next > 0 && !r->soft_dynamics)
         price_next(r, k, t->dy);
     if (s->inner.n > 0)
-        mbs_stages_expand_multipliers(r, m, k, t->rw, z, force, t->dy);
+        mbs_stages_expand_gradient(r, m, k, t->rw, z, force, t->dy);
     for (i = s->w; i < s->w + s->n; ++i)
         if (i >= t->first && r->fixed[i])
             t->dw[i] = 0;
@@ -452,9 +458,16 @@ static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
 static void expand_stages(void *data, int from, int to, int worker)
 {
     const sweep *t = data;
-    int k;
-    for (k = from; k < to; ++k)
-        expand_stage(t, &t->r->scratch[worker], k);
+    const mbs_stages_scratch *m = &t->r->scratch[worker];
+    int k, end;
+    for (k = mbs_stages_group(t->r, from); k < to; k = end) {
+        int l;
+        end = mbs_stages_after_group(t->r, k);
+        for (l = k; l < end; ++l)
+            expand_stage(t, m, l);
+        if (t->r->stage[k].inner.n > 0)
+            mbs_stages_expand_multipliers(t->r, m, k, t->dy);
+    }
 }
 
 void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy)

@@ -17,7 +17,8 @@ typedef struct {
     int n; /* 0: none */
     int width, capacity; /* capacity: the most nonzeros of both factors */
     mbs_stages_pivots *pivots; /* of all stages of a kind */
-    mbs_stages_factors factors;
+    mbs_stages_factors factors; /* of a group of stages of a kind that follow each other */
+    int lane;                   /* of this stage in them; 0: a group begins */
     real *V;        /* the variation of all variables with the outer ones, `width` numbers a row */
     real *constant; /* of the inner variables, by the last right-hand side */
     int stale;      /* Jacobians are newer than V */
@@ -63,7 +64,7 @@ typedef struct {
 typedef struct {
     real *vector[8];               /* rows and variables of the largest stage */
     real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
-    real *together;                /* factors of several stages */
+    real *together[3];             /* numbers of inner variables of several stages, in lanes */
     int *spots;
 } mbs_stages_scratch;
 

@@ -127,14 +127,15 @@ static void correct_inner(mbs_stages *s, mbs_stages_phase *p)
 {
     const mbs_stages_recursion *r = &s->recursion;
     int k, i;
+    for (k = 0; k < s->problem->stages; k = mbs_stages_after_group(r, k))
+        mbs_stages_solve_inner(r, &r->scratch[0], k, p->trial_c);
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &r->stage[k];
-        const real *correction = t->inner.n > 0 ? mbs_stages_correct_inner(r, &r->scratch[0], k, p->trial_c) : NULL;
         for (i = 0; i < t->inner.n; ++i) {
             const int at = t->w + t->nx + i;
             const real x = p->trial[at];
             if (!s->fixed[at])
-                p->trial[at] = keep_inside(x, x + correction[i], p->lower[at], p->upper[at]);
+                p->trial[at] = keep_inside(x, x + t->inner.constant[i], p->lower[at], p->upper[at]);
         }
     }
 }

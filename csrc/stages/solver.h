@@ -17,7 +17,7 @@
 #define MBS_STAGES_EPSILON DBL_EPSILON
 #define MBS_STAGES_LARGEST DBL_MAX
 #define MBS_STAGES_LOW 1e-6
-#define MBS_STAGES_REFINED 1e-6
+#define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-9
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
@@ -143,6 +143,9 @@ void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, 
 void mbs_stages_spread(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d);
 void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_stages_direction *d);
 void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p);
+
+/* products.c: a longer step, if a bound would stop the one that is there */
+void mbs_stages_correct_products(mbs_stages *s, mbs_stages_phase *p);
 
 /* filter.c */
 void mbs_stages_filter_clear(mbs_stages_filter *f);

@@ -86,6 +86,21 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
         assert close(answer.w, solution["x"], 1e-6)
 
 
+def test_corrected_products_save_iterations(library: Library) -> None:
+    """Narrow bounds stop steps of a convex problem early. Without corrections the iterations are those of IPOPT."""
+    ours = theirs = 0
+    for seed in range(4):
+        problem = random_problem(
+            np.random.default_rng(seed), [(4, 3, 0, 0)] * 30 + [(4, 0, 0, 0)], bounds=0.9, width=0.02
+        )
+        answer = Solver(library, problem).solve()
+        solution, statistics = problem.ipopt()
+        assert answer.status == "solved"
+        assert answer.result.cost == pytest.approx(float(solution["f"][0]), rel=1e-6)
+        ours, theirs = ours + answer.result.iterations, theirs + statistics["iter_count"]
+    assert ours < 0.97 * theirs
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_patterns_give_the_iterates_of_dense_matrices(library: Library, seed: int) -> None:
     """Two thirds of all entries are zero, and each kind of stage has its pattern."""
@@ -204,12 +219,15 @@ def test_a_target_out_of_reach_is_infeasible(library: Library) -> None:
 
 @pytest.mark.parametrize("problem", nonlinear(), ids=lambda p: p.name)
 def test_nonlinear_problems_have_the_optimum_of_ipopt(library: Library, problem: Problem) -> None:
-    """Optimality is measured with CasADi's derivatives."""
+    """Optimality is measured with CasADi's derivatives. Products of distances and multipliers are known to 1e-8, and
+    their sum is what a cost lacks.
+    """
     answer = Solver(library, problem).solve()
     solution, statistics = problem.ipopt()
     assert statistics["success"]
     assert answer.status == "solved"
-    assert abs(answer.result.cost - solution["f"][0]) <= 1e-8 * (1 + abs(solution["f"][0]))
+    bounds = sum(int((np.abs(x) < 1e19).sum()) for x in (problem.lower, problem.upper, problem.least, problem.most))
+    assert abs(answer.result.cost - solution["f"][0]) <= 1e-8 * (1 + abs(solution["f"][0])) + 1e-9 * bounds
     assert max(problem.residuals(*answer.point)) < 1e-7
 
 
