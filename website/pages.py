@@ -30,6 +30,7 @@ STYLE = """\
 .md-typeset table:not([class]) { display: block; overflow-x: auto; }
 .md-typeset :is(code, p, li) { overflow-wrap: anywhere; }
 .md-typeset :is(td, th) { overflow-wrap: break-word; }
+.md-typeset :is(td, th) code { overflow-wrap: normal; word-break: normal; }
 .md-typeset .wrap code { white-space: pre-wrap; }
 .md-typeset .help code { font-size: .6rem; }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
