@@ -152,7 +152,7 @@ class _Split:
         tape, builder = self.tape, Builder()
         inputs = {i.name: builder.input(i.port, i.sparsity) for i in tape.inputs if i.port != self.source}
         vector = builder.vector(target, len(entries))
-        inputs[self.source.name] = [builder.zero] * tape.input(self.source.name).sparsity.nnz
+        inputs |= {i.name: [builder.zero] * i.sparsity.nnz for i in tape.inputs if i.port == self.source}
         values = leaves(tape, builder, inputs)
         known = {x: self._entry(x, entries, vector) for x in self.frontier}
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.problem import Loops, Unknown
-from mbsrun.ocp.solution import Resimulation, Run, Solution
+from mbsrun.ocp.solution import Resimulation, Run, Size, Solution
 
 UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
+NAMES = (  # of lines; an unknown may have the same one
+    *("problem", "status", "time", "horizon", "duration", "program", "nonzeros", "cost", "starts", "violation"),
+    *("loops", "closure", "intervals", "refinement", "complementarity", "slip", "defect"),
+)
 LOOPS: Mapping[Loops, str] = {
     Loops.REDUCED: "reduced: the independent coordinates are states",
     Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
@@ -25,41 +30,67 @@ def describe_run(run: Run) -> str:
 
 def summarise(solution: Solution) -> dict[str, str]:
     """Return the lines of a summary by their names; a solution that was not re-simulated has no line on accuracy."""
+    return number_names(_list_lines(solution))
+
+
+def number_names(lines: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return lines by their names; the second one of a name, as of two equal terms of a cost, has (2) behind it."""
+    found: dict[str, str] = {}
+    count: Counter[str] = Counter()
+    for name, text in lines:
+        count[name] += 1
+        end = name[len(name.rstrip()) :]
+        found[name if count[name] == 1 else f"{name.rstrip()} ({count[name]}){end}"] = text
+    return found
+
+
+def name_unknown(name: str) -> str:
+    """Return the name of an unknown's line, which no other line has."""
+    return f"unknown {name}" if name in NAMES else name
+
+
+def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
+    """List the lines of a summary."""
     run, size, cost, check = solution.run, solution.size, solution.cost, solution.resimulation
     violation = solution.violation
-    rows = {
-        "problem": f"{solution.problem.name}, model {solution.model}",
-        "status": describe_run(run),
-        "time": f"{run.seconds:.2f} s",
-        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
-        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
-        "horizon": f"{solution.trajectory.t[-1]:.10g} s",
-        "program": f"{size.variables} variables, {size.constraints} constraints",
-        "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
-        "cost": f"{cost.total:.10g}",
-        **({} if solution.starts is None else {"starts": describe_starts(solution.starts)}),
-        **{f"  {name} ": f"{value:.10g}" for name, value in cost.terms if value != 0},
-        "violation": f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds"
-        + ("" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"),
-        **_describe_loops(solution),
-        **dict(_list_driving_forces(solution)),
-        **_describe_grid(solution),
-        **{x.name: f"{value:.10g}" for x, value in _list_unknowns(solution) if not x.softens},
-        **dict(_list_slacks(solution)),
-        **{f"d cost / d {name} ": f"{value:.8g}" for name, value in solution.sensitivities},
-    }
+    yield "problem", f"{solution.problem.name}, model {solution.model}"
+    yield from list_program(run, size, ("horizon", f"{solution.trajectory.t[-1]:.10g} s"))
+    yield "cost", f"{cost.total:.10g}"
+    if solution.starts is not None:
+        yield "starts", describe_starts(solution.starts)
+    yield from ((f"  {name} ", f"{value:.10g}") for name, value in cost.terms if value != 0)
+    lengths = "" if violation.lengths is None else f", {violation.lengths:.1e} of quaternions' lengths"
+    yield "violation", f"{violation.constraints:.1e} of constraints, {violation.bounds:.1e} of bounds{lengths}"
+    yield from _describe_loops(solution).items()
+    yield from _list_driving_forces(solution)
+    yield from _describe_grid(solution).items()
+    yield from ((name_unknown(x.name), f"{value:.10g}") for x, value in _list_unknowns(solution) if not x.softens)
+    yield from _list_slacks(solution)
+    yield from ((f"d cost / d {name} ", f"{value:.8g}") for name, value in solution.sensitivities)
     if violation.complementarity is not None:
-        rows["complementarity"] = (
-            f"{violation.complementarity:.1e} at most, of force times distance [N m], and friction off the slip [W]"
-        )
+        most = f"{violation.complementarity:.1e} at most"
+        yield "complementarity ", f"{most}, of force times distance [N m], and friction off the slip [W]"
     if check is not None and check.slip is not None:
         along = _number(check.slip_along, check)
-        rows["slip"] = f"{check.slip:.1e} m of a contact at all points; {along} along the re-simulated motion"
+        yield "slip", f"{check.slip:.1e} m of a contact at all points; {along} along the re-simulated motion"
     if check is not None:
         accuracy = solution.problem.asked_accuracy
-        rows["defect"] = f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
-        rows["open loop"] = f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
-    return rows
+        yield "defect", f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
+        yield "open loop", f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
+
+
+def list_program(run: Run, size: Size, duration: tuple[str, str]) -> Iterator[tuple[str, str]]:
+    """List the lines on a solve and on its program."""
+    yield "status", describe_run(run)
+    yield "time", f"{run.seconds:.2f} s"
+    parts = f"{run.cpu_seconds_evaluating:.2f} s for functions and derivatives"
+    yield (
+        "  processor",
+        f"{run.cpu_seconds:.2f} s: {parts}, {run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
+    )
+    yield duration
+    yield "program", f"{size.variables} variables, {size.constraints} constraints"
+    yield "nonzeros", f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle"
 
 
 def list_shortcomings(solution: Solution) -> list[str]:

@@ -76,3 +76,12 @@ def test_a_parameter_used_as_it_is_is_handed_through():
     b.output("y", Sparsity.dense(1), [p[0] * x])
     setup, (tape,) = hoist([b.build("f")], ports.PARAMETERS, ports.SETUP)
     assert evaluate(tape, {"x": [3.0], "h": evaluate(setup, {"p": [5.0]})["h"]}) == {"y": [15.0]}
+
+
+def test_a_tape_that_reads_no_parameter_keeps_its_results():
+    b = Builder()
+    (x,) = b.vector("x", 1)
+    b.output("y", Sparsity.dense(1), [x + x])
+    setup, (tape, _) = hoist([b.build("f"), parametric("a")], ports.PARAMETERS, ports.SETUP)
+    h = evaluate(setup, {"p": [2.0, 7.0]})["h"]
+    assert evaluate(tape, {"x": [5.0], "h": h}) == {"y": [10.0]}

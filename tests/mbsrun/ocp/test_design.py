@@ -216,3 +216,33 @@ def test_without_differentiated_parameters_there_are_no_sensitivities(folder: Pa
     problem, plant = read(folder, SWING.replace("{k: {", "{m: {guess: 2}, k: {").replace(", m: 2", ""))
     solution = solved(problem, plant)
     assert find_sensitivities(solution, plant) is solution
+
+
+SLIDE = """
+name: slide
+gravity: [0, 0, 0]
+parameters: {m: {value: 1, kind: differentiated}}
+bodies: [{name: slide, joint: {name: x, type: prismatic, axis: x}, mass: m}]
+"""
+PUSH = """
+model: slide.yaml
+horizon: 1
+intervals: 6
+scheme: radau
+degree: 3
+inputs: linear
+start: {pose: {}}
+end: {pose: {x: 1}, velocity: zero}
+unknowns: {m: {guess: 1, range: [0.1, 10]}}
+cost: {inputs: 1, terminal: [{expression: 1/m, weight: 192}]}
+"""
+
+
+def test_the_mass_of_a_slide_where_kernels_of_places_read_no_parameter(tmp_path: Path) -> None:
+    """From rest to rest in unit time and way, a force costs at least 12 m^2; 12 m^2 + 192 / m is least at m = 2."""
+    (tmp_path / "slide.yaml").write_text(SLIDE)
+    (tmp_path / "push.ocp.yaml").write_text(PUSH)
+    found = solve(*read_problem(tmp_path / "push.ocp.yaml", load_on_demand))
+    assert isinstance(found, Solution)
+    assert found.trajectory.unknowns == pytest.approx([2.0], abs=1e-6)
+    assert found.cost.total == pytest.approx(144.0)

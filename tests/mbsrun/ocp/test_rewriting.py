@@ -257,6 +257,28 @@ def test_the_least_peak_of_an_input(read: Callable[[str], Problem], expression: 
     assert float(summarise(found)["peak"]) == pytest.approx(4.0, abs=1e-6)
 
 
+def test_lines_of_a_summary_keep_their_numbers_whatever_unknowns_and_terms_are_called(
+    read: Callable[[str], Problem],
+) -> None:
+    """Unknowns with the names of lines, and two terms that are equal in words."""
+    text = (
+        "unknowns: {cost: {guess: 1}, horizon: {guess: 2}}\nconstraints: [{expression: u_x - cost, range: [0, null]}]\n"
+    )
+    cost = (
+        "{inputs: 1, running: [{expression: q_x}], terminal: [{expression: q_x}, {expression: cost**2 + horizon**2}]}"
+    )
+    found = find(read(PUSH + text + f"cost: {cost}\n"))
+    lines = summarise(found)
+    assert lines["cost"] == f"{found.cost.total:.10g}"
+    assert lines["horizon"] == f"{found.trajectory.t[-1]:.10g} s"
+    assert float(lines["unknown cost"]) == pytest.approx(found.trajectory.unknowns[0], abs=1e-9)
+    running, terminal = (float(lines[name]) for name in ("  q_x ", "  q_x (2) "))
+    assert terminal == pytest.approx(1.0)
+    assert running < 0.9
+    shown = sum(float(text) for name, text in lines.items() if name.startswith("  ") and "processor" not in name)
+    assert shown == pytest.approx(found.cost.total)
+
+
 def test_one_side_alone_is_the_largest(read: Callable[[str], Problem]) -> None:
     """With constant inputs over 20 intervals, the fastest of them moves at 1/0.95 m/s: it starts and ends at rest."""
     found = find(

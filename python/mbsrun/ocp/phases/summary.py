@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.phases.solution import LinkValues, PhasedSolution
 from mbsrun.ocp.status import SOLVED
-from mbsrun.ocp.summary import describe_run, list_shortcomings, summarise
+from mbsrun.ocp.summary import list_program, list_shortcomings, name_unknown, number_names, summarise
 
 
 def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     """Return the lines of a summary by their names."""
-    run, size = solution.run, solution.size
-    rows = {
-        "problem": f"{solution.name}, {_count(len(solution.phases), 'phase')}",
-        "status": describe_run(run),
-        "time": f"{run.seconds:.2f} s",
-        "  processor": f"{run.cpu_seconds:.2f} s: {run.cpu_seconds_evaluating:.2f} s for functions and derivatives, "
-        f"{run.cpu_seconds_solving:.2f} s for linear algebra and the rest",
-        "duration": f"{sum(solution.durations):.10g} s",
-        "program": f"{size.variables} variables, {size.constraints} constraints",
-        "nonzeros": f"{size.jacobian_nonzeros} in the Jacobian, {size.hessian_nonzeros} in the Hessian's triangle",
-        "cost": f"{solution.cost:.10g}",
-    }
+    return number_names(_list_lines(solution))
+
+
+def _list_lines(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
+    """List the lines of a summary."""
+    yield "problem", f"{solution.name}, {_count(len(solution.phases), 'phase')}"
+    yield from list_program(solution.run, solution.size, ("duration", f"{sum(solution.durations):.10g} s"))
+    yield "cost", f"{solution.cost:.10g}"
     if solution.search is not None:
-        rows["starts"] = describe_starts(solution.search)
+        yield "starts", describe_starts(solution.search)
     for unknown, value in zip(solution.unknowns, solution.unknown_values, strict=True):
-        rows[unknown.name] = f"{value:.10g}"
+        yield name_unknown(unknown.name), f"{value:.10g}"
     for name, phase in zip(solution.names, solution.phases, strict=True):
-        rows[f"phase {name}"] = f"model {phase.model}"
-        own = summarise(phase)
-        rows |= {f"{name}: {key.strip()}": text for key, text in own.items() if _is_kept(key)}
+        yield f"phase {name}", f"model {phase.model}"
+        yield from ((f"{name}: {key.strip()}", text) for key, text in summarise(phase).items() if _is_kept(key))
     for values in solution.values:
-        rows[f"link {values.source} to {values.target}"] = f"violation {values.violation:.1e}"
-        rows |= {f"  {name} ": f"{value:.10g}" for name, value in values.terms if value}
-        rows |= _list_impulses(values)
-    return rows
+        yield f"link {values.source} to {values.target}", f"violation {values.violation:.1e}"
+        yield from ((f"  {name} ", f"{value:.10g}") for name, value in values.terms if value)
+        yield from _list_impulses(values)
 
 
 KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip")
@@ -47,11 +42,9 @@ def _is_kept(key: str) -> bool:
     return key.strip() in (*KEPT, *KEPT_CHECKS) or key.strip().startswith("round ") or key.startswith("slack of ")
 
 
-def _list_impulses(values: LinkValues) -> dict[str, str]:
-    return {
-        f"  impulse of {impulse.sensor}": f"{', '.join(f'{x:.6g}' for x in impulse.components)} N s"
-        for impulse in values.impulses
-    }
+def _list_impulses(values: LinkValues) -> Iterator[tuple[str, str]]:
+    for impulse in values.impulses:
+        yield f"  impulse of {impulse.sensor} ", f"{', '.join(f'{x:.6g}' for x in impulse.components)} N s"
 
 
 def list_phased_shortcomings(solution: PhasedSolution) -> list[str]:
