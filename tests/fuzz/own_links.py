@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.fuzz import own_delays
 from tests.fuzz.formulas import Formula, draw_quantity
 from tests.fuzz.own_mechanism import Known
 from tests.fuzz.own_sections import Demand, Sections
@@ -144,6 +145,7 @@ class Crossing:
         condition = self.link["conditions"][0]["expression"]
         yield Demand("the condition of the link", condition.evaluate(self.known), LIMITS)
         yield Demand("the distance of a state over the link", np.array(list(self._measure_distances())), (0.0, 0.0))
+        yield from own_delays.list_demands(self.before, self.after)
         if "impact" in self.link:
             yield from self._limit_impulses(self.link["impact"]["contacts"][0])
 
@@ -155,8 +157,14 @@ class Crossing:
             rest = formula.evaluate(dict.fromkeys(q, 0.0))
             yield float(after.q[0, i] - formula.evaluate(q))
             yield float(after.qd[0, i] - (formula.evaluate(qd) - rest))
+        apart = [x.state for x in own_delays.list_delayed(self.before, self.after) if x.differs]
         for name, values in after.states.items():
-            if name in before.states and name not in self.link["map"] and not name.startswith("@"):
+            if (
+                name in before.states
+                and name not in apart
+                and name not in self.link["map"]
+                and not name.startswith("@")
+            ):
                 yield float(values[0] - before.states[name][-1])
 
     def _limit_impulses(self, contact: Data) -> Iterator[Demand]:

@@ -22,6 +22,7 @@ Range = tuple[float, float]
 Targets = dict[str, float | None]
 
 NEAR = 1e-9  # a point as near to an interval's end is there
+UNKNOWN = ("free", "link")  # histories that are no numbers
 
 
 @dataclass(frozen=True)
@@ -275,7 +276,7 @@ class Sections:
             state = f"input_{spell(name)}" if name in problem.lifted else None
             delay = problem.inputs.get("delay", {}).get(name)
             history = problem.inputs.get("history", {}).get(name, 0)
-            early = 0.0 if delay is None or history == "free" else delay
+            early = 0.0 if delay is None or history in UNKNOWN else delay
             yield from self.bound_input(f"input {name}", points, state, limits, limited, early)
             if delay is not None:
                 yield from self.delay(f"delay of {name}", points, state, f"rate_u_{spell(name)}", delay, history)
@@ -284,7 +285,7 @@ class Sections:
             limited = self.read(part["rate"].get("range", (None, None))) if "rate" in part else None
             state = name if name in problem.lifted_controls else None
             history = part.get("history", 0)
-            early = part.get("delay", 0.0) if history != "free" else 0.0
+            early = part.get("delay", 0.0) if history not in UNKNOWN else 0.0
             yield from self.bound_input(f"control {name}", self.points[name], state, limits, limited, early)
             if "delay" in part:
                 yield from self.delay(
@@ -317,7 +318,7 @@ class Sections:
         self, title: str, points: Array, state: str | None, rate: str, delay: float, history: Any
     ) -> Iterator[Demand]:
         """Ask a delayed input to be its history at first."""
-        if history == "free":
+        if history in UNKNOWN:
             return
         before = self.problem.number(history)
         early = self.find_early(delay)

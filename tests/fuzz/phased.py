@@ -26,6 +26,7 @@ from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.solve import PhasedSolver
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.plant import Plant
+from tests.fuzz import own_delays
 from tests.fuzz.formulas import write
 from tests.fuzz.mechanisms import Tally
 from tests.fuzz.own_links import HIT, POINT, Crossing, Linking
@@ -39,7 +40,8 @@ from tests.fuzz.problems import SAME, SHARED, compare_numbers, convert, load_mec
 
 Array = NDArray[np.float64]
 
-ATTEMPTS = 20  # problems drawn for a phase
+ATTEMPTS = 40  # problems drawn for a phase
+DELAYED = 0.4  # of problems
 
 
 @dataclass(frozen=True)
@@ -58,13 +60,18 @@ def draw(seed: int) -> Drawn:
     if manifest.configuration or manifest.dependent or manifest.driven:
         raise NoMotionError("links are drawn for trees without quaternions")
     own, pick, hit = Mechanical.of(manifest), random.Random(f"{seed} phases"), load_hit(seed // SHARED)
-    first, second = ({"name": name, **_draw_phase(own, f"{seed} {name}")} for name in "ab")
+    delays = random.Random(f"{seed} delays")
+    is_delayed = delays.random() > 1 - DELAYED
+    first, second = ({"name": name, **_draw_phase(own, f"{seed} {name}", is_delayed=is_delayed)} for name in "ab")
     constants = first.pop("constants")
     second.pop("constants")
     linking = Linking(own, hit, pick)
     pairs = [(first, second), (second, first)][: pick.choice([1, 2])]
+    if is_delayed:
+        own_delays.fit(first, second, own.inputs, delays)
     for _, target in pairs:
         target["start"] = {"pose": {}}
+        own_delays.link(target, delays)
     links = [linking.draw(source, target) for source, target in pairs]
     return Drawn({"model": "model.yaml", "constants": constants, "phases": [first, second], "links": links}, plant, hit)
 
@@ -82,12 +89,13 @@ def load_hit(number: int) -> Plant:
     return load_on_demand(file)
 
 
-def _draw_phase(own: Mechanical, seed: str) -> Data:
+def _draw_phase(own: Mechanical, seed: str, *, is_delayed: bool) -> Data:
     """Draw a problem without numbers of the whole horizon, which phases share."""
     for attempt in range(ATTEMPTS):
         data = Drawing(own, f"{seed} {attempt}").problem()
         is_soft = any("soft" in part for part in data["constraints"])
-        if not ("references" in data or "unknowns" in data or "largest" in data["cost"] or is_soft):
+        has_numbers = "references" in data or "unknowns" in data or "largest" in data["cost"] or is_soft
+        if not has_numbers and (own_delays.can_fit(data) or not is_delayed):
             return {key: value for key, value in data.items() if key not in ("model", "solver")}
     raise NoMotionError("every problem has numbers of the whole horizon")
 
