@@ -25,6 +25,7 @@ from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.problem import Problem, Refinement
 from mbsrun.ocp.solution import Round
 from mbsrun.ocp.solve import Progress
+from mbsrun.ocp.summary import write_line
 
 
 def solve_file(
@@ -71,7 +72,7 @@ def solve_file(
         status.update("drawing")
         written = write_files(outcome, plants, out)
     for name, value in summarise_phases(outcome).items():
-        click.echo(f"{name:<24}{value}")
+        click.echo(write_line(name, value, 24))
     say(f"wrote {list_written(out, written)}")
     shortcomings = list_phased_shortcomings(outcome)
     for shortcoming in shortcomings:

@@ -42,7 +42,7 @@ from mbsrun.ocp.sensitivity import find_sensitivities
 from mbsrun.ocp.solution import Failure, Round, Solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import list_shortcomings, summarise
+from mbsrun.ocp.summary import list_shortcomings, summarise, write_line
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -225,7 +225,7 @@ def solve_command(
         status.update("drawing")
         written = _write(outcome, plant, out)
     for name, value in summarise(outcome).items():
-        click.echo(f"{name:<14}{value}")
+        click.echo(write_line(name, value, 14))
     say(f"wrote {list_written(out, written)}")
     shortcomings = list_shortcomings(outcome)
     if sensitivities and not outcome.sensitivities:

@@ -44,6 +44,11 @@ def number_names(lines: Iterable[tuple[str, str]]) -> dict[str, str]:
     return found
 
 
+def write_line(name: str, text: str, width: int) -> str:
+    """Return a line of a summary, with a space between a long name and its text."""
+    return f"{name.rstrip():<{width - 1}} {text}"
+
+
 def name_unknown(name: str) -> str:
     """Return the name of an unknown's line, which no other line has."""
     return f"unknown {name}" if name in NAMES else name
@@ -69,7 +74,7 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
     yield from ((f"d cost / d {name} ", f"{value:.8g}") for name, value in solution.sensitivities)
     if violation.complementarity is not None:
         most = f"{violation.complementarity:.1e} at most"
-        yield "complementarity ", f"{most}, of force times distance [N m], and friction off the slip [W]"
+        yield "complementarity", f"{most}, of force times distance [N m], and friction off the slip [W]"
     if check is not None and check.slip is not None:
         along = _number(check.slip_along, check)
         yield "slip", f"{check.slip:.1e} m of a contact at all points; {along} along the re-simulated motion"

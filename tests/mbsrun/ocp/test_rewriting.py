@@ -22,7 +22,7 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import summarise
+from mbsrun.ocp.summary import summarise, write_line
 from mbsrun.optimal.result import Solved
 from tests.mbsrun.ocp.plants import mechanism
 from tests.mbsrun.peer import Peer
@@ -275,6 +275,7 @@ def test_lines_of_a_summary_keep_their_numbers_whatever_unknowns_and_terms_are_c
     running, terminal = (float(lines[name]) for name in ("  q_x ", "  q_x (2) "))
     assert terminal == pytest.approx(1.0)
     assert running < 0.9
+    assert write_line("unknown horizon", lines["unknown horizon"], 14).split()[1] == "horizon"
     shown = sum(float(text) for name, text in lines.items() if name.startswith("  ") and "processor" not in name)
     assert shown == pytest.approx(found.cost.total)
 

@@ -61,7 +61,7 @@ def test_a_pushed_block_takes_the_least_time() -> None:
     assert solution.cost.total == pytest.approx(np.sqrt(2 * (1 / 6 + 1 / 4)), abs=1e-6)
     assert solution.violation.complementarity is not None
     assert solution.violation.complementarity <= 1.1e-6
-    assert "of force times distance" in summarise(solution)["complementarity "]
+    assert "of force times distance" in summarise(solution)["complementarity"]
 
 
 def test_a_block_falls_slides_and_stops(tmp_path: Path) -> None:
