@@ -2,10 +2,10 @@
  * method, 1992; Gondzio: Multiple centrality corrections in a primal-dual method for linear programming, 1996).
  *
  * A whole step makes the products of distances and multipliers mu + dx dz, not mu: its equations leave dx dz out. Where
- * that is far from mu, the same factors give a correction for what is missing. This happens after the barrier parameter
+ * a product is far from mu, the same factors give a correction for the rest. This happens after the barrier parameter
  * was lowered.
  *
- * Early steps, and those with added curvature, are left alone: their lengths choose among the minima of a problem that
+ * Early steps, and steps with added curvature, are left alone: their lengths choose among the minima of a problem that
  * is not convex, and longer ones gain nothing. */
 #include "solver.h"
 

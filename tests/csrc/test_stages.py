@@ -87,7 +87,7 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
 
 
 def test_corrected_products_save_iterations(library: Library) -> None:
-    """Narrow bounds stop steps of a convex problem early. Without corrections the iterations are those of IPOPT."""
+    """Narrow bounds stop steps of a convex problem early. Without corrections, IPOPT takes as many iterations."""
     ours = theirs = 0
     for seed in range(4):
         problem = random_problem(
