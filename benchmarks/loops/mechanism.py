@@ -14,10 +14,10 @@ from sympy import Expr, Symbol
 from benchmarks.mechanism import write_mechanism
 from mbsgen.model.tree import NO_FORCE, Body, Cut, Loop, LoopFrame, Motion, Tree
 
-Kind = Literal["point", "axis", "frame"]
+Kind = Literal["point", "axis", "frame", "rod"]
 
-KINDS: Mapping[Cut, Kind] = {Cut.BALL: "point", Cut.HINGE: "axis", Cut.SOLID: "frame"}
-EQUATIONS: Mapping[Cut, int] = {Cut.BALL: 3, Cut.HINGE: 5, Cut.SOLID: 6}
+KINDS: Mapping[Cut, Kind] = {Cut.BALL: "point", Cut.HINGE: "axis", Cut.SOLID: "frame", Cut.ROD: "rod"}
+EQUATIONS: Mapping[Cut, int] = {Cut.BALL: 3, Cut.HINGE: 5, Cut.SOLID: 6, Cut.ROD: 1}
 TINY = 1e-12  # kg m2: moments of inertia of thin rods about themselves, which MuJoCo wants to be positive
 
 
@@ -88,7 +88,8 @@ def write_loops(tree: Tree, laws: Iterable[Law] = (), springs: Iterable[Spring] 
 
 
 def _write_loop(loop: Loop, kind: Kind, values: Mapping[Symbol, float]) -> str:
-    return " ".join([kind, *(_write_end(end, values) for end in (loop.first, loop.second))])
+    length = _join(_numbers([loop.value], values)) if kind == "rod" else ""
+    return " ".join([kind, *(_write_end(end, values) for end in (loop.first, loop.second)), length]).rstrip()
 
 
 def _write_end(end: LoopFrame, values: Mapping[Symbol, float]) -> str:
@@ -124,13 +125,16 @@ def write_xml(tree: Tree, springs: Sequence[Spring] = ()) -> str:
     massless = [body.name for body in tree.bodies if body.mass == 0]
     if massless:
         raise ValueError(f"{tree.name}: {', '.join(massless)}: MuJoCo takes no bodies without mass")
+    rods = [loop.name for loop in tree.loops if loop.cut is Cut.ROD]
+    if rods:
+        raise ValueError(f"{tree.name}: {', '.join(rods)}: MuJoCo's loops keep points together, not distances")
     values = _values(tree)
     head = f'<option gravity="{_join(_numbers(tree.gravity, values))}" iterations="100" tolerance="1e-14"/>'
     lines = ['<mujoco><compiler angle="radian" autolimits="false"/>', head, "<worldbody>"]
     lines += [*_write_sites(tree, 0, values, springs), *_write_bodies(tree, 0, values, springs), "</worldbody>"]
     lines.append("<equality>")
     for loop, kind in zip(tree.loops, list_kinds(tree), strict=True):
-        pairs = {"point": ("",), "axis": ("", ".z"), "frame": ("",)}[kind]
+        pairs = ("", ".z") if kind == "axis" else ("",)
         word = "weld" if kind == "frame" else "connect"
         lines += [f'<{word} site1="{loop.name}.1{x}" site2="{loop.name}.2{x}" {SOFT}/>' for x in pairs]
     lines += ["</equality>", "<tendon>"]

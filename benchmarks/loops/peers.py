@@ -3,7 +3,7 @@
 | | what it is | loops |
 |---|---|---|
 | Pinocchio | `constraintDynamics` and its analytic derivatives, in C++ | 3-D and 6-D; proximal if redundant |
-| Simbody | articulated bodies and a rank-revealing solve, in C++ | balls, angles, welds |
+| Simbody | articulated bodies and a rank-revealing solve, in C++ | balls, angles, welds, rods |
 | MuJoCo | `mj_forward`, in C | soft: it computes something else |
 
 Each is left out where its headers are missing: `pip install '.[bench]'`, and Debian's `libsimbody-dev`.
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from benchmarks.compilation import BOOST, FAST, find_cache, find_includes, find_versions, run
 from benchmarks.loops.mechanism import write_loops, write_xml
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Cut, Tree
 from mbsrun.measuring.functions import Face, Function, dense
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def _load_mujoco(library: Path) -> Callable[[Path], None]:
         numbers = [int(text) for text in (folder / "actuated.txt").read_text("utf-8").split()]
         path, joints = folder / "mechanism.xml", (ctypes.c_int * len(numbers))(*numbers)
         if not path.exists():
-            raise ValueError("it takes no bodies without mass")
+            raise ValueError("it takes no bodies without mass, and no rods")
         if ctypes.CDLL(str(library)).mjl_load(os.fsencode(path), joints, len(numbers)):
             raise ValueError(f"it cannot read {path}")
 
@@ -166,7 +166,7 @@ def write_files(tree: Tree, folder: Path) -> None:
     numbers = [str(k) for k, body in enumerate(tree.bodies) if body.joint.actuated]
     (folder / "actuated.txt").write_text(" ".join(numbers), encoding="utf-8")
     (folder / "mechanism.xml").unlink(missing_ok=True)
-    if all(body.mass != 0 for body in tree.bodies):
+    if all(body.mass != 0 for body in tree.bodies) and all(loop.cut is not Cut.ROD for loop in tree.loops):
         (folder / "mechanism.xml").write_text(write_xml(tree), encoding="utf-8")
 
 

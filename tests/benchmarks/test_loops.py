@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from benchmarks.loops.motions import Diagram, Point, Run, Way, measure_problem
 from benchmarks.loops.placement import find_angle, place_bodies
 from benchmarks.loops.problems import make_andrews, measure_error
 from benchmarks.loops.table import Results, make_tables, write_json, write_markdown
+from mbsgen.model.tree import ONE, ZERO, Constraint
 from mbsgen.pipeline import read_tree
 from mbsrun.limits import LimitError
 from mbsrun.measuring.store import Store
@@ -135,10 +137,22 @@ def test_andrews_starts_at_the_published_angles_and_is_written_for_the_peers() -
     np.testing.assert_allclose(turned[2].velocity[:2], [-turned[2].com[1], turned[2].com[0]], atol=1e-15)
 
 
-def test_rods_and_equations_are_refused_for_the_peers() -> None:
+def test_a_rod_has_its_length_in_the_file_and_no_place_in_mujoco() -> None:
     tree = release(read_tree(find_model("pendulum_rod")))
-    assert find_obstacle(tree) == "rod: no peer has them all"
-    with pytest.raises(ValueError, match="pendulum_rod: rod: no peer has them all"):
+    assert (find_obstacle(tree), list_kinds(tree)) == (None, ("rod",))
+    line = next(x for x in write_loops(tree).splitlines() if x.startswith("rod "))
+    values = {x.symbol: x.value for x in tree.parameters}
+    assert float(line.split()[-1]) == float(tree.loops[0].value.subs(values)) > 0
+    assert len(line.split()) == 1 + 2 * 13 + 1
+    heavy = replace(tree, bodies=tuple(replace(body, mass=ONE) for body in tree.bodies))
+    with pytest.raises(ValueError, match="MuJoCo's loops keep points together, not distances"):
+        write_xml(heavy)
+
+
+def test_equations_are_refused_for_the_peers() -> None:
+    tree = replace(make_andrews().tree, constraints=(Constraint("gear", ZERO),))
+    assert find_obstacle(tree) == "equations of coordinates, driven joints: no peer has them all"
+    with pytest.raises(ValueError, match="no peer has them all"):
         write_loops(tree)
 
 

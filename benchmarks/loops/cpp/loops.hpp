@@ -1,7 +1,7 @@
 // The rest of a mechanism's text: what closes loops between its bodies, and forces in its joints.
 //
-// After the bodies of mechanism.hpp: the number of loops; a line for each: its kind (point, axis, frame); twice the body
-// (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9. Then the number of forces; for each
+// After the bodies of mechanism.hpp: the number of loops; a line for each: its kind (point, axis, frame, rod); twice the
+// body (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9; of a rod its length. Then the number of forces; for each
 // the joint, from 0, and six numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
 // r = sqrt(rest + 2 (a cos q + b sin q)). Then the number of springs between points of bodies; for each twice the body
 // and the point, 3; stiffness, damping and length without force.
@@ -24,6 +24,7 @@ struct End {
 struct Loop {
     std::string kind;
     End ends[2];
+    double length; // of a rod
 };
 
 struct Law {
@@ -49,6 +50,8 @@ inline std::vector<Loop> read_loops(std::istream &file)
             for (int k = 0; k < 3; ++k) file >> end.position[k];
             for (int k = 0; k < 9; ++k) file >> end.axes(k / 3, k % 3);
         }
+        loop.length = 0;
+        if (loop.kind == "rod") file >> loop.length;
     }
     return loops;
 }

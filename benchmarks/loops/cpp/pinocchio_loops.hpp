@@ -6,6 +6,7 @@
 #define BENCHMARKS_PINOCCHIO_LOOPS_HPP
 
 #include <fstream>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -36,6 +37,7 @@ struct State {
         std::string line;
         for (int k = 0; k <= bodies; ++k) std::getline(file, line);
         for (const Loop &loop : read_loops(file)) {
+            if (loop.kind == "rod") throw std::runtime_error("Pinocchio has no distances");
             if (loop.kind == "frame") {
                 add(pinocchio::CONTACT_6D, loop, 0);
             } else {

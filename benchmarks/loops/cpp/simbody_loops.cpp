@@ -1,7 +1,7 @@
 // Simbody's dynamics with closed loops, in CasADi's contract, and motions by its own integrators, which project.
 //
 // sbl_load(MECHANISM) comes first. A point that two bodies share is Simbody's ball constraint; an axis a ball and two
-// right angles; a frame a weld. Joints are pins and sliders, coordinates are internal: Simbody's articulated bodies.
+// right angles; a frame a weld; a rod its rod. Joints are pins and sliders, coordinates are internal: Simbody's articulated bodies.
 #include <ctime>
 #include <fstream>
 #include <memory>
@@ -108,6 +108,10 @@ struct State {
         const Vec3 p = vector(a.position), q = vector(b.position);
         if (loop.kind == "frame") {
             SimTK::Constraint::Weld(first, {rotation(a.axes), p}, second, {rotation(b.axes), q});
+            return;
+        }
+        if (loop.kind == "rod") {
+            SimTK::Constraint::Rod(first, p, second, q, loop.length);
             return;
         }
         SimTK::Constraint::Ball(first, p, second, q);
