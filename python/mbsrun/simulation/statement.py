@@ -213,7 +213,8 @@ class _Reading(Reading):
         end = math.inf if self.recording is None else self.recording.drive.end
         if expression is None:
             if math.isinf(end):
-                self.fault(("duration",), "missing", "give how long to simulate, in s")
+                remedy = "give how long to simulate, in s: `--duration 2`, or `duration: 2` in a file of settings"
+                self.fault(("duration",), "missing", remedy)
             return end
         duration = self.number(("duration",), expression, math.ulp(0))
         if duration > end:
