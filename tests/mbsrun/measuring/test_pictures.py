@@ -1,14 +1,18 @@
-"""Labels of charts: each is beside its mark, and covers neither marks nor other labels."""
+"""Charts: each label is beside its mark, and covers neither marks nor other labels; colours stay apart."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
+from PIL import Image
 
-from mbsrun.measuring.pictures import MARK, arrange_labels
+from mbsgen.style import PALETTE
+from mbsrun.measuring.pictures import MARK, arrange_labels, save_picture
 
 NEAREST = 40  # pixels between a mark and its label, at most
 
@@ -52,3 +56,16 @@ def test_a_label_without_a_place_is_left_out() -> None:
     figure, axes = draw(grid, ["q1 locked"])
     arrange_labels(figure)
     assert not axes.texts
+
+
+def test_colours_of_series_stay_apart_in_few_colours(tmp_path: Path) -> None:
+    """A PNG has the colours of all series, to a few steps of 255, however small their marks are."""
+    figure, axes = draw([(float(k % 10), float(k // 10)) for k in range(100)], [f"joint {k} locked" for k in range(40)])
+    for k, color in enumerate(PALETTE):
+        axes.plot(1.5 + k, 5.5, marker="o", markersize=4, color=color)
+    save_picture(figure, tmp_path / "chart.png", dpi=90)
+    with Image.open(tmp_path / "chart.png") as picture:
+        found = np.array([color for _, color in picture.convert("RGB").getcolors(2**20) or []])
+    for color in PALETTE:
+        expected = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+        assert np.abs(found - expected).max(axis=1).min() <= 10
