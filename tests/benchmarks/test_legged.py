@@ -68,7 +68,7 @@ def test_the_walker_steps_as_in_plain_casadi(tmp_path: Path) -> None:
 
 def test_the_walker_starts_its_step_as_others_found_it() -> None:
     """Angles from the vertical and their rates, printed in github.com/Garyandtang/trajectory-optimization-examples for
-    the step of 0.5 m in 0.7 s, from a grid and a method of their own.
+    the step of 0.5 m in 0.7 s, by another method on another grid.
     """
     angles, rates = (0.0848, 0.4941, -0.1262, -0.3469, -0.3587), (-1.4975, -0.6145, 0.0161, -0.5520, -2.0082)
     solution = solve_phases(*read_phased_problem(FOLDER / "walker.ocp.yaml", load_on_demand))
