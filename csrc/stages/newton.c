@@ -21,11 +21,6 @@
 #define ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
 #define NOTHING ((real)1e-2) /* share of the tolerance that no step needs to be refined to */
 
-static int has(real bound)
-{
-    return real_abs(bound) < MBS_STAGES_INFINITE;
-}
-
 static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
@@ -33,9 +28,9 @@ static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
         p->sigma[i] = 0;
         if (s->fixed[i])
             continue;
-        if (has(p->lower[i]))
+        if (mbs_stages_has(p->lower[i]))
             p->sigma[i] += p->zl[i] / (p->x[i] - p->lower[i]);
-        if (has(p->upper[i]))
+        if (mbs_stages_has(p->upper[i]))
             p->sigma[i] += p->zu[i] / (p->upper[i] - p->x[i]);
     }
 }
@@ -293,8 +288,8 @@ void mbs_stages_bound_steps(const mbs_stages *s, const mbs_stages_phase *p, mbs_
     for (i = 0; i < p->size; ++i) {
         const real below = p->x[i] - p->lower[i], above = p->upper[i] - p->x[i];
         const int fixed = s->fixed[i];
-        d->zl[i] = !fixed && has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
-        d->zu[i] = !fixed && has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
+        d->zl[i] = !fixed && mbs_stages_has(p->lower[i]) ? (p->mu - p->zl[i] * d->x[i]) / below - p->zl[i] : 0;
+        d->zu[i] = !fixed && mbs_stages_has(p->upper[i]) ? (p->mu + p->zu[i] * d->x[i]) / above - p->zu[i] : 0;
     }
 }
 

@@ -8,11 +8,6 @@
 
 #define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
 
-static int has(real bound)
-{
-    return real_abs(bound) < MBS_STAGES_INFINITE;
-}
-
 real mbs_stages_sum(int n, const real *c)
 {
     real sum[4] = {0};
@@ -114,7 +109,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
     real logarithms = 0, distances = 0;
     int i;
     for (i = 0; i < p->size; ++i) {
-        const int below = has(p->lower[i]), above = has(p->upper[i]);
+        const int below = mbs_stages_has(p->lower[i]), above = mbs_stages_has(p->upper[i]);
         if (s->fixed[i])
             continue;
         if (below)
@@ -131,7 +126,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
 
 static real barrier_slope(const mbs_stages_phase *p, int i)
 {
-    const int below = has(p->lower[i]), above = has(p->upper[i]);
+    const int below = mbs_stages_has(p->lower[i]), above = mbs_stages_has(p->upper[i]);
     real slope = 0;
     if (below)
         slope -= p->mu / (p->x[i] - p->lower[i]);
@@ -194,9 +189,9 @@ static real complementarity(const mbs_stages *s, const mbs_stages_phase *p, real
         real a = 0, b = 0;
         if (s->fixed[i])
             continue;
-        if (has(p->lower[i]))
+        if (mbs_stages_has(p->lower[i]))
             a = real_abs((p->x[i] - p->lower[i]) * p->zl[i] - mu), ++*count;
-        if (has(p->upper[i]))
+        if (mbs_stages_has(p->upper[i]))
             b = real_abs((p->upper[i] - p->x[i]) * p->zu[i] - mu), ++*count;
         *sum += p->zl[i] + p->zu[i];
         most = a > most ? a : most;
@@ -215,9 +210,9 @@ real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, con
         const real x = p->x[i] + (d ? alpha * d->x[i] : 0);
         if (s->fixed[i])
             continue;
-        if (has(p->lower[i]))
+        if (mbs_stages_has(p->lower[i]))
             sum += (x - p->lower[i]) * (p->zl[i] + (d ? dual * d->zl[i] : 0)), ++count;
-        if (has(p->upper[i]))
+        if (mbs_stages_has(p->upper[i]))
             sum += (p->upper[i] - x) * (p->zu[i] + (d ? dual * d->zu[i] : 0)), ++count;
     }
     return count > 0 ? sum / (real)count : 0;
@@ -265,9 +260,9 @@ real mbs_stages_boundary(const mbs_stages *s, const mbs_stages_phase *p, const r
     for (i = 0; i < p->size; ++i) {
         if (s->fixed[i])
             continue;
-        if (dx[i] < 0 && has(p->lower[i]) && -dx[i] * alpha > tau * (x[i] - p->lower[i]))
+        if (dx[i] < 0 && mbs_stages_has(p->lower[i]) && -dx[i] * alpha > tau * (x[i] - p->lower[i]))
             alpha = tau * (x[i] - p->lower[i]) / -dx[i];
-        if (dx[i] > 0 && has(p->upper[i]) && dx[i] * alpha > tau * (p->upper[i] - x[i]))
+        if (dx[i] > 0 && mbs_stages_has(p->upper[i]) && dx[i] * alpha > tau * (p->upper[i] - x[i]))
             alpha = tau * (p->upper[i] - x[i]) / dx[i];
     }
     return alpha;
@@ -292,7 +287,7 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 void mbs_stages_push_inside(real *x, real lower, real upper, real push)
 {
     real a = push * (real_abs(lower) > 1 ? real_abs(lower) : 1), b = push * (real_abs(upper) > 1 ? real_abs(upper) : 1);
-    const int below = has(lower), above = has(upper);
+    const int below = mbs_stages_has(lower), above = mbs_stages_has(upper);
     if (below && above) {
         const real c = push * (upper - lower);
         a = a < c ? a : c;

@@ -17,11 +17,6 @@
 #define LEAST ((real)0.1)  /* products beside mu that are good enough: from here */
 #define MOST ((real)10)    /* to here; and the most that is corrected */
 
-static int has(real bound)
-{
-    return real_abs(bound) < MBS_STAGES_INFINITE;
-}
-
 /* What a product after the whole step lacks to be good. */
 static real lack(real product, real mu)
 {
@@ -35,12 +30,12 @@ static real lack(real product, real mu)
 
 static real lack_below(const mbs_stages *s, const mbs_stages_phase *p, int i)
 {
-    return s->fixed[i] || !has(p->lower[i]) ? 0 : lack(p->mu + p->step.x[i] * p->step.zl[i], p->mu);
+    return s->fixed[i] || !mbs_stages_has(p->lower[i]) ? 0 : lack(p->mu + p->step.x[i] * p->step.zl[i], p->mu);
 }
 
 static real lack_above(const mbs_stages *s, const mbs_stages_phase *p, int i)
 {
-    return s->fixed[i] || !has(p->upper[i]) ? 0 : lack(p->mu - p->step.x[i] * p->step.zu[i], p->mu);
+    return s->fixed[i] || !mbs_stages_has(p->upper[i]) ? 0 : lack(p->mu - p->step.x[i] * p->step.zu[i], p->mu);
 }
 
 /* Add the step of x, z and y for these products to the one that is there. */
@@ -60,9 +55,9 @@ static void find_corrected(mbs_stages *s, mbs_stages_phase *p, mbs_stages_direct
     mbs_stages_stationarity(s, p, 1, p->slope);
     for (i = 0; i < p->size; ++i) {
         d->zl[i] = d->zu[i] = 0;
-        if (!s->fixed[i] && has(p->lower[i]))
+        if (!s->fixed[i] && mbs_stages_has(p->lower[i]))
             d->zl[i] = (lack_below(s, p, i) - p->zl[i] * d->x[i]) / (p->x[i] - p->lower[i]) + p->step.zl[i];
-        if (!s->fixed[i] && has(p->upper[i]))
+        if (!s->fixed[i] && mbs_stages_has(p->upper[i]))
             d->zu[i] = (lack_above(s, p, i) + p->zu[i] * d->x[i]) / (p->upper[i] - p->x[i]) + p->step.zu[i];
         d->x[i] += p->step.x[i];
     }

@@ -14,11 +14,6 @@
 #define BARRIER ((real)1e-4)
 #define CENTRAL ((real)100) /* most ratio of distance z and mu, either way, that a step begins with */
 
-static int has(real bound)
-{
-    return real_abs(bound) < MBS_STAGES_INFINITE;
-}
-
 static void limit_ratio(real distance, real *z, real mu)
 {
     const real middle = mu / distance;
@@ -47,7 +42,7 @@ static void start_anew(mbs_stages_phase *p, int i, real least)
 /* Bring a variable inside its bounds, and its multipliers near the central path. */
 static void mind_bounds(const mbs_stages *s, mbs_stages_phase *p, int i)
 {
-    const int below = has(p->lower[i]), above = has(p->upper[i]);
+    const int below = mbs_stages_has(p->lower[i]), above = mbs_stages_has(p->upper[i]);
     const real a = below ? least_distance(p, p->lower[i]) : 0, b = above ? least_distance(p, p->upper[i]) : 0;
     if (s->fixed[i])
         return;
@@ -68,8 +63,8 @@ static void load_variables(const mbs_stages *s, mbs_stages_phase *p)
         const int fixed = s->fixed[i];
         const real factor = s->variable_scale[i] * s->cost_scale;
         p->x[i] = fixed && i >= first ? p->lower[i] : s->point.w[i] / s->variable_scale[i];
-        p->zl[i] = fixed || !has(p->lower[i]) ? 0 : s->point.below[i] * factor;
-        p->zu[i] = fixed || !has(p->upper[i]) ? 0 : s->point.above[i] * factor;
+        p->zl[i] = fixed || !mbs_stages_has(p->lower[i]) ? 0 : s->point.below[i] * factor;
+        p->zu[i] = fixed || !mbs_stages_has(p->upper[i]) ? 0 : s->point.above[i] * factor;
     }
 }
 
@@ -80,8 +75,8 @@ static void load_slacks(const mbs_stages *s, mbs_stages_phase *p, const mbs_stag
         const int from = t->s + i, to = s->variables + from;
         const real scale = s->row_scale[t->g + i];
         p->x[to] = s->fixed[to] ? p->lower[to] : s->slack[from] * scale;
-        p->zl[to] = s->fixed[to] || !has(p->lower[to]) ? 0 : s->slack_below[from] * s->cost_scale / scale;
-        p->zu[to] = s->fixed[to] || !has(p->upper[to]) ? 0 : s->slack_above[from] * s->cost_scale / scale;
+        p->zl[to] = s->fixed[to] || !mbs_stages_has(p->lower[to]) ? 0 : s->slack_below[from] * s->cost_scale / scale;
+        p->zu[to] = s->fixed[to] || !mbs_stages_has(p->upper[to]) ? 0 : s->slack_above[from] * s->cost_scale / scale;
     }
 }
 
@@ -229,9 +224,9 @@ static int respond(mbs_stages *s, mbs_stages_phase *p, const real *deviation)
 static real length(const mbs_stages_phase *p, int i)
 {
     const real step = p->step.x[i], below = p->tau * (p->x[i] - p->lower[i]), above = p->tau * (p->upper[i] - p->x[i]);
-    if (has(p->lower[i]) && -step > below)
+    if (mbs_stages_has(p->lower[i]) && -step > below)
         return below / -step;
-    if (has(p->upper[i]) && step > above)
+    if (mbs_stages_has(p->upper[i]) && step > above)
         return above / step;
     return 1;
 }

@@ -28,6 +28,12 @@
 #define MBS_STAGES_RUNNING (-1) /* no status yet */
 #define MBS_STAGES_RESTORED (-2)
 
+/* Whether there is a bound. */
+static inline int mbs_stages_has(real bound)
+{
+    return real_abs(bound) < MBS_STAGES_INFINITE;
+}
+
 /* Pairs (violation, barrier function) that no later iterate may be worse than in both. */
 typedef struct {
     int count;

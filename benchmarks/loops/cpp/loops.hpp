@@ -1,8 +1,8 @@
 // The rest of a mechanism's text: what closes loops between its bodies, and forces in its joints.
 //
 // After the bodies of mechanism.hpp: the number of loops; a line for each: its kind (point, axis, frame, rod); twice the
-// body (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9; of a rod its length. Then the number of forces; for each
-// the joint, from 0, and six numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
+// body (0 is the base), the frame's origin, 3, and its axes as columns, row by row, 9; of a rod its length. Then the
+// number of forces; for each the joint, from 0, and six numbers f, k, slack, a, b, rest: f - k (1 - slack / r) (b cos q - a sin q) with
 // r = sqrt(rest + 2 (a cos q + b sin q)). Then the number of springs between points of bodies; for each twice the body
 // and the point, 3; stiffness, damping and length without force.
 #ifndef BENCHMARKS_LOOPS_HPP

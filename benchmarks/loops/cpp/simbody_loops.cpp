@@ -1,7 +1,8 @@
 // Simbody's dynamics with closed loops, in CasADi's contract, and motions by its own integrators, which project.
 //
 // sbl_load(MECHANISM) comes first. A point that two bodies share is Simbody's ball constraint; an axis a ball and two
-// right angles; a frame a weld; a rod its rod. Joints are pins and sliders, coordinates are internal: Simbody's articulated bodies.
+// right angles; a frame a weld; a rod its rod. Joints are pins and sliders, coordinates are internal: Simbody's
+// articulated bodies.
 #include <ctime>
 #include <fstream>
 #include <memory>
