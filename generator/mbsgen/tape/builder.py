@@ -87,6 +87,8 @@ class Builder:
         self._fold, self._cancel = fold, cancel
         self._number = number
         self._nodes: list[Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
+        self._bases: list[int] = [-1]  # of each node: the node that its literal factor multiplies; of a literal: 0
+        self._one = -1  # the node of the literal 1, if there is one
         self._known: dict[Key, Ref] = {}
         self._literals: dict[mpf, Ref] = {}
         self._numbers: dict[float | mpf, Scalar] = {}
@@ -103,6 +105,7 @@ class Builder:
         first = len(self._nodes)
         self._inputs.append((Input(_make_port(port, Role.ARGUMENT), sparsity), first))
         self._nodes.extend([None] * sparsity.nnz)
+        self._bases.extend(range(first, first + sparsity.nnz))
         return [Scalar(self, first + k) for k in range(sparsity.nnz)]
 
     def vector(self, port: Port | str, size: int) -> list[Scalar]:
@@ -199,6 +202,9 @@ class Builder:
         if ref is None:
             ref = self._literals[magnitude] = len(self._nodes)
             self._nodes.append(magnitude)
+            self._bases.append(0)
+            if magnitude == 1:
+                self._one = ref
         return ref if value > 0 else -ref
 
     def add(self, x: Ref, y: Ref) -> Ref:
@@ -207,10 +213,9 @@ class Builder:
             return x + y
         if x == -y:
             return 0
-        if self._fold:
-            (cx, bx), (cy, by) = self._term(x), self._term(y)
-            if bx == by:
-                return self.mul(self.literal(cx + cy), bx) if bx else self.literal(cx + cy)
+        if self._fold and (base := self._bases[abs(x)]) == self._bases[abs(y)]:
+            factor = self.literal(self._factor(x) + self._factor(y))
+            return self.mul(factor, base) if base else factor
         if self._cancel and (left := self._find_left(x, y) or self._find_left(y, x)):
             return left
         if abs(x) > abs(y):
@@ -233,19 +238,21 @@ class Builder:
         if x == 0 or y == 0:
             return 0
         sign = 1 if (x > 0) == (y > 0) else -1
-        x, y = sorted((abs(x), abs(y)))
+        x, y = abs(x), abs(y)
+        if x > y:
+            x, y = y, x
         if self._fold:
-            a, b = self._value(x), self._value(y)
-            if a is not None and b is not None:
-                return sign * self.literal(a * b)
-            if a == 1 or b == 1:
-                return sign * (y if a == 1 else x)
-            if a is None and b is not None:
-                x, y, a = y, x, b
-            if a is not None:
-                factor, base = self._term(y)
-                if factor is not _ONE:
-                    return sign * self.mul(self.literal(a * factor), base)
+            if self._bases[y] == 0:
+                x, y = y, x  # a literal comes first
+            if self._bases[x] == 0:
+                if x == self._one:
+                    return sign * y
+                if y == self._one:
+                    return sign * x
+                base = self._bases[y]
+                if base != y:
+                    factor = self.literal(self._factor(x) * self._factor(y))
+                    return sign * (self.mul(factor, base) if base else factor)
         return sign * self._node(Op.MUL, x, y)
 
     def div(self, x: Ref, y: Ref) -> Ref:
@@ -289,16 +296,16 @@ class Builder:
         found = self._nodes[node]
         return None if found is None or isinstance(found, tuple) else found
 
-    def _term(self, ref: Ref) -> tuple[mpf, Ref]:
-        """Split into a literal factor and the node that it multiplies; node 0 for a literal."""
-        sign, node = (1, ref) if ref > 0 else (-1, -ref)
+    def _factor(self, ref: Ref) -> mpf:
+        """Return the literal factor of the node in `_bases`; of a literal, the number."""
+        node = abs(ref)
+        base = self._bases[node]
+        if base == node:
+            return _ONE if ref > 0 else -_ONE
         found = self._nodes[node]
-        if isinstance(found, tuple):
-            if found[0] is Op.MUL and (factor := self._value(found[1])) is not None:
-                return sign * factor, found[2]
-        elif found is not None:
-            return sign * found, 0
-        return (_ONE if sign > 0 else -_ONE), node
+        factor = self._value(found[1]) if isinstance(found, tuple) else found
+        assert factor is not None
+        return factor if ref > 0 else -factor
 
     def _node(self, op: Op, a: Ref, b: Ref) -> Ref:
         key = (op, a, b)
@@ -306,6 +313,7 @@ class Builder:
         if ref is None:
             ref = self._known[key] = len(self._nodes)
             self._nodes.append(key)
+            self._bases.append(b if op is Op.MUL and self._bases[a] == 0 else ref)
         return ref
 
     def cost(self, values: Iterable[Scalar], constant: Set[Role] = frozenset()) -> int:
@@ -322,7 +330,8 @@ class Builder:
             key = self._nodes[node]
             if isinstance(key, tuple) and not fixed[node] and node not in seen:
                 seen.add(node)
-                stack.extend(abs(ref) for ref in key[1:] if ref)
+                _, a, b = key
+                stack += (abs(a), abs(b)) if b else (abs(a),)
         return len(seen)
 
     def _mark_fixed(self, constant: Set[Role]) -> bytearray:

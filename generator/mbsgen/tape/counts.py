@@ -7,7 +7,6 @@ each), or a nonzero of a result that is computed where it is stored. The targets
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbsgen.manifest import Flops
@@ -82,10 +81,10 @@ def named_values(tape: Tape) -> frozenset[int]:
     named = {v for v, text in tape.labels.items() if v >= first and labels[text] == 1 and uses[v]}
     going_on, stored = find_sums(tape, uses), {v for o in tape.outputs for v in o.values}
     sizes = [0] * first  # the operations of the expression that stands for a value
-    for value, (op, *operands) in enumerate(tape.operations, first):
-        size = 1 + sum(sizes[x] for x in operands[: op.arity])
-        is_short = size <= INLINED or value in stored or value in going_on
-        if uses[value] > 1 or (uses[value] and (op in _TURNS or not is_short)):
+    for value, (op, a, b) in enumerate(tape.operations, first):
+        size = 1 + sizes[a] + (sizes[b] if op.arity == 2 else 0)
+        used = uses[value]
+        if used > 1 or (used and (op in _TURNS or not (size <= INLINED or value in stored or value in going_on))):
             named.add(value)
         sizes.append(0 if value in named else size)
     return frozenset(named)
@@ -93,7 +92,8 @@ def named_values(tape: Tape) -> frozenset[int]:
 
 def count_uses(tape: Tape) -> Counter[int]:
     """Count how often operations, outputs and guards use each value."""
-    uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
+    uses = Counter([a for _, a, _ in tape.operations])
+    uses.update([b for op, _, b in tape.operations if op.arity == 2])
     uses.update(v for o in tape.outputs for v in o.values)
     uses.update(v for g in tape.guards for v in (g.value, g.scale))
     return uses
@@ -101,13 +101,12 @@ def count_uses(tape: Tape) -> Counter[int]:
 
 def find_sums(tape: Tape, uses: Counter[int]) -> frozenset[int]:
     """Find the sums that another sum continues: its first operand that has no other use."""
-
-    def goes_on(x: int) -> bool:
-        k = x - tape.first_operation
-        return k >= 0 and uses[x] == 1 and tape.operations[k][0] in _SUMS
-
+    first, operations = tape.first_operation, tape.operations
+    continued = {v for v, (op, _, _) in enumerate(operations, first) if op in _SUMS and uses[v] == 1}
     found = set()
-    for op, a, b in tape.operations:
-        candidates: Sequence[int] = (a, b) if op is Op.ADD else (a,) if op is Op.SUB else ()
-        found.update([x for x in candidates if goes_on(x)][:1])
+    for op, a, b in operations:
+        if op in _SUMS and a in continued:
+            found.add(a)
+        elif op is Op.ADD and b in continued:
+            found.add(b)
     return frozenset(found)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -200,12 +201,12 @@ class Tape:
         """Name the kernel."""
         return self.function.name
 
-    @property
+    @cached_property  # it is read for most operations of a tape
     def first_literal(self) -> int:
         """Number the first literal: the count of input nonzeros."""
         return sum(i.sparsity.nnz for i in self.inputs)
 
-    @property
+    @cached_property
     def first_operation(self) -> int:
         """Number the first value that an operation computes."""
         return self.first_literal + len(self.literals)

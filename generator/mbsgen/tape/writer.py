@@ -105,12 +105,16 @@ class Writer:
 
     def _walk(self, uses: dict[int, int], refs: Iterable[Ref]) -> None:
         stack = [abs(ref) for ref in refs if ref]
+        nodes = self._nodes
         while stack:
             node = stack.pop()
-            uses[node] = uses.get(node, 0) + 1
-            key = self._nodes[node]
-            if uses[node] == 1 and isinstance(key, tuple):
-                stack.extend(abs(operand) for operand in key[1:] if operand)
+            if node in uses:
+                uses[node] += 1
+                continue
+            uses[node] = 1
+            key = nodes[node]
+            if isinstance(key, tuple):
+                stack += [abs(operand) for operand in key[1:] if operand]
 
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
