@@ -115,6 +115,7 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
         functions.ways,
         verification,
         evidence,
+        counted=request.count,
         compare=request.compare,
     )
     files = _write_files(unit, sources, described, report, request)

@@ -112,14 +112,15 @@ def make_report(
     verification: Verification,
     evidence: Evidence | None = None,
     *,
+    counted: bool = True,
     compare: bool = False,
 ) -> Report:
-    """Count the generated kernels, and the formulations among them.
+    """Count the generated kernels, and the formulations among them unless they are not to be `counted`.
 
     `written` is the tree of the model; in `parametric`, every number is a run-time parameter. Counting without each
     reduction takes a while, and is done only if requested.
     """
-    made = {kernel.name.upper() for kernel in kernels}
+    made = {kernel.name.upper() for kernel in kernels if counted}
     names = [name for name in list_rows() if name in made]
     parametric = replace(parametric, closure=written.closure)
     formulations, setups, folded = {}, {}, {}

@@ -33,6 +33,7 @@ class Options:
     runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
     zeros: bool = False  # with `runtime`: also numbers that are 0
     targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
+    count: bool = True  # the formulations, for the report; they are written once more for this
     compare: bool = False  # also count the formulations without each reduction
     functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
     optional: tuple[str, ...] = ()  # beside these, the ones of the catalogue that the model has
@@ -62,6 +63,7 @@ class Request:
     targets: tuple[str, ...] = ()  # beside C
     runtime: bool = False  # every number of the model a run-time parameter
     zeros: bool = False  # with `runtime`: numbers that are 0 too
+    count: bool = True  # the formulations, for the report
     compare: bool = False  # also count the formulations without each reduction
     scene: Scene = EVERYTHING  # the part of the model that is kept, and the tolerance
     reductions: Reductions = ALL
@@ -108,6 +110,7 @@ def merge(options: Options, scene: Scene) -> Request:
         targets=options.targets,
         runtime=options.runtime,
         zeros=options.zeros,
+        count=options.count,
         compare=options.compare,
         scene=replace(scene, tolerance=tolerance or None),
         reductions=options.reductions,

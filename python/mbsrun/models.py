@@ -34,6 +34,7 @@ class Extent:
     runtime: bool = False  # every number of the model a run-time parameter, by its path in the file
     optional: tuple[str, ...] = ()  # functions beside the named ones, if the model has them: of loops, of sensors
     values: tuple[str, ...] = ()  # functions among these that are written without derivatives
+    counted: bool = False  # the operations of the formulations in the report, which takes as long as the functions
 
 
 WHOLE = Extent()
@@ -81,6 +82,7 @@ def _make_options(extent: Extent) -> Any:
         values=extent.values,
         derivatives=extent.derivatives,
         targets=extent.targets,
+        count=extent.counted,
     )
     reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
     return replace(options, reductions=reductions, scene=extent.scene or options.scene)

@@ -24,7 +24,7 @@ from mbsrun.closure import has_loops
 from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
 from mbsrun.measuring.sections import Cell, Section, Table
-from mbsrun.models import find_folder, fingerprint_generator
+from mbsrun.models import Extent, find_folder, fingerprint_generator
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Record, Task, open_record
@@ -47,6 +47,7 @@ from studies.docquier.robustness import find_state, report_robust
 from studies.docquier.summary import summarise_run
 from studies.docquier.tables import tabulate, tabulate_claims, tabulate_spreads
 
+COUNTED = Extent(counted=True)  # the report shows the operations of the formulations
 STORE = "study.sqlite"
 QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
 SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs
@@ -87,7 +88,7 @@ def read_subject(file: Path) -> Subject:
     paths: list[tuple[Path, Path]] = []
 
     def load(model: Path) -> Mechanism:
-        paths.append((Path(model), find_folder(Path(model))))
+        paths.append((Path(model), find_folder(Path(model), COUNTED)))
         return Mechanism(paths[-1][1])
 
     problem, plant = read_problem(file, load)

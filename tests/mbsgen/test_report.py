@@ -73,6 +73,14 @@ def test_files_hold_what_is_reported(product: Product) -> None:
     assert product.files["report.md"] == write_markdown(product.report)
 
 
+def test_formulations_that_are_not_counted_leave_the_rest_as_it_is() -> None:
+    """The report of the kernels does not change."""
+    pendulum = ARM.parent / "pendulum.yaml"
+    whole, rest = make(pendulum), make(pendulum, Options(count=False))
+    assert rest.report == replace(whole.report, formulations={}, setups={}, folded={})
+    assert [name for name in whole.files if whole.files[name] != rest.files[name]] == ["report.md", "report.json"]
+
+
 def test_a_kernel_stands_with_its_derivatives(report: Report) -> None:
     groups = sections(report)[-1].groups
     assert [name for group in groups for name in group] == list(report.kernels)
