@@ -1,7 +1,7 @@
 """The user's cache: files that are made once and found again, by names made from their content.
 
     models/<hash>/                  folders that mbsgen generated from model files
-    compiled/<model>/<name>-<hash>  objects and libraries
+    compiled/<model>/<name>-<hash>  objects, libraries and call graphs; in compiled/mbs, objects for every model
     <entry>.sha256                  the hash of an entry's content, checked at each use
     building-*/                     entries in the making, or left by a killed process
 
@@ -97,7 +97,7 @@ def find_or_make(name: PurePath, make: Callable[[Path], Path]) -> Path:
 
 def list_entries(cache: Path) -> tuple[Entry, ...]:
     """List the entries of a cache, by path."""
-    kinds: dict[str, Kind] = {".o": "object", ".so": "library", ".wasm": "library"}
+    kinds: dict[str, Kind] = {".o": "object", ".ci": "object", ".so": "library", ".wasm": "library"}
     compiled = [
         _describe(path, kinds[path.suffix], path.parent.name)
         for path in cache.glob(f"{COMPILED}/*/*")

@@ -17,13 +17,14 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from importlib.util import find_spec
 from pathlib import Path, PurePath
 from typing import TypeVar, TypeVarTuple
 
 from mbsgen.errors import MbsError
 from mbsrun.cache import COMPILED, find_or_make
+from mbsrun.stack import GRAPHS
 
 # ISO C, except contraction to fused multiply-add, which gcc's -std=c99 would turn off. Never fast-math: it drops NaN
 # checks, reassociates, and makes the loading process flush denormals. gcc's vectors in straight-line code, of numbers
@@ -42,6 +43,7 @@ ACCEPTED = re.compile(
     r"|-fstack-protector(-strong|-all)?|-fstack-clash-protection|-fcf-protection(=\w+)?|-fdiagnostics-color(=\w+)?"
     r"|-fno-sanitize=undefined|-W(no-)?[a-z][\w=+-]*|-D_FORTIFY_SOURCE=[0-3]|-U_FORTIFY_SOURCE|-D_GLIBCXX_ASSERTIONS"
 )
+SHARED = "mbs"  # the part of the cache for C that serves every model: the names of its files begin with this
 _FILE = re.compile(r"[A-Za-z0-9_]+\.[ch]", re.ASCII)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]*)"', re.MULTILINE)
 _FAST_MATH = re.compile(r"#define (__FAST_MATH__|__FINITE_MATH_ONLY__) 1\b")
@@ -87,12 +89,10 @@ def compile_library(
     C files and headers that are not in the folder are looked for in the folders `beside` it. `texts` are more C files,
     by their names without the ending. Files among `rows` work on rows of numbers, and are compiled without the flag
     that is good for straight-line code alone. Compiled files are found in the cache; `prefix` is the model's part of
-    it. Raises CompileError with the command and the compiler's message, or for a name that cannot be a generated
-    file's; CacheError.
+    it, and files of SHARED are found for every model. Raises CompileError with the command and the compiler's message,
+    or for a name that cannot be a generated file's; CacheError.
     """
-    if not re.fullmatch(r"\w+", prefix, re.ASCII):
-        raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
-    place, given = PurePath(COMPILED, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
+    place, given = _find_place(folder, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
     wanted = dict.fromkeys((*names, *given))
     vectors = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != SCALAR))
     objects = [
@@ -100,6 +100,18 @@ def compile_library(
         for name in wanted
     ]
     return _link(objects, place / prefix, compiler)
+
+
+def write_graphs(folder: Path, prefix: str, names: Iterable[str], compiler: Compiler) -> list[str]:
+    """Return the call graphs of C files of a folder, as GCC writes them; `stack` reads them.
+
+    Graphs are found in the cache, as `compile_library` finds objects. Raises CompileError, also where the compiler
+    writes no graphs; CacheError.
+    """
+    place, drawing = _find_place(folder, prefix), replace(compiler, flags=(*compiler.flags, GRAPHS))
+    items = [_plan(read_source((folder,), name, {}), place, drawing) for name in dict.fromkeys(names)]
+    with ThreadPoolExecutor(count_cores()) as pool:
+        return [path.read_text("utf-8") for path in pool.map(partial(_compile, suffix=".ci"), items)]
 
 
 def find_compiler(environment: Mapping[str, str]) -> Compiler:
@@ -201,11 +213,20 @@ def _plan(files: Mapping[str, bytes], place: PurePath, compiler: Compiler) -> _O
     command = (*compiler.command, choose_level(files[source]), *compiler.flags)
     told = [word.encode() for word in (*command, compiler.macros)]
     name = _name([*told, *(part for item in files.items() for part in (item[0].encode(), item[1]))])
+    if source.startswith(f"{SHARED}_"):
+        place = place.with_name(SHARED)
     return _Object(place / f"{Path(source).stem}-{name}.o", files, command)
 
 
-def _compile(item: _Object) -> Path:
-    """Compile a source from a copy, so that the hashed text is the compiled one."""
+def _find_place(folder: Path, prefix: str) -> PurePath:
+    """Return the model's part of the cache. Raises CompileError for a prefix that no model has."""
+    if not re.fullmatch(r"\w+", prefix, re.ASCII):
+        raise CompileError(f"{folder}: {prefix!r} cannot be the prefix of generated names")
+    return PurePath(COMPILED, prefix)
+
+
+def _compile(item: _Object, suffix: str = ".o") -> Path:
+    """Compile a source from a copy, so that the hashed text is the compiled one; return a file that this makes."""
     source = next(iter(item.files))
 
     def make(building: Path) -> Path:
@@ -213,9 +234,11 @@ def _compile(item: _Object) -> Path:
             (building / name).write_bytes(text)
         made = building / f"{source}.o"
         run_compiler([*item.command, "-c", str(building / source), "-o", str(made)])
-        return made
+        if not made.with_suffix(suffix).exists():
+            raise CompileError(f"{shlex.join(item.command)} writes no file {suffix}")
+        return made.with_suffix(suffix)
 
-    return find_or_make(item.name, make)
+    return find_or_make(item.name.with_suffix(suffix), make)
 
 
 def _link(objects: Sequence[_Object], stem: PurePath, compiler: Compiler) -> Path:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,20 @@ import pytest
 
 from mbsgen import manifest as manifests
 from mbsgen.errors import InputError
-from mbsrun import load
-from mbsrun.cache import ABANDONED, HASH, cache_folder
-from mbsrun.library import LARGE, CompileError, choose_level, compile_library, find_compiler, find_zig
+from mbsrun import library, load
+from mbsrun.cache import ABANDONED, HASH, cache_folder, list_entries
+from mbsrun.library import (
+    LARGE,
+    CompileError,
+    choose_level,
+    compile_library,
+    find_compiler,
+    find_zig,
+    write_graphs,
+)
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.stages import interface
+from mbsrun.stack import read_graphs
 from tests.sample import write_sample
 
 ROOT = Path(__file__).parents[2]
@@ -84,6 +94,32 @@ def test_a_change_compiles_what_it_concerns(tmp_path: Path, own_cache: Path) -> 
             file.write("/* changed */\n")
         compile_folder(folder)
         assert len(set(own_cache.rglob("*.o")) - before) == made, name
+
+
+HALF = "double mbs_half(double x);\ndouble mbs_half(double x) { return x / 2; }\n"
+
+
+def test_c_that_serves_every_model_is_compiled_once(tmp_path: Path, own_cache: Path) -> None:
+    (tmp_path / "mbs_half.c").write_text(HALF, encoding="utf-8")
+    compiler = find_compiler(os.environ)
+    libraries = {compile_library(tmp_path, prefix, ["mbs_half.c"], compiler) for prefix in ("one", "two")}
+    assert sorted(path.parent.name for path in libraries) == ["one", "two"]
+    assert [path.parent.name for path in own_cache.rglob("*.o")] == ["mbs"]
+
+
+def test_call_graphs_are_written_once(
+    tmp_path: Path, own_cache: Path, requires: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", requires("gcc"))
+    (tmp_path / "mbs_half.c").write_text(HALF, encoding="utf-8")
+    compiler = find_compiler(os.environ)
+    (first,), (second,) = (write_graphs(tmp_path, prefix, ["mbs_half.c"], compiler) for prefix in ("one", "two"))
+    assert first == second
+    assert list(read_graphs([first])) == ["mbs_half"]
+    assert [entry.kind for entry in list_entries(own_cache)] == ["object"]
+    monkeypatch.setattr(library, "GRAPHS", "-O0")
+    with pytest.raises(CompileError, match=r"writes no file \.ci"):
+        write_graphs(tmp_path, "one", ["mbs_half.c"], compiler)
 
 
 def test_other_flags_make_another_library(tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,11 +20,11 @@ import cffi
 from mbsgen.manifest import Manifest
 from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import Emulation
-from mbsrun.library import Compiler, compile_library
+from mbsrun.library import CompileError, Compiler, compile_library, write_graphs
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import FormulaFunction, Kind, Script, StageProgram
-from mbsrun.stack import Rules, StackError, compile_graphs, find_deepest, list_tasks
+from mbsrun.stack import Rules, find_deepest, list_tasks, read_graphs
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,9 @@ def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) 
 def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) -> Mapping[str, int]:
     """Return the bytes of stack below each function of the interface; none where the compiler writes no call graphs."""
     name = manifest.prefix
-    command = [*compiler.command, "-O3", *compiler.flags]
     try:
-        graphs = compile_graphs(command, [place / source for source in manifest.sources], place)
-    except StackError:
+        graphs = read_graphs(write_graphs(place, name, manifest.sources, compiler))
+    except CompileError:
         return {}
     callbacks = (*(f"{name}.c:find_{x}" for x in ("values", "jacobians", "hessian")), f"{name}.c:read_clock")
     pointers = {source: callbacks for source in manifest.sources if source.startswith("mbs_stages_")}
