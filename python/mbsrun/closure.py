@@ -15,8 +15,9 @@ closed poses have quaternions of length 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
+from mbsgen.roles import Role
 from mbsrun.kernel import Kernels
 from mbsrun.ocp.plant import Plant
 from mbsrun.quaternions import list_entries, list_quaternions, normalise
@@ -39,6 +41,7 @@ FARTHEST = 0.5  # how far Newton's method goes along a continuation, relative to
 SHORTEST = 1e-3  # step of a continuation, relative to the whole way
 STRIDE = 1.0  # the longest step of a continuation [rad, m]
 SPREAD = 0.2  # step of continuations side by side [rad, m]
+PARTS = 10  # steps of a continuation over parameters
 RANK = 1e-8  # of singular values, relative to the first: a double root is found to the root of the rounding
 INDEPENDENT = 1e-6  # the least part of a unit vector that other conditions leave undetermined
 REGULAR = 1e-3  # the least singular value of the block of dependent coordinates, relative to the largest of J
@@ -114,6 +117,20 @@ class Closure:
         columns = self.plant("rates", q=np.repeat(q, self.size, axis=0), qd=units)["rate"]
         E = columns.reshape(len(q), self.size, -1).swapaxes(1, 2)
         return np.asarray(J @ np.linalg.pinv(E))
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """The differentiated parameters that h reads, such as lengths; masses and springs are none of them."""
+        if not (self.count and self.manifest.design):
+            return ()
+        kernel = self.plant.describe("jac_loops")
+        theta = kernel.taking(Role.DESIGN)
+        slopes = next((a for a in kernel.outputs if theta is not None and a.by == theta.name), None)
+        if slopes is None:
+            return ()
+        ends = range(0, slopes.nnz + 1, slopes.rows) if slopes.colind is None else slopes.colind
+        is_read = np.diff(ends) > 0
+        return tuple(p.name for p, read in zip(self.manifest.design, is_read, strict=True) if read)
 
     # --- how far loops are open ---
 
@@ -331,6 +348,23 @@ def _choose(rows: Array, groups: Sequence[tuple[list[int], int]]) -> Iterator[li
 def _solve(A: Array, b: Array) -> Array:
     """Return the x of least norm that solves A x = b in the least squares, for a batch of both."""
     return np.asarray((np.linalg.pinv(A, rcond=RANK) @ b[..., None])[..., 0])
+
+
+def carry_pose(plant: Plant, pose: Array, values: Mapping[str, float], held: Sequence[int]) -> Array | None:
+    """Return the closed pose (nq,) that another one becomes as parameters of the plant go to other values.
+
+    They go there step by step; held coordinates stay, and the others follow in the same assembly. Return None where
+    loops open on the way, or coordinates jump.
+    """
+    q, before = pose, {name: plant.parameters[name] for name in values}
+    for part in np.linspace(0, 1, PARTS + 1)[1:].tolist():
+        between = {name: (1 - part) * before[name] + part * value for name, value in values.items()}
+        closure = Closure(plant.with_parameters(**between))
+        found = closure.close(q, held)
+        if not closure.is_closed(found) or np.abs(found - q).max(initial=0.0) > LONGEST:
+            return None
+        q = found
+    return q
 
 
 def find_closure(plant: Plant) -> Closure | None:

@@ -188,9 +188,6 @@ def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Con
         if changeable.get(name) is False:
             finding = f"{name} is a run-time parameter, by which kernels have no derivatives"
             yield Conflict("unknowns", finding, "write kind: differentiated in the model", (name,))
-        if changeable.get(name) and has_loops(manifest):
-            finding = f"{name} is a parameter of a mechanism with closed loops"
-            yield Conflict("unknowns", finding, "give it a value in parameters", (name,))
 
 
 _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)

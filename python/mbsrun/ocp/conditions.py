@@ -100,6 +100,12 @@ def find_divided_attitudes(closure: Closure, q: Array, kept: Sequence[int], surp
     return found
 
 
+def list_lengths(problem: Problem, closure: Closure | None) -> tuple[str, ...]:
+    """List the unknowns of a problem that change the loops."""
+    chosen = {unknown.name for unknown in problem.unknowns}
+    return () if closure is None else tuple(name for name in closure.parameters if name in chosen)
+
+
 def find_strays(completion: Completion, given: Mapping[int, float]) -> Completion:
     """Add the given values that a completion contradicts."""
     if completion.gap is not None:
@@ -114,6 +120,10 @@ def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, 
     free = set(problem.free_start)
     given = [i for i in range(nq) if i not in free]
     speeds = [i for i in range(len(qd)) if nq + i not in free]
+    lengths = ", ".join(list_lengths(problem, closure))
+    for key, is_whole in (("start_q", len(given) == nq), ("start_qd", len(speeds) == len(qd) and qd.any())):
+        if lengths and is_whole:
+            yield key, f"all entries are given, and {lengths} changes the ones that loops give", "free these: free_start"
     if len(given) == nq:
         if not closure.is_closed(q):
             yield "start_q", str(closure.find_gap(q)), "close it: ocp.conditions.complete_pose"

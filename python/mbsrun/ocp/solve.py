@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
+from mbsrun.ocp.assembly import find_other_assembly
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem, find_loop_conflicts
@@ -30,7 +31,18 @@ from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, INFEASIBLE, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import (
+    ACCEPTABLE,
+    BAD_BOUNDS,
+    BAD_GUESS,
+    ELSEWHERE,
+    INFEASIBLE,
+    JUMPED,
+    OPEN,
+    SOLVED,
+    UNREACHABLE,
+    explain,
+)
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.surplus import free_targets, leave_out_surplus
 from mbsrun.ocp.touching import list_steps, set_relaxation
@@ -103,9 +115,10 @@ class Solver:
         if gap > most:
             finding, remedy = explain(OPEN, run.iterations)
             return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
-        if jump := find_jump(solution, self.plant):
-            finding, remedy = explain(JUMPED, run.iterations)
-            return Failure(problem, replace(run, status=JUMPED), f"{finding}; {jump}", remedy)
+        for status, find in ((JUMPED, find_jump), (ELSEWHERE, find_other_assembly)):
+            if cause := find(solution, self.plant):
+                finding, remedy = explain(status, run.iterations)
+                return Failure(problem, replace(run, status=status), f"{finding}; {cause}", remedy)
         return solution
 
     def _describe(self, problem: Problem, run: Run, x: Array, clash: tuple[int, ...]) -> str:
@@ -241,7 +254,7 @@ def make_solution(
             measure_excess(values.g, *transcription.constraint_bounds(problem)),
             measure_excess(values.x, *transcription.variable_bounds(problem)),
             _measure_lengths(trajectory, manifest),
-            *_measure_closure(trajectory, transcription.closure),
+            *_measure_closure(trajectory, transcription.find_loops(trajectory.unknowns)),
             _measure_complementarity(problem, transcription, values.g),
         ),
         trajectory=trajectory,
@@ -305,7 +318,7 @@ def solve(
 
 def find_jump(solution: Solution, plant: Plant) -> str:
     """Describe why the points of a reduced form lie on two branches of the loops; nothing where they do not."""
-    closure = find_closure(plant)
+    closure = _find_closure(solution, plant)
     if closure is None or solution.problem.loops is not Loops.REDUCED or not closure.jumps(solution.trajectory.q):
         return ""
     return _name_independent(closure)
@@ -313,7 +326,7 @@ def find_jump(solution: Solution, plant: Plant) -> str:
 
 def find_singular(solution: Solution, plant: Plant) -> str:
     """Describe why the reduced form does not determine a motion; nothing where it does, or is not taken."""
-    closure = find_closure(plant)
+    closure = _find_closure(solution, plant)
     if closure is None or solution.problem.loops is not Loops.REDUCED:
         return ""
     try:
@@ -321,6 +334,11 @@ def find_singular(solution: Solution, plant: Plant) -> str:
     except ValueError:  # there are no dependent coordinates
         is_regular = False
     return "" if is_regular else _name_independent(closure)
+
+
+def _find_closure(solution: Solution, plant: Plant) -> Closure | None:
+    """Return the loops of the mechanism that a solution has found."""
+    return find_closure(equip(plant, solution.problem, solution.trajectory.unknowns))
 
 
 def _name_independent(closure: Closure) -> str:

@@ -217,6 +217,7 @@ class _Reading(PartReading):
         manifest = plant.manifest
         self.manifest, self.plant = manifest, plant
         self.closure: Closure | None = None
+        self.lengths: list[str] = []  # the unknowns that change the loops
         self.coordinates = _Names("coordinate", list(manifest.positions))
         kind = "velocity" if manifest.configuration else "coordinate"
         self.velocities = _Names(kind, [c.name for c in manifest.coordinates])
@@ -246,6 +247,8 @@ class _Reading(PartReading):
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
         self.closure = find_closure(self.plant)
+        chosen_names = [x.name for x in unknowns]
+        self.lengths = [name for name in self.closure.parameters if name in chosen_names] if self.closure else []
         chosen = section.controls or section.wrenches or section.signals or section.contacts or section.unknowns
         is_timed = bool(section.driven) and isinstance(section.horizon, HorizonSection)
         if not (self.inputs.known or chosen or is_timed or self.is_phase):
@@ -493,7 +496,8 @@ class _Reading(PartReading):
         usual = [i for i in closure.independent if i not in named_qd]
         speeds = complete_velocities(closure, pose.values, _list_given(named_qd), usual)
         self.check_completion(("start", "velocity"), speeds, self.velocities)
-        is_free = None in named_q.values()
+        is_free = None in named_q.values() or bool(self.lengths)
+        self.check_lengths(named_q, pose, named_qd, speeds)
         self.check_free(("start", "pose"), [i for i, value in named_q.items() if value is None])
         free_q = _list_others(pose, is_free=is_free)
         free_qd = _list_others(speeds, is_free=is_free or None in named_qd.values())
@@ -551,10 +555,32 @@ class _Reading(PartReading):
             )
             self.fault(place, finding, "leave it out: the loops give it")
 
+    def check_lengths(
+        self, named_q: dict[int, float | None], pose: Completion, named_qd: dict[int, float | None], speeds: Completion
+    ) -> None:
+        """Report values of the start that follow from others, where unknowns change the loops that give them."""
+        if not self.lengths:
+            return
+        moving = named_qd if speeds.values.any() else {}
+        for key, given, completion, known in (
+            ("pose", named_q, pose, self.coordinates.known),
+            ("velocity", moving, speeds, self.velocities.known),
+        ):
+            for i in [i for i in _list_given(given) if i not in completion.kept]:
+                self.fault(("start", key, known[i]), *self.describe_surplus(known[i], "leave it out"))
+
+    def describe_surplus(self, name: str, remedy: str) -> tuple[str, str]:
+        """Return finding and remedy of a value that follows from others by loops that unknowns change."""
+        return f"{name} follows from the others by the loops, which change with {', '.join(self.lengths)}", remedy
+
     def closed_end(self, closure: Closure, end: End, start_q: Sequence[float]) -> End:
         """Drop coordinates of the end that follow from others; refuse values that contradict the others."""
         given, near = dict(end.coordinates), np.array(start_q)
         surplus = find_surplus_places(closure, near, list(given))
+        for i in surplus if self.lengths else []:
+            remedy = "leave it out, or write it as a constraint at: end"
+            name = self.coordinates.known[i]
+            self.fault(("end", "pose", name), *self.describe_surplus(name, remedy))
         if surplus:
             kept = {i: x for i, x in given.items() if i not in surplus}
             turned = near.copy()

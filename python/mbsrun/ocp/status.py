@@ -13,6 +13,7 @@ BAD_GUESS = "Bad_Guess"
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
+ELSEWHERE = "Loops_Elsewhere"  # the same, but the mechanism may be assembled otherwise than the guess
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
 _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -53,6 +54,10 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
         JUMPED: (
             "the points found lie on two branches of the loops, and no motion leads from one to the other in this form",
             "take loops: multipliers",
+        ),
+        ELSEWHERE: (
+            "with the unknowns found, the mechanism may be assembled otherwise than it is guessed",
+            "guess the unknowns nearer to their best values, or narrow their ranges",
         ),
         "Maximum_CpuTime_Exceeded": (
             "the search was not over in its time",

@@ -276,10 +276,11 @@ class Transcription:
                 for part in (places.q, places.qd, places.qdd)
             )
         mesh_q, mesh_qd = layout.split(mesh)
-        if self.closure is not None and layout.motions.is_reduced:
-            mesh_qd = self._complete(mesh_q, mesh_qd)
-            qd = self._complete(q, qd)
-            qdd = self.closure.complete_accelerations(q, qd, self.closure.independent, qdd)
+        closure = self.find_loops(x[layout.unknowns])
+        if closure is not None and layout.motions.is_reduced:
+            mesh_qd = self._complete(closure, mesh_q, mesh_qd)
+            qd = self._complete(closure, q, qd)
+            qdd = closure.complete_accelerations(q, qd, closure.independent, qdd)
         u, point_u, controls = self._unpack_inputs(x)
         return Trajectory(
             t,
@@ -365,18 +366,27 @@ class Transcription:
         """Read the forces of driven joints, (N, S, d), off all variables."""
         return x[self.layout.driving] if self.layout.driving.size else None
 
+    def find_loops(self, unknowns: Array) -> Closure | None:
+        """Return the loops of the mechanism that given values of the unknowns make."""
+        if self.closure is None or set(self.closure.parameters).isdisjoint(self.structure.added.unknowns):
+            return self.closure
+        return Closure(self._choose(unknowns))
+
+    def _choose(self, unknowns: Array) -> Plant:
+        """Return the kernels with given values of the unknowns."""
+        assert self.plant is not None, "loops and driven joints belong to kernels"
+        chosen = dict(zip(self.structure.added.unknowns, unknowns.tolist(), strict=True))
+        design = {part.name: chosen[part.name] for part in self.plant.manifest.design if part.name in chosen}
+        return self.plant.with_parameters(**design)
+
     def _find_forces(self, trajectory: Trajectory) -> tuple[Array, Array]:
         """Find multipliers (N, d, m) and forces of driven joints (N, d, ...) at the points of a motion."""
-        assert self.plant is not None, "loops and driven joints belong to kernels"
-        chosen = dict(zip(self.structure.added.unknowns, trajectory.unknowns.tolist(), strict=True))
-        design = {part.name: chosen[part.name] for part in self.plant.manifest.design if part.name in chosen}
-        return find_point_forces(self.plant.with_parameters(**design), trajectory)
+        return find_point_forces(self._choose(trajectory.unknowns), trajectory)
 
-    def _complete(self, q: Array, velocities: Array) -> Array:
+    def _complete(self, closure: Closure, q: Array, velocities: Array) -> Array:
         """Return all velocities from the ones that are variables: (..., n) both."""
-        assert self.closure is not None, "without loops all velocities are variables"
         yd = velocities[..., self.layout.motions.moved_velocities]
-        return self.closure.complete_velocities(q, self.closure.independent, yd)
+        return closure.complete_velocities(q, closure.independent, yd)
 
 
 def transcribe(problem: Problem, plant: Plant) -> Transcription:

@@ -58,7 +58,7 @@ from mbsrun.ocp.solve import (
 )
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete, guess_largest
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, ELSEWHERE, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
 from mbsrun.ocp.touching import list_relaxed
 
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
@@ -144,10 +144,11 @@ class PhasedSolver:
                 finding = f"phase {part.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
         for part, plant in zip(solution.phases, self.plants.phases, strict=True):
-            if jump := find_jump(part, plant):
-                finding, remedy = explain(JUMPED, run.iterations)
-                finding = f"phase {part.problem.name}: {finding}; {jump}"
-                return PhasedFailure(problem, replace(run, status=JUMPED), finding, remedy)
+            for status, find in ((JUMPED, find_jump), (ELSEWHERE, find_other_assembly)):
+                if cause := find(part, plant):
+                    finding, remedy = explain(status, run.iterations)
+                    finding = f"phase {part.problem.name}: {finding}; {cause}"
+                    return PhasedFailure(problem, replace(run, status=status), finding, remedy)
         return solution
 
     def _find_singular(self, run: Run, x: Array) -> str:
