@@ -1,8 +1,9 @@
 """Assemblies of a mechanism whose closed loops change with unknowns: lengths, angles and places of joints.
 
-The start gives some coordinates, and the loops give the others: h(q, theta) = 0 has several solutions for one theta, and
-the solver may end at another one than it began with. So theta goes back from the values found to their guesses, step by
-step, with the given coordinates held. Where the motion belongs to the assembly of the guess, this ends at its start.
+The start gives some coordinates, and the loops give the others. h(q, theta) = 0 has several solutions for one theta,
+and the solver may end at another one than it began with. So theta goes back from the values found to their guesses,
+step by step, with the given coordinates held. This ends at the start of the guess, if the motion belongs to its
+assembly.
 """
 
 from __future__ import annotations

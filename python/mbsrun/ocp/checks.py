@@ -335,6 +335,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
             yield (place, f"found {abbreviate(str(values))}", "give finite numbers")
     for place, indices, size in (
         ("free_start", problem.free_start, nq + n),
+        ("following", problem.following, nq + n),
         ("end.coordinates", [i for i, _ in end.coordinates], nq),
         ("end.velocities", [i for i, _ in end.velocities], n),
         ("end.accelerations", [i for i, _ in end.accelerations], n),

@@ -123,7 +123,8 @@ def find_open_states(problem: Problem, closure: Closure) -> Iterator[tuple[str, 
     lengths = ", ".join(list_lengths(problem, closure))
     for key, is_whole in (("start_q", len(given) == nq), ("start_qd", len(speeds) == len(qd) and qd.any())):
         if lengths and is_whole:
-            yield key, f"all entries are given, and {lengths} changes the ones that loops give", "free these: free_start"
+            finding = f"all entries are given, and {lengths} changes the ones that loops give"
+            yield key, finding, "free these: free_start"
     if len(given) == nq:
         if not closure.is_closed(q):
             yield "start_q", str(closure.find_gap(q)), "close it: ocp.conditions.complete_pose"

@@ -334,6 +334,7 @@ class Problem:
     references: tuple[Reference, ...] = ()  # that expressions read
     refine: Refinement | None = None  # None: the grid stays
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
+    following: tuple[int, ...] = ()  # states of the start that loops give, where differentiated parameters change loops
 
     @property
     def asked_accuracy(self) -> float:

@@ -8,6 +8,9 @@ remains of the total derivative (Fiacco, "Introduction to sensitivity and stabil
 
 The parameters are variables of the program, held at their values by bounds; the program is solved again from its
 solution, which gives the multipliers.
+
+Where loops change with a parameter, the coordinates that they give at the start change, too: these are free then, and
+the loops close them.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbsrun.closure import find_closure
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.plant import Plant
@@ -32,18 +36,23 @@ METHOD = "ipopt"
 def find_sensitivities(solution: Solution, plant: Plant) -> Solution:
     """Return the solution with the derivative of its cost by each differentiated parameter that is no unknown.
 
-    It has none where the model has no such parameter, or the second solve does not end in the same optimum.
+    It has none where the model has no such parameter, or the second solve does not end in the same optimum; and none by
+    parameters of loops where nothing shows which coordinates these give at the start.
     """
     problem = solution.problem
     chosen = {unknown.name for unknown in problem.unknowns}
-    names = [p.name for p in plant.manifest.design if p.name not in chosen]
     plant = equip(plant, problem, solution.trajectory.unknowns)
+    closure, free = find_closure(plant), problem.free_start or problem.following
+    left_out = closure.parameters if closure is not None and not free else ()
+    names = [p.name for p in plant.manifest.design if p.name not in chosen and p.name not in left_out]
     if not names:
         return solution
     held = tuple(Unknown(name, (plant.parameters[name],) * 2, plant.parameters[name]) for name in names)
+    is_moved = closure is not None and not set(closure.parameters).isdisjoint(names)
     freed = replace(
         problem.with_solver(METHOD),
         unknowns=(*problem.unknowns, *held),
+        free_start=free if is_moved else problem.free_start,
         parameters=tuple(pair for pair in problem.parameters if pair[0] not in names),
     )
     values = np.concatenate((solution.trajectory.unknowns, [unknown.guess for unknown in held]))

@@ -218,6 +218,7 @@ class _Reading(PartReading):
         self.manifest, self.plant = manifest, plant
         self.closure: Closure | None = None
         self.lengths: list[str] = []  # the unknowns that change the loops
+        self.following: tuple[int, ...] = ()  # states of the start that loops give, where parameters change the loops
         self.coordinates = _Names("coordinate", list(manifest.positions))
         kind = "velocity" if manifest.configuration else "coordinate"
         self.velocities = _Names(kind, [c.name for c in manifest.coordinates])
@@ -320,6 +321,7 @@ class _Reading(PartReading):
             touching=touching,
             relaxation=relaxation if touching else None,
             integrals=self.integrals(section.integrals),
+            following=self.following,
         )
         problem = self.rewriting.apply(problem)
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
@@ -501,6 +503,9 @@ class _Reading(PartReading):
         self.check_free(("start", "pose"), [i for i, value in named_q.items() if value is None])
         free_q = _list_others(pose, is_free=is_free)
         free_qd = _list_others(speeds, is_free=is_free or None in named_qd.values())
+        if closure.parameters:
+            other_q, other_qd = (_list_others(x, is_free=True) for x in (pose, speeds))
+            self.following = (*other_q, *(len(pose.values) + i for i in other_qd))
         for key, known, values, free, limits in (
             ("pose", self.coordinates.known, pose.values, free_q, bounds.q),
             ("velocity", self.velocities.known, speeds.values, free_qd, bounds.qd),

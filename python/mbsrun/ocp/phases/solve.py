@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbsrun.ocp import methods
+from mbsrun.ocp.assembly import find_other_assembly
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
