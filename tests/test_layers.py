@@ -116,6 +116,7 @@ MBSRUN = Package(
         "ocp.restating",
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
         "ocp.solution ocp.starts",
+        "ocp.assembly",
         "ocp.solve ocp.table ocp.recorded ocp.study",
         "ocp.certificate ocp.resimulation ocp.sensitivity",
         "ocp.refinement ocp.attempts",

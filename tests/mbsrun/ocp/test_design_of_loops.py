@@ -269,7 +269,7 @@ def test_no_neighbour_is_better(folder: Path, loops: Loops) -> None:
     ],
 )
 def test_derivatives_are_exact(folder: Path, loops: Loops, representation: Representation) -> None:
-    """What the first and second derivatives leave of a change falls by 4 where the step is halved; backends agree."""
+    """The error of a linear prediction is a quarter where the step is half: of rows, and of gradients."""
     text = TURN.replace("end: {pose: {motor: 150 deg},", "end: {sensors: {tracer: {z: 0.15}},")
     problem, plant = read(folder, text)
     problem = replace(problem, intervals=2, degree=2, loops=loops, representation=representation)
