@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -106,16 +107,29 @@ def test_what_is_right_passes_and_nothing_is_left_out() -> None:
     assert found.states == 2
 
 
-@pytest.mark.parametrize("kernel", ["setup", *(x for x in kernels() if x != "condition")])
-def test_a_single_wrong_number_is_refused(kernel: str) -> None:
-    """The last entry of the last result, doubled: of c, of a derivative, of a hoisted value.
+def find_refusal(tree: Tree, families: tuple[Family, ...]) -> str:
+    """Return the message of a refusal; empty where there is none."""
+    try:
+        verify(tree, families, still=False)
+    except VerificationError as error:
+        return str(error)
+    return ""
 
-    The last result of `condition` is a bound that depends on the plan: nothing else computes it.
+
+def test_a_single_wrong_number_is_refused() -> None:
+    """In each kernel, the last entry of the last result, doubled: of c, of a derivative, of a hoisted value.
+
+    The last result of `condition` is a bound that depends on the plan: nothing else computes it. The kernels are no
+    cases of the test, since every process of a run would write them for its list of tests.
     """
     tree, families = written()
-    with pytest.raises(VerificationError, match=".*" if kernel == "setup" else rf"kite: (lin_)?{kernel}: ") as error:
-        verify(tree, with_fault(families, kernel), still=False)
-    assert "nothing is written" in str(error.value)
+    missed = {}
+    for kernel in ("setup", *(x for x in kernels() if x != "condition")):
+        found = find_refusal(tree, with_fault(families, kernel))
+        place = "" if kernel == "setup" else rf"kite: (lin_)?{kernel}: "
+        if not (re.search(place, found) and "nothing is written" in found):
+            missed[kernel] = found
+    assert missed == {}
 
 
 CLOSED_FORMS = ("impl", "semi_res", "exp1", "exp2", "impl_red", "semi_red", "exp1_red")

@@ -20,7 +20,8 @@ from mbsrun.kernel import ArgumentError
 from mbsrun.models import Extent
 from tests.shipped import FOLDER
 
-EXTENT = Extent(("impl", "semi"), 1, optional=("loops", "loop_jacobian", "sensors"))
+OPTIONAL = ("loops", "loop_jacobian", "sensors")
+EXTENT = Extent(("impl", "semi"), 1, optional=OPTIONAL, values=("semi", *OPTIONAL))  # `impl` alone is differentiated
 SHAPES = {  # model: what it has
     "double_pendulum": "turns",
     "cart_pole": "a slide",
