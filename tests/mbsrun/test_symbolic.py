@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbsgen.equations import EvaluationError
+from mbsgen.equations import EvaluationError, Motion
 from mbsgen.roles import Role
 from mbsrun import Mechanism, load
 from mbsrun.binding import Array
@@ -57,8 +57,8 @@ def _draw(mechanism: Mechanism, name: str, seed: int = 5) -> dict[str, Array]:
     return {a.name: np.array([draw.uniform(-1, 1) * SPEED.get(a.role, 1) for _ in range(a.rows)]) for a in wanted}
 
 
-def _check(mechanism: Mechanism, *, numbers: bool, by: Sequence[str] = ("q", "qd", "qdd", "u")) -> None:
-    """Compare residual, M and c, Jacobians by some inputs, loops and sensors."""
+def _check(mechanism: Mechanism, *, numbers: bool, by: Sequence[str] = ("q", "qd", "qdd", "u")) -> Motion:
+    """Compare residual, M and c, Jacobians by some inputs, loops and sensors; return the equations."""
     equations, given = mechanism.symbolic(numbers=numbers), _draw(mechanism, "impl")
 
     def evaluate(value: sp.Matrix) -> Array:
@@ -84,6 +84,7 @@ def _check(mechanism: Mechanism, *, numbers: bool, by: Sequence[str] = ("q", "qd
     if "sensors" in names:
         position = mechanism.sensors(q=given["q"])["position"]
         np.testing.assert_allclose(evaluate(equations.position), position, **TOLERANCE)
+    return equations
 
 
 @pytest.mark.parametrize("numbers", [False, True], ids=["names", "numbers"])
@@ -110,8 +111,8 @@ def test_contacts_springs_and_parameters_at_run_time(tmp_path: Path, numbers: bo
     file.write_text(CRATE, encoding="utf-8")
     crate = load(file, extent=EXTENT)
     heavier = crate.with_parameters(m=2.5, r=-0.2)
-    _check(heavier, numbers=numbers, by=("qdd",) if numbers else ("qd", "u"))
-    values = {symbol.name: number for symbol, number in heavier.symbolic(numbers=numbers).values.items()}
+    equations = _check(heavier, numbers=numbers, by=("qdd",) if numbers else ("qd", "u"))
+    values = {symbol.name: number for symbol, number in equations.values.items()}
     assert values["m"] == 2.5
     assert values.get("d", -0.6) == pytest.approx(-0.6)
 
@@ -145,5 +146,4 @@ def test_what_has_no_equations_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize("numbers", [False, True], ids=["names", "numbers"])
 def test_long_equations_have_intermediate_values(numbers: bool) -> None:
     mechanism = load(FOLDER / "six_axis.yaml", extent=EXTENT)
-    assert mechanism.symbolic(numbers=numbers).named
-    _check(mechanism, numbers=numbers, by=("q", "qd"))
+    assert _check(mechanism, numbers=numbers, by=("q", "qd")).named
