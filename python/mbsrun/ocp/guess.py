@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.contacts import list_held
@@ -337,6 +336,8 @@ class _Kinematics:
 
     def starts(self) -> Array:
         """Spread poses over the bounds."""
+        from scipy.stats import qmc  # only here, and late: it takes a while to load
+
         lower, upper = self.extent()
         spread = qmc.Halton(len(self.start), scramble=False).random(STARTS)
         return np.asarray(lower + spread * (upper - lower))

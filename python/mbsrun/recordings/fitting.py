@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import qmc
 
 from mbsrun.closure import Closure
 from mbsrun.kernel import Kernels
@@ -135,6 +134,8 @@ class Fitter:
         )
         for x in self.quaternions:
             lower[x.entries], upper[x.entries] = -1.0, 1.0
+        from scipy.stats import qmc  # only here, and late: it takes a while to load
+
         spread = lower + qmc.Halton(pose.size, scramble=False).random(STARTS) * (upper - lower)
         found = []
         for start in (pose, *normalise(spread, self.manifest)):

@@ -20,7 +20,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline, splrep
-from scipy.signal import butter, filtfilt
 
 from mbsgen.errors import MbsError
 
@@ -164,6 +163,8 @@ def _filter(t: Array, y: Array, cutoff: float) -> Array:
     if len(t) < LEAST or corner >= 0.5 / step:
         finding = f"a filter with a cut-off of {cutoff:g} Hz does not suit {len(t)} samples at {1 / step:.4g} Hz"
         raise SplineError(finding, f"give {LEAST} samples at least, and a cut-off below {0.5 * PASSES / step:.4g} Hz")
+    from scipy.signal import butter, filtfilt  # only here, and late: few commands filter, and all would wait for it
+
     b, a = butter(2, corner, fs=1 / step)
     return np.asarray(filtfilt(b, a, y))
 
