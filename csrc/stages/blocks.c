@@ -139,7 +139,7 @@ int mbs_stages_width(int n)
 /* Sums stay in registers: lengths of the inner loops are constants, so that compilers make vectors of them. */
 #define COMBINE(LENGTH)                                                                                               \
     static void combine_##LENGTH(int count, const int *restrict index, const real *restrict factor,                   \
-                                 size_t stride, const real *restrict rows, size_t width, real scale,                  \
+                                 size_t stride, const real *restrict rows, size_t ld, real scale,                     \
                                  real *restrict out)                                                                  \
     {                                                                                                                 \
         real sum[LENGTH];                                                                                             \
@@ -147,7 +147,7 @@ int mbs_stages_width(int n)
         for (c = 0; c < LENGTH; ++c)                                                                                  \
             sum[c] = out[c];                                                                                          \
         for (t = 0; t < count; ++t) {                                                                                 \
-            const real *restrict row = rows + (size_t)index[t] * width;                                               \
+            const real *restrict row = rows + (size_t)index[t] * ld;                                                  \
             const real f = factor[(size_t)t * stride];                                                                \
             for (c = 0; c < LENGTH; ++c)                                                                              \
                 sum[c] += f * row[c];                                                                                 \
@@ -160,9 +160,9 @@ COMBINE(8)
 COMBINE(4)
 
 void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
-                        real scale, real *out)
+                        int ld, real scale, real *out)
 {
-    const size_t step = (size_t)stride, w = (size_t)width;
+    const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
     for (; c + 16 <= width; c += 16)
         combine_16(count, index, factor, step, rows + c, w, scale, out + c);
@@ -174,32 +174,32 @@ void mbs_stages_combine(int width, int count, const int *index, const real *fact
 
 /* A tile of M, 4 by LENGTH */
 #define GRAM(LENGTH)                                                                                                  \
-    static void gram_##LENGTH(int m, const real *restrict S, const real *restrict Z, size_t width, real *restrict M)  \
+    static void gram_##LENGTH(int m, const real *restrict S, const real *restrict Z, size_t ld, real *restrict M)     \
     {                                                                                                                 \
         real sum[4][LENGTH];                                                                                          \
         int j, b, c;                                                                                                  \
         for (b = 0; b < 4; ++b)                                                                                       \
             for (c = 0; c < LENGTH; ++c)                                                                              \
-                sum[b][c] = M[(size_t)b * width + (size_t)c];                                                         \
-        for (j = 0; j < m; ++j, S += width, Z += width)                                                               \
+                sum[b][c] = M[(size_t)b * ld + (size_t)c];                                                            \
+        for (j = 0; j < m; ++j, S += ld, Z += ld)                                                                     \
             for (b = 0; b < 4; ++b)                                                                                   \
                 for (c = 0; c < LENGTH; ++c)                                                                          \
                     sum[b][c] += S[b] * Z[c];                                                                         \
         for (b = 0; b < 4; ++b)                                                                                       \
             for (c = 0; c < LENGTH; ++c)                                                                              \
-                M[(size_t)b * width + (size_t)c] = sum[b][c];                                                         \
+                M[(size_t)b * ld + (size_t)c] = sum[b][c];                                                            \
     }
 GRAM(8)
 GRAM(4)
 
-void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M)
+void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M, int ld)
 {
     int b, c;
     for (b = 0; b < width; b += 4) {
-        real *to = M + (size_t)b * (size_t)width;
+        real *to = M + (size_t)b * (size_t)ld;
         for (c = 0; c + 8 <= width; c += 8)
-            gram_8(m, S + b, Z + c, (size_t)width, to + c);
+            gram_8(m, S + b, Z + c, (size_t)ld, to + c);
         for (; c < width; c += 4)
-            gram_4(m, S + b, Z + c, (size_t)width, to + c);
+            gram_4(m, S + b, Z + c, (size_t)ld, to + c);
     }
 }

@@ -40,12 +40,12 @@ void mbs_stages_apply_symmetric(int n, real factor, const real *A, int lda, cons
 #define MBS_STAGES_LANES 4
 int mbs_stages_width(int n);
 
-/* out = scale (out + sum over t of factor[t stride] times row index[t]) */
+/* out = scale (out + sum over t of factor[t stride] times row index[t]); rows begin `ld` numbers apart */
 void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
-                        real scale, real *out);
+                        int ld, real scale, real *out);
 
-/* M += ST Z: S and Z have m rows, M has `width` of them. */
-void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M);
+/* M += ST Z: S and Z have m rows, M has `width` of them; rows begin `ld` numbers apart. */
+void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M, int ld);
 
 /* Factorise the first n columns of the lower triangle of a symmetric A, m by m: A = L LT there. Returns the column of
  * the first pivot that is not above `zero` times the largest that the diagonal entry was, or -1. */

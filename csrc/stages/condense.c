@@ -19,6 +19,12 @@ static real *row_of_v(const mbs_stages_stage *s, int i)
     return s->inner.V + (size_t)i * (size_t)s->inner.width;
 }
 
+/* The part of it that is not 0 for inner variables. */
+static real *read_part_of_v(const mbs_stages_stage *s, int i)
+{
+    return row_of_v(s, i) + s->inner.skip;
+}
+
 static int is_inner(const mbs_stages_stage *s, int i)
 {
     return i >= s->nx && i < s->nx + s->inner.n;
@@ -192,18 +198,19 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_pivots *p = y->pivots;
     const mbs_stages_factors *f = &y->factors;
-    const size_t width = (size_t)y->width;
-    real *B = m->right, *S = row_of_v(s, s->nx);
+    const int width = y->width - y->skip;
+    real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
     int i;
     for (i = 0; i < y->n; ++i)
-        mbs_stages_combine(y->width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, *lane_of(y, f->inverse, i),
-                           B + (size_t)p->row[i] * width);
+        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, y->width,
+                           *lane_of(y, f->inverse, i), B + (size_t)p->row[i] * (size_t)y->width);
     for (i = y->n - 1; i >= 0; --i) {
-        real *to = S + (size_t)p->column[i] * width;
-        memcpy(to, B + (size_t)p->row[i] * width, width * sizeof *to);
-        mbs_stages_combine(y->width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
-                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, 1, to);
+        real *to = S + (size_t)p->column[i] * (size_t)y->width;
+        memset(to - y->skip, 0, (size_t)y->skip * sizeof *to);
+        memcpy(to, B + (size_t)p->row[i] * (size_t)y->width, (size_t)width * sizeof *to);
+        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, y->width, 1, to);
     }
 }
 
@@ -269,6 +276,15 @@ static void add_row(int width, real factor, const real *restrict a, real *restri
             b[i + c] += factor * a[i + c];
 }
 
+/* to += factor times row j of V */
+static void add_variation(const mbs_stages_stage *s, int j, real factor, real *to)
+{
+    if (is_inner(s, j))
+        add_row(s->inner.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
+    else
+        to[mbs_stages_outer(s, j)] += factor;
+}
+
 /* `to` = rows of A V; row i of A comes to place[i], or nowhere if that is -1; `count` rows in all. */
 static void reduce_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s, const mbs_stages_matrix *A,
                         const int *place, int count, real *to)
@@ -282,7 +298,7 @@ static void reduce_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s, 
         for (l = A->begin[j]; l < A->end[j]; ++l) {
             const int i = place ? place[A->row[l]] : A->row[l];
             if (i >= 0)
-                add_row(width, A->value[l], row_of_v(s, j), m->right + (size_t)i * (size_t)width);
+                add_variation(s, j, A->value[l], m->right + (size_t)i * (size_t)width);
         }
     mbs_stages_transpose(s->dense.n, count, m->right, width, to, count);
 }
@@ -327,37 +343,39 @@ static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scr
     reduce_rows(m, s, &s->G, NULL, s->ng, s->dense.G);
 }
 
-/* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal. */
-static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real *half)
+/* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal; columns from `skip` on. */
+static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, int skip, real *half)
 {
     const mbs_stages_matrix *H = &s->H;
-    const real *v = row_of_v(s, j);
+    const real *v = row_of_v(s, j) + skip;
+    const int width = s->inner.width - skip;
     real diagonal = r->diagonal[s->w + j];
     int i, l = H->begin[j];
     if (!r->plain && l < H->end[j] && H->row[l] == j)
         diagonal += H->value[l++];
-    for (i = 0; i < s->inner.width; ++i)
+    for (i = 0; i < width; ++i)
         half[i] = diagonal / 2 * v[i];
     if (!r->plain && l < H->end[j])
-        mbs_stages_combine(s->inner.width, H->end[j] - l, H->row + l, H->value + l, 1, s->inner.V, 1,
+        mbs_stages_combine(width, H->end[j] - l, H->row + l, H->value + l, 1, s->inner.V + skip, s->inner.width, 1,
                            half);
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    const int n = s->dense.n, inner = s->inner.n;
+    const int n = s->dense.n, inner = s->inner.n, skip = s->inner.skip;
     const size_t width = (size_t)s->inner.width;
     real *M = m->product, *Z = m->right;
     int i, j;
-    memset(M, 0, width * width * sizeof *M);
+    memset(M + (size_t)n * width, 0, (width - (size_t)n) * width * sizeof *M);
     for (j = 0; j < s->nx; ++j)
-        find_half(r, s, j, M + (size_t)j * width);
+        find_half(r, s, j, 0, M + (size_t)j * width);
     for (j = s->nx + inner; j < s->n; ++j)
-        find_half(r, s, j, M + (size_t)(j - inner) * width);
+        find_half(r, s, j, 0, M + (size_t)(j - inner) * width);
     for (j = 0; j < inner; ++j)
-        find_half(r, s, s->nx + j, Z + (size_t)j * width);
-    mbs_stages_gram(inner, s->inner.width, row_of_v(s, s->nx), Z, M);
+        find_half(r, s, s->nx + j, skip, Z + (size_t)j * width + skip);
+    mbs_stages_gram(inner, s->inner.width - skip, read_part_of_v(s, s->nx), Z + skip,
+                    M + (size_t)skip * width + skip, s->inner.width);
     for (j = 0; j < n; ++j)
         for (i = j; i < n; ++i)
             s->dense.H[(size_t)j * (size_t)n + (size_t)i] =
@@ -469,10 +487,7 @@ void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradien
     int i;
     memset(out, 0, (size_t)s->inner.width * sizeof *out);
     for (i = 0; i < s->n; ++i)
-        if (is_inner(s, i))
-            add_row(s->inner.width, gradient[i], row_of_v(s, i), out);
-        else
-            out[mbs_stages_outer(s, i)] += gradient[i];
+        add_variation(s, i, gradient[i], out);
 }
 
 static real dot(int width, const real *restrict a, const real *restrict b)
@@ -492,7 +507,8 @@ void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
     for (i = s->dense.n; i < y->width; ++i)
         outer[i] = 0;
     for (i = 0; i < s->n; ++i)
-        z[i] = is_inner(s, i) ? y->constant[i - s->nx] + dot(y->width, row_of_v(s, i), outer)
+        z[i] = is_inner(s, i) ? y->constant[i - s->nx] +
+                                    dot(y->width - y->skip, read_part_of_v(s, i), outer + y->skip)
                               : outer[mbs_stages_outer(s, i)];
 }
 

@@ -216,6 +216,17 @@ static void lay_shared(arena *a, mbs_stages *s, const mbs_stages_problem *proble
     lay_pivots(a, a->base ? t->inner.pivots : &spare, t->inner.n, t->nx, entries, t->inner.capacity);
 }
 
+/* Count the first states that no inner equation reads, in whole lanes. */
+static int count_unread(const mbs_stages_stage *t)
+{
+    int j, l, i = t->inner.n;
+    for (j = 0; t->E.begin && j < t->nx && i == t->inner.n; ++j)
+        for (l = t->E.begin[j]; l < t->E.end[j]; ++l)
+            i = smaller(i, t->E.row[l]);
+    j -= i < t->inner.n;
+    return j / MBS_STAGES_LANES * MBS_STAGES_LANES;
+}
+
 static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     mbs_stages_inner *y = &t->inner;
@@ -230,6 +241,7 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
         y->factors = s->recursion.stage[k - 1].inner.factors;
     }
     y->lane = lane;
+    y->skip = count_unread(t);
     y->V = numbers(a, t->n, mbs_stages_width(t->n - y->n + y->spare));
     y->constant = numbers(a, y->n, 1);
     y->variable = take(a, (size_t)y->spare, sizeof(int));

@@ -122,11 +122,10 @@ class _Lifting:
         uses += self.write_lifted(linear, at, len(rows))
         nx = numbering.before + len(self.functions.carried)
         known = np.where(variables < numbering.size, variables, -1)
-        following = numbering.following + numbering.common + len(self.functions.next_carried)
-        nd = 0 if self.functions.is_last else following
+        nd = 0 if self.functions.is_last else self.first_state + numbering.following + numbering.common
         rows_d = np.full(nd, -1)
-        for row, (state, _) in explicit.items():
-            rows_d[state] = row
+        for row, (place, _) in explicit.items():
+            rows_d[place] = row
         return Stage(
             nx=nx,
             nv=len(variables) - nx,
@@ -208,10 +207,15 @@ class _Lifting:
 
     # --- dynamics ---
 
+    @property
+    def first_state(self) -> int:
+        """Where the next states begin among the dynamics: inputs that are carried come first."""
+        return len(self.functions.next_carried)
+
     def choose_dynamics(self) -> tuple[list[int], dict[int, tuple[int, float]]]:
         """Choose the next states that are inner variables too.
 
-        Return them; and of each continuity row that gives dynamics, the state and its coefficient.
+        Return them; and of each continuity row that gives dynamics, the place of its state and its coefficient.
         """
         if self.functions.is_last:
             return [], {}
@@ -230,7 +234,9 @@ class _Lifting:
                 copied.update(A.col[at].tolist())
         copied.update(A.col[(A.col >= numbering.after) & ~_between(A.row, numbering.inner, numbering.others)].tolist())
         explicit = {
-            row: (state - numbering.after, value) for row, (state, value) in targets.items() if state not in copied
+            row: (self.first_state + state - numbering.after, value)
+            for row, (state, value) in targets.items()
+            if state not in copied
         }
         chosen = sorted(state for state in copied if state < numbering.size)
         if self.functions.is_open:
@@ -251,9 +257,12 @@ class _Lifting:
             yield entries.col
 
     def order_variables(self, copied: Sequence[int]) -> Indices:
-        """List the variables: states, inner ones, inputs."""
+        """List the variables: states, inner ones, inputs.
+
+        Inputs that are carried come first: few equations of an interval read them, and the solver skips such columns.
+        """
         numbering = self.numbering
-        states = [*range(numbering.before), *(numbering.before + self.functions.carried)]
+        states = [*(numbering.before + self.functions.carried), *range(numbering.before)]
         inner = [*range(numbering.inside, numbering.now)]
         lifted = range(numbering.size, numbering.size + self.lifted)
         inputs = [*range(numbering.now, numbering.after)]
@@ -275,8 +284,8 @@ class _Lifting:
         places = [(Vector.INEQUALITIES, i - numbering.others, 1.0) for i in range(numbering.others)]
         for i, row in enumerate(rows):
             places[row] = (Vector.EQUATIONS, i, 1.0)
-        for row, (state, value) in explicit.items():
-            places[row] = (Vector.DYNAMICS, state, -1.0 / value)
+        for row, (place, value) in explicit.items():
+            places[row] = (Vector.DYNAMICS, place, -1.0 / value)
         return places + [(Vector.INEQUALITIES, i, 1.0) for i in range(self.functions.others)]
 
     # --- functions ---
@@ -321,10 +330,10 @@ class _Lifting:
         if self.functions.is_last:
             return
         numbering = self.numbering
-        pairs = [(state - numbering.after, state) for state in copied]
-        pairs += [(numbering.following + i, numbering.states + i) for i in range(numbering.common)]
-        first = numbering.following + numbering.common
-        pairs += [(first + r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
+        first = self.first_state
+        pairs = [(r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
+        pairs += [(first + state - numbering.after, state) for state in copied]
+        pairs += [(first + numbering.following + i, numbering.states + i) for i in range(numbering.common)]
         linear[Vector.DYNAMICS].append(_gather([(row, int(at[variable]), 1.0) for row, variable in pairs]))
 
     def write_lifted(self, linear: dict[Vector, list[Triplets]], at: Indices, first: int) -> list[Use]:
