@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
+from benchmarks.loops import rows_of_bars
 from benchmarks.loops.kernels import Row, Timed
 from benchmarks.loops.mechanism import Law, find_obstacle, list_kinds, release, write_loops, write_xml
 from benchmarks.loops.models import find_model, write_four_bars
@@ -186,3 +187,14 @@ def test_the_table_comes_of_kept_points(tmp_path: Path) -> None:
     assert "Load of the machine meanwhile: 0.2 to 3.0." in page
     assert json.loads(write_json(results))["rows"][1]["failures"] == ["Simbody: none"]
     assert [table.row_count for table in make_tables(results)] == [2, 2, 5]
+
+
+def test_a_row_of_four_bars_passes_its_singular_poses(tmp_path: Path) -> None:
+    """In 3 s all rods are level three times, by the equation of one pendulum."""
+    out = tmp_path / "page.md"
+    rows_of_bars.main(["--bars", "2", "--span", "3", "--out", str(out)])
+    angles = [rows_of_bars.find_angle(2, span) for span in np.linspace(0.1, 3, 30)]
+    assert (np.diff(np.sign(np.cos(angles))) != 0).sum() == 3
+    rows = [line.strip("| ").split(" | ") for line in out.read_text("utf-8").splitlines() if line.startswith("| 2 |")]
+    assert [row[2] for row in rows] == ["complete"] * len(rows_of_bars.SETTINGS)
+    assert all(float(row[3]) < 1e-3 and float(row[4]) < 1e-13 for row in rows)
