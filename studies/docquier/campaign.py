@@ -295,6 +295,8 @@ def restore(campaign: Campaign, out: Path, folder: Path) -> str:
                 taken += 1
         for key, certificate in earlier.certificates.items():
             record.find_or_derive(key, partial(json.dumps, asdict(certificate)))
+        for key, turns in earlier.beyond.items():
+            record.find_or_derive(key, partial(json.dumps, turns))
     rest = len(earlier.attempts) - taken
     left = f"; {rest} belong to systems that are not given, or to other targets" if rest else ""
     return f"{folder}: {taken} attempts and {len(earlier.certificates)} certificates are in the record{left}"

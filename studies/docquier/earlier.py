@@ -23,7 +23,7 @@ from mbsrun.ocp.record import Attempt, Task
 from mbsrun.ocp.study import Targets
 from studies.docquier.export import ATTEMPTS, list_columns
 from studies.docquier.markdown import ARCHIVE
-from studies.docquier.optima import COLUMNS, OPTIMA, UNCHECKED, name_known
+from studies.docquier.optima import BEYOND, COLUMNS, OPTIMA, UNCHECKED, name_beyond, name_known
 
 LARGEST = 1 << 28  # bytes of a table
 CORES = "cores"  # the one number among the columns of the environment
@@ -35,16 +35,19 @@ _OWN = tuple(field.name for field in fields(Attempt) if field.name != "task")
 
 @dataclass(frozen=True)
 class Earlier:
-    """The contents of a page: attempts with study and environment, and certificates by name."""
+    """The contents of a page: attempts with study and environment, and certificates and turns by name."""
 
     attempts: tuple[tuple[str, Attempt, str], ...]
     certificates: Mapping[str, Certificate]
+    beyond: Mapping[str, float]  # the most turns of a joint beyond its start and its end
 
 
 def read_page(folder: Path, targets: Targets) -> Earlier:
     """Read both files of a page. Raises InputError, OSError."""
     attempts = tuple(_read_attempts(folder / ARCHIVE))
-    return Earlier(attempts, dict(_read_certificates(folder / OPTIMA, targets)))
+    rows = list(_read_optima(folder / OPTIMA, targets))
+    certificates = {name: certificate for name, certificate, _ in rows if certificate is not None}
+    return Earlier(attempts, certificates, {name_beyond(name): x for name, _, x in rows if x is not None})
 
 
 def _read_attempts(path: Path) -> Iterator[tuple[str, Attempt, str]]:
@@ -80,26 +83,31 @@ def _extract(path: Path) -> str:
     raise InputError([Fault(str(path), 0, "", finding, "give a folder that --page wrote")])
 
 
-def _read_certificates(path: Path, targets: Targets) -> Iterator[tuple[str, Certificate]]:
+def _read_optima(path: Path, targets: Targets) -> Iterator[tuple[str, Certificate | None, float | None]]:
+    """Yield the name, the certificate and the turns of each optimum. Pages of earlier versions have no turns."""
     places = {(targets.azimuths[i], targets.heights[j]): (i, j) for i, j in targets.places}
-    for line, row in _list_rows(path, path.read_text(encoding="utf-8"), COLUMNS):
-        if row["second order"] == UNCHECKED:
-            continue
+    columns = tuple(name for name in COLUMNS if name != BEYOND)
+    for line, row in _list_rows(path, path.read_text(encoding="utf-8"), columns):
         try:
             azimuth, height, k1, k2, cost = (_FINITE.validate_python(row[name]) for name in COLUMNS[:5])
-            certificate = _CERTIFICATE.validate_python(
-                {
-                    **{name: row[name] for name in ("stationarity", "gradient", "violation", "complementarity")},
-                    "active": row["active bounds"],
-                    "is_minimum": row["second order"],
-                }
-            )
+            certificate = None if row["second order"] == UNCHECKED else _read_certificate(row)
+            beyond = _FINITE.validate_python(row[BEYOND]) if row.get(BEYOND) else None
         except ValidationError as error:
             raise _refuse(path, line, error) from None
         place = places.get((azimuth, height))
         if place is not None:
             turns = "" if row["whole turns"] == "none" else row["whole turns"]
-            yield name_known(Task(place, (k1, k2), row["representation"]), turns, cost), certificate
+            yield name_known(Task(place, (k1, k2), row["representation"]), turns, cost), certificate, beyond
+
+
+def _read_certificate(row: Mapping[str, str]) -> Certificate:
+    return _CERTIFICATE.validate_python(
+        {
+            **{name: row[name] for name in ("stationarity", "gradient", "violation", "complementarity")},
+            "active": row["active bounds"],
+            "is_minimum": row["second order"],
+        }
+    )
 
 
 def _list_rows(path: Path, text: str, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:

@@ -2,7 +2,8 @@
 
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
 motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist. Motions
-with whole turns of joints without limits are listed apart: the paper's motions make none.
+with whole turns of joints without limits are listed apart: the paper's motions make none. Of all motions, the table
+tells how far such joints go beyond their starts and ends, and come back.
 
 A certificate takes a second or two. The record keeps each by a hash of problem, motion, kernels and code, so that a
 page that is written again takes seconds.
@@ -16,9 +17,10 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from mbsrun import ocp
@@ -30,6 +32,7 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, Task
 from mbsrun.ocp.search import OutOfTimeError
 from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.starts import list_turning
 from mbsrun.ocp.structure import Structure, structure
 from mbsrun.ocp.study import Place, Study, Weights
 from mbsrun.ocp.trajectory import Trajectory
@@ -38,6 +41,8 @@ OPTIMA = "optima.csv"  # the file
 UNCHECKED = "not checked"  # for want of time
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
+BEYOND = "beyond start and end [turns]"  # a column
+FAR = 0.5  # turns
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,7 @@ class Optimum:
     hits: int  # random starts of the robust protocol, independent of each other, that ended in it
     starts: int  # these starts at the target: with turns, the starts that make some
     certificate: Certificate | None  # None: there was no time for it
+    beyond: float | None  # the most turns of a joint without limits beyond its start and its end; None: no time
 
     @property
     def is_certified(self) -> bool:
@@ -82,21 +88,23 @@ def list_optima(study: Study, record: Record, plant: Plant, recall: Recall, end:
                     continue
                 problem = study.state(found.task)
                 kept = record.best_motion(found.task, found.protocol, turns=found.turns)
-
-                def check(
-                    problem: Problem = problem, kept: Trajectory | None = kept, found: Attempt = found
-                ) -> Certificate:
-                    motion = kept or recall(found.task, found.protocol, found.turns)
-                    assert motion is not None, "a record keeps every best attempt"
-                    kind = structure(problem)
-                    if kind not in solvers:
-                        solvers[kind] = Solver(problem, plant)
-                    return certify_motion(problem, solvers[kind], motion)
-
+                motion = _Motion(kept, partial(recall, found.task, found.protocol, found.turns))
                 key = _name(problem, kept, plant) if kept else name_known(found.task, found.turns, found.cost)
                 paper = [a for a in tried if a.protocol == "paper" and a.cost is not None]
                 parts = ("turns",) if is_turned else INDEPENDENT
                 starts = [a for a in tried if a.protocol == "robust" and a.part in parts]
+
+                def certify(problem: Problem = problem, motion: _Motion = motion) -> str:
+                    kind = structure(problem)
+                    if kind not in solvers:
+                        solvers[kind] = Solver(problem, plant)
+                    return json.dumps(asdict(certify_motion(problem, solvers[kind], motion.find())))
+
+                def measure(problem: Problem = problem, motion: _Motion = motion) -> str:
+                    return json.dumps(measure_beyond(motion.find(), list_turning(problem, plant.manifest)))
+
+                certificate = _find_or_derive(record, key, certify, end)
+                beyond = _find_or_derive(record, name_beyond(key), measure, end)
                 yield Optimum(
                     found.task,
                     found.turns,
@@ -105,13 +113,40 @@ def list_optima(study: Study, record: Record, plant: Plant, recall: Recall, end:
                     len(paper),
                     _count_hits(starts, found),
                     len(starts),
-                    _find_or_certify(record, key, check, end),
+                    None if certificate is None else TypeAdapter(Certificate).validate_json(certificate),
+                    None if beyond is None else float(json.loads(beyond)),
                 )
+
+
+class _Motion:
+    """The motion of an attempt, which is found when it is needed."""
+
+    def __init__(self, kept: Trajectory | None, recall: Callable[[], Trajectory | None]) -> None:
+        self._kept, self._recall = kept, recall
+
+    def find(self) -> Trajectory:
+        self._kept = self._kept or self._recall()
+        assert self._kept is not None, "a record keeps every best attempt"
+        return self._kept
+
+
+def measure_beyond(motion: Trajectory, joints: Sequence[int]) -> float:
+    """Return the most turns that some joints go beyond their starts and their ends."""
+    q = motion.q[:, list(joints)]
+    if q.size == 0:
+        return 0.0
+    above, below = q.max(axis=0) - np.maximum(q[0], q[-1]), np.minimum(q[0], q[-1]) - q.min(axis=0)
+    return float(np.maximum(above, below).max() / (2 * np.pi))
 
 
 def name_known(task: Task, turns: str, cost: float) -> str:
     """Name a certificate of a page, whose motion is not at hand."""
     return f"certificate of {task.row} {turns or 'none'} {cost!r}"
+
+
+def name_beyond(key: str) -> str:
+    """Name the turns beyond the ends of a motion, by the name of its certificate."""
+    return f"beyond of {key}"
 
 
 def _name(problem: Problem, motion: Trajectory, plant: Plant) -> str:
@@ -134,14 +169,16 @@ def _fingerprint_code() -> bytes:
     return digest.digest()
 
 
-def _find_or_certify(record: Record, key: str, check: Callable[[], Certificate], end: float) -> Certificate | None:
-    def derive() -> str:
+def _find_or_derive(record: Record, key: str, derive: Callable[[], str], end: float) -> str | None:
+    """Return a text of the record, or derive it where there is time."""
+
+    def derive_in_time() -> str:
         if time.monotonic() > end:
             raise OutOfTimeError
-        return json.dumps(asdict(check()))
+        return derive()
 
     try:
-        return TypeAdapter(Certificate).validate_json(record.find_or_derive(key, derive))
+        return record.find_or_derive(key, derive_in_time)
     except OutOfTimeError:
         return None
 
@@ -166,6 +203,7 @@ COLUMNS = (
     "cost",
     "representation",
     "whole turns",
+    BEYOND,
     "found by",
     "of",
     "independent finds",
@@ -204,6 +242,7 @@ def _write_row(study: Study, optimum: Optimum) -> tuple[Cell, ...]:
         optimum.cost,
         optimum.task.representation,
         optimum.turns or "none",
+        None if optimum.beyond is None else float(f"{optimum.beyond:.3f}"),
         optimum.found,
         optimum.tried,
         optimum.hits,
@@ -231,6 +270,7 @@ def _describe_cost(weights: Weights, optima: Sequence[Optimum]) -> Iterator[str]
         f"{_describe_unchecked(own)}; {alone} "
         "of them were found by a single representation of the paper's protocol."
     )
+    yield from _describe_beyond(own)
     searched = [o for o in own if o.starts]
     if searched:
         never, all_starts = sum(not o.hits for o in searched), sum(o.starts for o in searched)
@@ -247,6 +287,15 @@ def _describe_cost(weights: Weights, optima: Sequence[Optimum]) -> Iterator[str]
             f"conditions of both orders hold at {sum(o.is_certified for o in turned)} of the {len(turned)}"
             f"{_describe_unchecked(turned)}."
         )
+
+
+def _describe_beyond(optima: Sequence[Optimum]) -> Iterator[str]:
+    """Describe joints that turn away and come back, which makes no whole turn."""
+    far, unknown = sum(o.beyond is not None and o.beyond > FAR for o in optima), sum(o.beyond is None for o in optima)
+    yield (
+        f"In {far} of them a joint without limits goes more than half a turn beyond its start and its end, and comes "
+        f"back{f' ({unknown} were not measured)' if unknown else ''}."
+    )
 
 
 def _describe_unchecked(optima: Sequence[Optimum]) -> str:

@@ -38,6 +38,8 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
     monkeypatch.setattr(optima, "structure", lambda _: "one")
     monkeypatch.setattr(optima, "Solver", lambda *_: None)
     monkeypatch.setattr(optima, "certify_motion", certify)
+    monkeypatch.setattr(optima, "list_turning", lambda *_: (0,))
+    plant = cast(Any, SimpleNamespace(manifest=None))
     names = iter(f"{k}" for k in range(8))  # of four certificates, then of the same three and another one
     again = [*map(str, range(4)), "0", "1", "2", "other"]
     monkeypatch.setattr(optima, "_name", lambda *_: again[int(next(names))])
@@ -60,10 +62,10 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
             task = Task((place, 0), SMOOTH, "IMPL")
             numbers = (0, "", 20, 1.0, 0.5, cost)
             record.add(Attempt(task, protocol, part, str(k), *numbers, turns=turns), motion)
-        found = list(list_optima(study, record, cast(Any, None), lambda *_: None))
-        assert list(list_optima(study, record, cast(Any, None), lambda *_: None)) == found
+        found = list(list_optima(study, record, plant, lambda *_: None))
+        assert list(list_optima(study, record, plant, lambda *_: None)) == found
         monkeypatch.setattr(optima, "_name", lambda *_: "new")
-        late = list(list_optima(study, record, cast(Any, None), lambda *_: None, end=0.0))
+        late = list(list_optima(study, record, plant, lambda *_: None, end=0.0))
     assert len(certified) == 5, "the second time, only what has changed is checked again"
     assert [(o.task.place[0], o.turns, o.cost, o.found, o.tried, o.hits, o.starts) for o in found] == [
         (0, "", 4.0, 0, 1, 2, 3),
@@ -71,15 +73,27 @@ def test_turned_optima_are_apart_and_finds_are_counted(tmp_path: Path, monkeypat
         (1, "", 4.0, 1, 1, 0, 0),
         (1, "q1 -1", 9.0, 0, 1, 1, 1),
     ]
-    assert [o.certificate for o in late] == [None] * 4
+    assert [o.certificate for o in late] == [o.beyond for o in late] == [None] * 4
+    assert [o.beyond for o in found] == [0.0] * 4
     assert "hold at 0 of 2 lowest optima (2 were not checked)" in describe_optima(study, late, "optima.csv").text
     assert [row[-1] for row in tabulate_optima(study, late).rows] == [optima.UNCHECKED] * 4
     text = describe_optima(study, found, "optima.csv").text
     assert "hold at 2 of 2 lowest optima" in text
     assert "found them 2 times of 3, and never at 0 of 1 targets" in text
+    assert "In 0 of them a joint without limits goes more than half a turn" in text
     assert "found at 2 targets, and are lower at 1 of them" in text
     table = tabulate_optima(study, found)
     assert [row[table.columns.index("whole turns")] for row in table.rows] == ["none", "q1 -1"] * 2
+
+
+def test_turns_beyond_start_and_end_are_those_of_the_farthest_joint() -> None:
+    """Of two joints, one goes half a turn below its start, one a tenth above its end; a third is not asked for."""
+    q = 2 * np.pi * np.array([[0.0, 0.2, 0.0], [-0.5, 0.5, 9.0], [0.25, 0.4, 0.0]])
+    points = (np.zeros((2, 1, 3)),) * 3
+    motion = Trajectory(np.zeros(3), q, np.zeros((3, 3)), np.zeros((2, 1)), np.zeros((2, 1)), *points)
+    assert optima.measure_beyond(motion, (0, 1)) == pytest.approx(0.5)
+    assert optima.measure_beyond(motion, (1,)) == pytest.approx(0.1)
+    assert optima.measure_beyond(motion, ()) == 0.0
 
 
 def test_a_certificate_depends_on_the_motion_the_problem_and_the_kernels() -> None:
