@@ -367,7 +367,7 @@ static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch 
     const size_t width = (size_t)s->inner.width;
     real *M = m->product, *Z = m->right;
     int i, j;
-    memset(M + (size_t)n * width, 0, (width - (size_t)n) * width * sizeof *M);
+    memset(M + (size_t)(s->n - inner) * width, 0, (width - (size_t)(s->n - inner)) * width * sizeof *M);
     for (j = 0; j < s->nx; ++j)
         find_half(r, s, j, 0, M + (size_t)j * width);
     for (j = s->nx + inner; j < s->n; ++j)

@@ -40,6 +40,23 @@ def test_condensed_problems_have_the_iterates_of_whole_ones(library: Library, se
     assert max(problem.residuals(*answer.point)) < 1e-8
 
 
+@pytest.mark.parametrize("unread", [3, 4, 9])
+@pytest.mark.parametrize("singular", [False, True])
+def test_states_that_no_inner_equation_reads(library: Library, unread: int, singular: bool) -> None:
+    """The first states are left out of the elimination, in lanes of four; where rows are redundant, some stages widen."""
+    rng = np.random.default_rng(unread)
+    problem = random_problem(rng, [(10, 7, 4, 2)] * 7 + [(10, 0, 0, 0)], bounds=0.3)
+    w = Solver(library, problem).solve().w
+    for k in range(7):
+        problem.E[k][:, :unread] = 0.0
+        if singular and k % 3 == 1:
+            problem.E[k][:, 11] = problem.E[k][:, 10]
+        meet(problem, k, w)
+    answer = Solver(library, condensed(problem, [4] * 7 + [0])).solve()
+    assert answer.result.singular == (2 if singular else 0)
+    agree(answer, Solver(library, problem).solve(), 1e-7 if singular else 1e-9)  # the last barrier may differ
+
+
 @pytest.mark.parametrize("first", [True, False])
 def test_condensed_linear_quadratic_problems_have_the_solution_of_dense_algebra(library: Library, first: bool) -> None:
     """One step; some inner variables are fixed."""
