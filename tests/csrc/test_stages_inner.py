@@ -43,7 +43,7 @@ def test_condensed_problems_have_the_iterates_of_whole_ones(library: Library, se
 @pytest.mark.parametrize("unread", [3, 4, 9])
 @pytest.mark.parametrize("singular", [False, True])
 def test_states_that_no_inner_equation_reads(library: Library, unread: int, singular: bool) -> None:
-    """The first states are left out of the elimination, in lanes of four; where rows are redundant, some stages widen."""
+    """The first states are left out of the elimination, in lanes of four; redundant rows widen some stages."""
     rng = np.random.default_rng(unread)
     problem = random_problem(rng, [(10, 7, 4, 2)] * 7 + [(10, 0, 0, 0)], bounds=0.3)
     w = Solver(library, problem).solve().w
