@@ -2,8 +2,8 @@
 
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
 motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist. Motions
-with whole turns of joints without limits are listed apart: the paper's motions make none. Of all motions, the table
-tells how far such joints go beyond their starts and ends, and come back.
+with whole turns of joints without limits are listed apart: the paper's motions make none. For all motions, the table
+shows how far such joints go beyond their starts and ends, and come back.
 
 A certificate takes a second or two. The record keeps each by a hash of problem, motion, kernels and code, so that a
 page that is written again takes seconds.
