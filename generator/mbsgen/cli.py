@@ -552,7 +552,8 @@ def compare_command(model: Path, peer: str, choices: Choices) -> None:
     """Compare MODEL, a URDF file, with another program.
 
     Prints the largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at
-    random states, relative to the largest entry, and their known causes. Exit code 1: an unexplained difference.
+    random states, relative to the largest entry, and their known causes. Of closed loops, it compares forces and
+    accelerations at closed states. Exit code 1: an unexplained difference.
     """
     from mbsgen.comparison import RESULTS, TOLERANCE, compare_with_pinocchio
 
@@ -561,6 +562,9 @@ def compare_command(model: Path, peer: str, choices: Choices) -> None:
     found = compare_with_pinocchio(model, choices)
     for title, misses in (("as imported", found.imported), ("without damping, friction and rotors", found.bare)):
         click.echo(f"{title:38}" + "".join(f"{name} {misses[name]:.1e}   " for name in RESULTS).rstrip())
+    if found.closed:
+        shown = "".join(f"{name} {miss:.1e}   " for name, miss in found.closed.items()).rstrip()
+        click.echo(f"{'with loops, at closed states':38}{shown}")
     for line in found.named:
         click.echo(line)
     if not found.agrees:

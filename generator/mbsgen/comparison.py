@@ -2,20 +2,24 @@
 
 Pinocchio's recursions ignore damping, friction and rotors; our equations include them. So everything is compared twice:
 as imported, and without these. Joints are matched by name; differences in their order are listed. For coupled joints,
-Pinocchio's uncoupled model is projected, because its reader refuses some couplings.
+Pinocchio's uncoupled model is projected, because its reader refuses some couplings. Loops are compared at closed states
+(`closed_comparison`).
 """
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.assembly.assemble import AssemblyError, assemble
+from mbsgen.closed_comparison import RESULTS as CLOSED_RESULTS
+from mbsgen.closed_comparison import Joints, compute_ours, compute_theirs, draw_states, find_uncompared
 from mbsgen.errors import Fault, InputError
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
@@ -43,11 +47,14 @@ class Comparison:
     bare: Mapping[str, float]  # without damping, friction and rotors
     named: tuple[str, ...]  # the known differences, in words
     lost: float  # by solving for qdd: epsilon times the condition of M
+    closed: Mapping[str, float] = field(default_factory=dict)  # with loops, at closed states, without joint forces
+    lost_closed: float = 0.0  # by solving for qdd there
 
     @property
     def agrees(self) -> bool:
         """Return whether only the known differences remain."""
-        return all(miss <= max(TOLERANCE, self.lost if name == "qdd" else 0.0) for name, miss in self.bare.items())
+        is_good = all(miss <= max(TOLERANCE, self.lost if name == "qdd" else 0.0) for name, miss in self.bare.items())
+        return is_good and all(miss <= max(TOLERANCE, self.lost_closed) for miss in self.closed.values())
 
 
 def compare_with_pinocchio(path: Path, choices: Choices) -> Comparison:
@@ -63,8 +70,12 @@ def compare_with_pinocchio(path: Path, choices: Choices) -> Comparison:
     expected = [peer.compute(*state) for state in states]
     found, without = (_compute(t, states) for t in (tree, bare))
     lost = float(np.finfo(float).eps * max(np.linalg.cond(x["M"]) for x in expected))
-    named = [*_name_loops(closed), *_name(tree, bare, peer)]
-    return Comparison(_miss(found, expected), _miss(without, expected), tuple(named), lost)
+    loops = _Loops.take(closed)
+    named = [*loops.name(), *_name(tree, bare, peer)]
+    if loops.tree is None:
+        return Comparison(_miss(found, expected), _miss(without, expected), tuple(named), lost)
+    misses, lost_closed = _compare_closed(loops.tree, peer)
+    return Comparison(_miss(found, expected), _miss(without, expected), tuple(named), lost, misses, lost_closed)
 
 
 class _Peer:
@@ -108,14 +119,19 @@ class _Peer:
             q[3:7] /= np.linalg.norm(q[3:7])
         return q, rng.uniform(-1, 1, self.size), rng.uniform(-1, 1, self.size)
 
-    def compute(self, q: Array, qd: Array, qdd: Array) -> dict[str, Array]:
-        """Compute all results without joint forces, in our order."""
-        model, data, pin = self.model, self.data, self.pin
+    def place(self, q: Array) -> Array:
+        """Return Pinocchio's coordinates."""
+        model, pin = self.model, self.pin
         angles, first = np.zeros(model.nv), 7 if self.free else 0
         angles[self.order] = self.G @ np.concatenate((np.zeros(self.free), q[first:])) + self.g
-        at = pin.integrate(model, pin.neutral(model), angles)  # for a joint without limits, cosine and sine
+        at: Array = pin.integrate(model, pin.neutral(model), angles)  # for a joint without limits, cosine and sine
         if self.free:
             at[:7] = q[:7]
+        return at
+
+    def compute(self, q: Array, qd: Array, qdd: Array) -> dict[str, Array]:
+        """Compute all results without joint forces, in our order."""
+        model, data, pin, at = self.model, self.data, self.pin, self.place(q)
         v, a = np.zeros(model.nv), np.zeros(model.nv)
         v[self.order], a[self.order] = self.G @ qd, self.G @ qdd
         Phi = self.G.T @ np.array(pin.rnea(model, data, at, v, a))[self.order]
@@ -179,20 +195,60 @@ def _evaluate(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
     return found
 
 
-def _miss(found: Sequence[Mapping[str, Array]], expected: Sequence[Mapping[str, Array]]) -> dict[str, float]:
+def _compare_closed(tree: Tree, peer: _Peer) -> tuple[dict[str, float], float]:
+    """Compare forces of loops and accelerations at closed states; return also the digits that solving loses."""
+    bare, states = _strip(tree), draw_states(tree)
+    found, expected, lost = compute_ours(bare, states, _evaluate), [], 0.0
+    for q, qd in states:
+        open_tree = peer.compute(q, qd, np.zeros_like(qd))
+        joints = Joints(peer.pin, peer.model, peer.data, peer.order, peer.G, peer.free)
+        joints.move(peer.place(q), qd)
+        expected.append(compute_theirs(tree, joints, (q, qd), open_tree["M"], open_tree["c"]))
+        lost = max(lost, float(np.finfo(float).eps * np.linalg.cond(open_tree["M"])))
+    misses = _miss(found, expected, CLOSED_RESULTS[1:])
+    speed = max(float(np.abs(qd).max(initial=0.0)) for _, qd in states)
+    rates = max(float(theirs["rates"].max(initial=0.0)) for theirs in expected)
+    return {"rates": rates / max(SMALL, speed), **misses}, lost
+
+
+def _miss(
+    found: Sequence[Mapping[str, Array]], expected: Sequence[Mapping[str, Array]], results: Sequence[str] = RESULTS
+) -> dict[str, float]:
     return {
         name: max(
             float(np.abs(ours[name] - theirs[name]).max() / max(SMALL, np.abs(theirs[name]).max()))
             for ours, theirs in zip(found, expected, strict=True)
         )
-        for name in RESULTS
+        for name in results
     }
 
 
-def _name_loops(tree: Tree) -> Iterator[str]:
-    names = [*(loop.name for loop in tree.loops), *(constraint.name for constraint in tree.constraints)]
-    if names:
-        yield f"loops and constraints {_list(names)}: Pinocchio's reader has none; the trees are compared without them"
+@dataclass(frozen=True)
+class _Loops:
+    """The loops of a tree, with the assembled tree, or the reason why they are not compared."""
+
+    names: tuple[str, ...]
+    tree: Tree | None = None
+    reason: str = ""
+
+    @classmethod
+    def take(cls, tree: Tree) -> _Loops:
+        names = (*(loop.name for loop in tree.loops), *(constraint.name for constraint in tree.constraints))
+        if not names:
+            return cls(())
+        if other := find_uncompared(tree):
+            return cls(names, reason=f"{_list(other)} keeps quantities that are not compared")
+        try:
+            return cls(names, assemble(tree))
+        except AssemblyError as error:
+            return cls(names, reason=error.findings[0].finding)
+
+    def name(self) -> Iterator[str]:
+        """Name what is compared."""
+        if self.names:
+            what = f"loops and constraints {_list(self.names)}: Pinocchio's reader has none"
+            rest = "they are closed beside its model" if self.tree else f"the trees are compared alone: {self.reason}"
+            yield f"{what}; {rest}"
 
 
 def _name(tree: Tree, bare: Tree, peer: _Peer) -> Iterator[str]:

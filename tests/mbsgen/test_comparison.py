@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sympy import Rational
 
 from mbsgen import comparison
+from mbsgen.closed_comparison import End, Joints
 from mbsgen.comparison import TOLERANCE, compare_with_pinocchio
 from mbsgen.errors import InputError
 from mbsgen.importing import Choices
+from mbsgen.model.tree import LoopFrame, Tree
 from tests.mbsgen.importing.urdf_files import LIMIT, LOSSES, joint, link, write
 
 ARM = (
@@ -30,14 +34,82 @@ def test_equal_equations_are_called_equal(base: str, tmp_path: Path) -> None:
     assert found.named == ("order of joints: Pinocchio's is y, w, z, x; ours is z, x, y, w",)
 
 
-def test_trees_are_compared_without_their_loops(tmp_path: Path) -> None:
-    """Also where the loops do not close: Pinocchio's reader knows none."""
+def test_trees_are_compared_alone_where_loops_do_not_close(tmp_path: Path) -> None:
+    """Pinocchio's reader knows no loops."""
     ends = '<predecessor link="d"/><successor link="e"/>'
     coupling = '<coupling name="belt"><predecessor link="d"/><successor link="c"/></coupling>'
     path = write(tmp_path, "".join(ARM) + f'<loop name="weld" type="fixed">{ends}</loop>{coupling}')
     found = compare_with_pinocchio(path, Choices())
     assert max(found.imported.values()) < TOLERANCE
-    assert found.named[0].startswith("loops and constraints weld, belt: Pinocchio's reader has none")
+    assert found.named[0].startswith("loops and constraints weld, belt: Pinocchio's reader has none; the trees are ")
+    assert "compared alone: loop " in found.named[0]
+    assert not found.closed
+
+
+CHAIN = (  # places on the link before, axes, turns of the next link's frame
+    ("0 0 0.1", "0 1 0", "0 0 0"),
+    ("0.3 0 0", "0.6 0 0.8", "0 0 1.5707963267948966"),
+    ("0 0.2 0", "0 0 1", "0 0 0"),
+    ("0 0.3 0.1", "1 0 0", "0 0 -1.5707963267948966"),
+    ("0.1 0 0.2", "0 1 0", "0 0 0"),
+    ("0.2 0.1 0", "0 -0.6 0.8", "0 0 0"),
+    ("0 0 -0.1", "1 0 0", "0 0 0"),
+)
+PLACE = "0.1 0.1 0.3"  # on the first link, in reach of the last one
+
+
+def close_chain(kind: str, place: str = PLACE, *, mass: float = 1.0) -> str:
+    """Close a chain of seven turns in space by a loop between its last link and its first one."""
+    text = link("l0") + "".join(link(f"l{i}", mass) for i in range(1, 8))
+    for i, (at, axis, rpy) in enumerate(CHAIN):
+        own = joint(f"q{i}", "revolute", f"l{i}", f"l{i + 1}", f'<axis xyz="{axis}"/>{LIMIT}{LOSSES}', rpy=rpy)
+        text += own.replace("0.2 0.1 -0.3", at)
+    ends = f'<predecessor link="l0"><origin xyz="{place}" rpy="0.2 0.1 0.4"/></predecessor>'
+    ends += '<successor link="l7"><origin xyz="0 0 0" rpy="0.2 0.1 0.4"/></successor>'
+    axis = '<axis xyz="0.6 0 0.8"/>' if kind not in ("fixed", "spherical") else ""
+    return text + f'<loop name="ring" type="{kind}">{ends}{axis}</loop>'
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "fixed", "planar", "spherical"])
+def test_loops_are_compared_at_closed_states(kind: str, base: str, tmp_path: Path) -> None:
+    """Forces of loops, accelerations, and the ones of the reduced form: by velocities of the two ends."""
+    found = compare_with_pinocchio(write(tmp_path, close_chain(kind)), Choices(base=base))  # type: ignore[arg-type]
+    assert found.agrees
+    assert set(found.closed) == {"rates", "forces", "qdd", "ydd"}
+    assert max(found.closed.values()) < TOLERANCE
+    assert "they are closed beside its model" in found.named[0]
+
+
+def test_couplings_are_compared_beside_loops(tmp_path: Path) -> None:
+    """Two turns and their ratio, by an equation or a joint that follows."""
+    coupling = '<coupling name="belt"><predecessor link="l3"/><successor link="l1"/><ratio value="2"/></coupling>'
+    found = compare_with_pinocchio(write(tmp_path, close_chain("spherical") + coupling), Choices())
+    assert found.agrees
+    assert found.closed
+
+
+@pytest.mark.parametrize("change", ["mass", "place"])
+def test_a_wrong_loop_is_a_difference(change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link 1 % heavier, or an end that is 1 mm away from the place where Pinocchio's ends are read."""
+    path = write(tmp_path, close_chain("revolute"))
+    if change == "mass":
+        other = tmp_path / "other"
+        other.mkdir()
+        heavier = write(other, close_chain("revolute", mass=1.01))
+        import_model = comparison.import_model
+        monkeypatch.setattr(comparison, "import_model", lambda _, choices: import_model(heavier, choices))
+    else:
+        read = Joints.read
+
+        def move(joints: Joints, tree: Tree, end: LoopFrame) -> End:
+            x, y, z = end.position
+            return read(joints, tree, replace(end, position=(x + Rational(1, 1000), y, z)) if end.body else end)
+
+        monkeypatch.setattr(Joints, "read", move)
+    found = compare_with_pinocchio(path, Choices())
+    assert not found.agrees
+    assert found.closed["qdd"] > 1e-6
 
 
 @pytest.mark.parametrize("base", ["fixed", "floating"])
