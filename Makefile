@@ -14,7 +14,7 @@ demo: $(VENV)/installed
 	@ls build/arm_pendulum build/arm_reach
 
 test: lint
-	$(BIN)/pytest -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal
 
 # Runs the shipped closed loops: some minutes. Each ends with exit code 0 if its measures stay below their limits.
 track: $(VENV)/installed

@@ -30,7 +30,7 @@ from mbsrun.ocp.certificate import Certificate, certify_motion
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Record, Task
-from mbsrun.ocp.search import OutOfTimeError
+from mbsrun.ocp.search import LostMotionError, OutOfTimeError
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import list_turning
 from mbsrun.ocp.structure import Structure, structure
@@ -38,7 +38,7 @@ from mbsrun.ocp.study import Place, Study, Weights
 from mbsrun.ocp.trajectory import Trajectory
 
 OPTIMA = "optima.csv"  # the file
-UNCHECKED = "not checked"  # for want of time
+UNCHECKED = "not checked"  # for want of time, or of the motion
 STATIONARY = 1e-5  # largest remainder of the first-order conditions, relative to the largest entry of the gradient
 FEASIBLE = 1e-7  # largest violation; IPOPT relaxes bounds by 1e-8
 BEYOND = "beyond start and end [turns]"  # a column
@@ -56,8 +56,8 @@ class Optimum:
     tried: int  # representations that were solved by the paper's protocol
     hits: int  # random starts of the robust protocol, independent of each other, that ended in it
     starts: int  # these starts at the target: with turns, the starts that make some
-    certificate: Certificate | None  # None: there was no time for it
-    beyond: float | None  # the most turns of a joint without limits beyond its start and its end; None: no time
+    certificate: Certificate | None  # None: there was no time, or no motion
+    beyond: float | None  # the most turns of a joint without limits beyond its start and its end; None: as above
 
     @property
     def is_certified(self) -> bool:
@@ -170,7 +170,7 @@ def _fingerprint_code() -> bytes:
 
 
 def _find_or_derive(record: Record, key: str, derive: Callable[[], str], end: float) -> str | None:
-    """Return a text of the record, or derive it where there is time."""
+    """Return a text of the record, or derive it where there is time, and where its motion is found again."""
 
     def derive_in_time() -> str:
         if time.monotonic() > end:
@@ -179,7 +179,7 @@ def _find_or_derive(record: Record, key: str, derive: Callable[[], str], end: fl
 
     try:
         return record.find_or_derive(key, derive_in_time)
-    except OutOfTimeError:
+    except (OutOfTimeError, LostMotionError):
         return None
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from mbsgen.errors import MbsError
-from mbsrun.ocp.record import SAME, Attempt, Record, Task
+from mbsrun.ocp.record import SAME, Attempt, Key, Record, Task
 from mbsrun.ocp.study import Study
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.trials import Found, Hop, ProtocolName, Trial, plan_round, restate
@@ -40,8 +40,15 @@ class Executor(Protocol):
         """Carry out orders, and yield their outcomes as they come; take no order long before its turn."""
 
 
+LOST = "Start_Not_Reproduced"  # the status of an attempt from a motion that was not restored and cannot be found again
+
+
 class OutOfTimeError(Exception):
     """Raised when the time that a search was given is over."""
+
+
+class LostMotionError(MbsError):
+    """Raised where the attempt that found a motion ends elsewhere when it is made again."""
 
 
 Watch = Callable[[Attempt, bool], None]  # the attempt, and whether it is the best of its task so far
@@ -61,6 +68,7 @@ class Search:
         """Begin; after `seconds` no further attempt begins, and OutOfTimeError is raised when those under way end."""
         self.study, self.executor, self.record, self.watch = study, executor, record, watch
         self.end = time.monotonic() + seconds
+        self._lost: dict[tuple[Key, str], str] = {}  # by attempt and turns: why its motion is not found again
 
     def run(self, protocol: ProtocolName, plan: Callable[[int, int], None] | None = None) -> None:
         """Follow a protocol; call `plan` for every round, with its number of trials and the number of those done."""
@@ -89,7 +97,10 @@ class Search:
         for trial in trials:
             if time.monotonic() > self.end:
                 return
-            yield self._prepare(trial)
+            try:
+                yield self._prepare(trial)
+            except LostMotionError:
+                self.record.add(_give_up(trial), None)
 
     def _prepare(self, trial: Trial) -> Order:
         """Order a trial with the motion that it starts from."""
@@ -101,21 +112,35 @@ class Search:
         return Order(self.study, trial, motion)
 
     def find_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
-        """Return the motion of the best of a task; solve again for a motion that was not restored. Raises MbsError."""
+        """Return the motion of the best of a task; solve again for a motion that was not restored.
+
+        Raises LostMotionError where that ends elsewhere, as it may after a change of the solver.
+        """
         found = self.record.best_motion(task, protocol, before, turns)
         attempt = self.record.best_attempt(task, protocol, before, turns) if found is None else None
         if attempt is None or attempt.cost is None:
             return found
-        (outcome,) = self.executor.carry_out([self._prepare(restate(self.study, attempt))])
-        again, motion = outcome.attempt, outcome.motion
-        if motion is None or again.cost is None or abs(again.cost - attempt.cost) > SAME * abs(attempt.cost):
-            raise MbsError(
-                f"target {task.place[0]},{task.place[1]} in {task.representation}: {attempt.part} {attempt.guess} ends "
-                f"in {again.cost or again.status} here, and ended in {attempt.cost} in the attempt that was restored; "
-                "begin a new record without restored attempts"
-            )
+        if (attempt.key, turns) in self._lost:
+            raise LostMotionError(self._lost[attempt.key, turns])
+        try:
+            (outcome,) = self.executor.carry_out([self._prepare(restate(self.study, attempt))])
+            again, motion = outcome.attempt, outcome.motion
+            if motion is None or again.cost is None or abs(again.cost - attempt.cost) > SAME * abs(attempt.cost):
+                raise LostMotionError(
+                    f"target {task.place[0]},{task.place[1]} in {task.representation}: {attempt.part} {attempt.guess} "
+                    f"ends in {again.cost or again.status} here, and ended in {attempt.cost} in the attempt that was "
+                    "restored; begin a new record without restored attempts"
+                )
+        except LostMotionError as error:
+            self._lost[attempt.key, turns] = str(error)
+            raise
         self.record.put_motion(attempt, motion)
         return motion
+
+
+def _give_up(trial: Trial) -> Attempt:
+    """Return the attempt of a trial that cannot start, so that it counts as tried."""
+    return Attempt(trial.task, trial.protocol, trial.part, trial.guess, trial.round, LOST, 0, 0.0, 0.0, None)
 
 
 @dataclass(frozen=True)

@@ -41,9 +41,10 @@ from mbsrun.ocp.cluster import ClusterError, open_workers
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, Task, open_record
-from mbsrun.ocp.search import Progress, Search
+from mbsrun.ocp.search import LOST, LostMotionError, Progress, Search
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.study import Study, Targets, identify
+from mbsrun.ocp.trials import Found, Trial
 from studies.docquier.campaign import (
     QUESTIONS,
     STORE,
@@ -272,8 +273,12 @@ def test_a_study_goes_on_from_the_page_of_another(
         record._connection.execute("update best set motion = ''")
         record._connection.execute("update attempts set cost = cost + 1 where protocol = 'paper'")
         record._connection.execute("update best set cost = cost + 1 where protocol = 'paper'")
-        with pytest.raises(MbsError, match="begin a new record"):
-            search.find_motion(Task((0, 0), SMOOTH, "IMPL"), "paper")
+        lost = Task((0, 0), SMOOTH, "IMPL")
+        with pytest.raises(LostMotionError, match="begin a new record"):
+            search.find_motion(lost, "paper")
+        trial = Trial(lost, "paper", "neighbours", "0,0 IMPL 1", Found(lost), 1)
+        search.try_all([trial])
+        assert [(a.status, a.cost) for a in record.attempts() if a.key == trial.key] == [(LOST, None)]
 
 
 def write_files(campaign: Campaign, out: Path) -> Path:
