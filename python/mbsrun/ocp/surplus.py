@@ -6,6 +6,8 @@ rows are as independent as possible (QR with pivots); the others follow from the
 for coordinates, if the whole start is given: then contacts stay where they are at the start. A condition that follows
 would make the program's Jacobian lose rank, and an interior-point method then takes hundreds of iterations.
 
+What contacts imply for values that are not 0 may depend on lengths: with unknown lengths such values are refused.
+
 Where driven joints leave fewer freedoms than sensors have targets, some targets follow from the others in every pose.
 """
 
@@ -27,6 +29,7 @@ from mbsrun.ocp.problem import Problem, Target
 RANK = 1e-8  # of rows and columns, relative to the largest
 AGREES = 1e-6  # the difference from an implied value that counts as rounding [rad, m, 1/s]
 ITERATIONS = 30  # of Newton's method
+CHANGE = 1e-3  # of a parameter, to find out whether it moves contacts
 
 Values = Mapping[int, float]
 
@@ -34,7 +37,7 @@ Values = Mapping[int, float]
 def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
     """Leave out the conditions on the end that contacts imply, for an end near the pose q.
 
-    Raises ProblemError for values that contradict the contacts.
+    Raises ProblemError for values that contradict the contacts, or that unknown parameters of the model decide.
     """
     held, end, manifest = find_held(problem, plant.manifest), problem.end, plant.manifest
     if held is None:
@@ -45,11 +48,15 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
     free = null_space(_constrain(plant, held, q), rcond=RANK)
     kept = _choose(free, list(speeds))
     if len(kept) < len(speeds):
+        _check_unknowns(problem, plant, held, q, "end.velocities", any(speeds.values()))
         _check_velocities(problem, free, speeds, kept)
         values = tuple((i, speeds[i]) for i in kept)
         end = replace(end, velocity_zero=False, velocities=values)
     kept = _choose(free, list(changes))
     if len(kept) < len(changes):
+        is_moving = any(changes.values()) or any(speeds.values())
+        _check_unknowns(problem, plant, held, q, "end.accelerations", is_moving)
+        _check_accelerations(problem, plant, held, q, free, speeds, changes, kept)
         values = tuple((i, changes[i]) for i in kept)
         end = replace(end, acceleration_zero=False, accelerations=values)
     nq = len(manifest.positions)
@@ -57,6 +64,7 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
         places = dict(end.coordinates)
         kept = _choose(free, list(places))
         if len(kept) < len(places):
+            _check_unknowns(problem, plant, held, q, "end.coordinates", True)
             _check_pose(problem, plant, held, q, places, kept)
             end = replace(end, coordinates=tuple((i, places[i]) for i in kept))
     return replace(problem, end=end)
@@ -109,10 +117,56 @@ def _choose(free: Array, given: Sequence[int]) -> list[int]:
     return [i for i in given if i in chosen]
 
 
+def _check_unknowns(problem: Problem, plant: Plant, held: Held, q: Array, place: str, is_refused: bool) -> None:
+    """Raise ProblemError where values that follow from others change with unknown parameters of the model."""
+    names = [unknown.name for unknown in problem.unknowns if unknown.name in plant.parameters]
+    if not is_refused or not names:
+        return
+    J = _constrain(plant, held, q)
+
+    def moves_contacts(name: str) -> bool:
+        value = plant.parameters[name]
+        other = plant.with_parameters(**{name: value + CHANGE * max(1.0, abs(value))})
+        return not np.array_equal(_constrain(other, held, q), J)
+
+    moving = ", ".join(name for name in names if moves_contacts(name))
+    if moving:
+        finding = f"some of these values follow from the others by the contacts, which change with {moving}"
+        raise ProblemError(problem.name, [(place, finding, "give fewer values, or write them as constraints at: end")])
+
+
 def _check_velocities(problem: Problem, free: Array, given: Values, kept: Sequence[int]) -> None:
     """Raise ProblemError for velocities that differ from the ones that the others imply."""
     found = free @ np.linalg.lstsq(free[kept], np.array([given[i] for i in kept]), rcond=None)[0]
     _compare(problem, "end.velocities", given, found, "1/s")
+
+
+def _check_accelerations(
+    problem: Problem,
+    plant: Plant,
+    held: Held,
+    q: Array,
+    free: Array,
+    speeds: Values,
+    given: Values,
+    kept: Sequence[int],
+) -> None:
+    """Raise ProblemError for accelerations that differ from the ones that the others and the velocities imply."""
+    known = _choose(free, list(speeds))
+    if len(known) < free.shape[1]:
+        finding = (
+            "some of these values follow from the others by the contacts and the velocities, which are not all given"
+        )
+        raise ProblemError(
+            problem.name, [("end.accelerations", finding, "give the velocities, or fewer accelerations")]
+        )
+    qd = free @ np.linalg.lstsq(free[known], np.array([speeds[i] for i in known]), rcond=None)[0]
+    bias, closure = held.differentiate(plant, q[None], qd[None])[1][0], find_closure(plant)
+    bias = bias if closure is None else np.concatenate((bias, closure.bias(q, qd)))
+    bent = np.linalg.lstsq(_constrain(plant, held, q), -bias, rcond=RANK)[0]
+    wanted = np.array([given[i] for i in kept]) - bent[kept]
+    found = bent + free @ np.linalg.lstsq(free[kept], wanted, rcond=None)[0]
+    _compare(problem, "end.accelerations", given, found, "1/s²")
 
 
 def _check_pose(problem: Problem, plant: Plant, held: Held, q: Array, given: Values, kept: Sequence[int]) -> None:

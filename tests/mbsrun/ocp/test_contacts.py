@@ -8,6 +8,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 from mbsgen.errors import InputError
 from mbsrun import load
@@ -15,6 +16,7 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.clashes import name_rows
 from mbsrun.ocp.contacts import find_held
+from mbsrun.ocp.functions import Array
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import End, Problem
 from mbsrun.ocp.resimulation import resimulate
@@ -22,6 +24,7 @@ from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.summary import summarise
+from mbsrun.ocp.surplus import leave_out_surplus
 from mbsrun.ocp.transcription import transcribe
 from tests.mbsrun.ocp.legs import LEG, SQUAT
 
@@ -248,6 +251,69 @@ def test_an_end_that_contradicts_contacts_is_refused(tmp_path: Path) -> None:
     high = End(coordinates=((0, 0.1), (1, 0.2), (2, 0.8), (3, -1.6)), velocity_zero=True)
     with pytest.raises(ProblemError, match=r"end.coordinates: the contacts imply values that differ"):
         solve(replace(problem, end=high), plant)
+
+
+def test_accelerations_of_the_end_that_contradict_contacts_are_refused(tmp_path: Path) -> None:
+    """A hip that speeds up alone; accelerations 0 of an end that may move. At rest, two of four follow from two."""
+    problem, plant = read_leg(tmp_path)
+    pose = problem.end.coordinates
+    fast = End(coordinates=pose, velocity_zero=True, accelerations=((0, 0.0), (1, 0.0), (2, 1.0), (3, 0.0)))
+    with pytest.raises(ProblemError, match=r"end.accelerations: the contacts imply values that differ .* 1/s²"):
+        solve(replace(problem, end=fast), plant)
+    with pytest.raises(ProblemError, match=r"end.accelerations: .* which are not all given; give the velocities"):
+        solve(replace(problem, end=End(coordinates=pose, acceleration_zero=True)), plant)
+    rest = replace(problem, end=End(coordinates=pose, velocity_zero=True, acceleration_zero=True))
+    assert len(leave_out_surplus(rest, plant, find_end(problem, plant)).end.accelerations) == 2
+
+
+def test_an_unknown_length_does_not_meet_implied_values(tmp_path: Path) -> None:
+    """Implied values that move with a length are refused; with an unknown mass, and at rest, they are left out."""
+    parameters = "parameters: {l: {value: 0.4, kind: differentiated}, m: {value: 5, kind: differentiated}}\nbodies:"
+    model = (
+        LEG.replace("bodies:", parameters)
+        .replace("mass: 5", "mass: m")
+        .replace("[0, 0, -0.4]}\n    m", "[0, 0, -l]}\n    m")
+    )
+    assert "-l" in model
+    for name, guess in (("l", 0.4), ("m", 5.0)):
+        (tmp_path / "leg.yaml").write_text(model)
+        text = f"unknowns: {{{name}: {{guess: {guess}, range: [{0.9 * guess}, {1.1 * guess}]}}}}\n"
+        (tmp_path / "squat.ocp.yaml").write_text(SQUAT + text)
+        problem, plant = read_problem(tmp_path / "squat.ocp.yaml", load)
+        q = np.array([0.0, 0.0, 0.8, -1.6])
+        start = plant("sensors", q=problem.start_q)["position"] - plant("sensors", q=q)["position"]
+        q[:2] = start[[0, 2], 0]
+        assert len(leave_out_surplus(problem, plant, q).end.velocities) == 2
+        whole = replace(problem, end=End(coordinates=tuple(enumerate(q.tolist())), velocity_zero=True))
+        if name == "l":
+            with pytest.raises(ProblemError, match=r"end.coordinates: .* by the contacts, which change with l; give"):
+                leave_out_surplus(whole, plant, q)
+        else:
+            assert len(leave_out_surplus(whole, plant, q).end.coordinates) == 2
+
+
+def test_accelerations_of_a_moving_end_follow_from_its_velocities(tmp_path: Path) -> None:
+    """J_c qdd = -dJ_c/dt qd: accelerations that meet it are left out, the same without this term are refused."""
+    problem, plant = read_leg(tmp_path)
+    held, q = find_held(problem, plant.manifest), find_end(problem, plant)
+    assert held is not None
+    J = held.differentiate(plant, q[None], np.zeros((1, 4)))[0][0]
+    qd = null_space(J) @ np.array([0.4, -0.7])
+    bent = np.linalg.lstsq(J, -held.differentiate(plant, q[None], qd[None])[1][0])[0]
+    assert np.abs(bent).max() > 0.01
+    for qdd in (bent, np.zeros(4)):
+        pairs = (tuple(enumerate(values.tolist())) for values in (q, qd, qdd))
+        moving = replace(problem, end=End(coordinates=next(pairs), velocities=next(pairs), accelerations=next(pairs)))
+        if qdd is bent:
+            assert len(leave_out_surplus(moving, plant, q).end.accelerations) == 2
+        else:
+            with pytest.raises(ProblemError, match=r"end.accelerations: the contacts imply values that differ"):
+                leave_out_surplus(moving, plant, q)
+
+
+def find_end(problem: Problem, plant: Plant) -> Array:
+    """Return a pose of the end that keeps the contacts."""
+    return found(replace(problem, intervals=10), plant).trajectory.q[-1]
 
 
 def test_velocities_of_contacts_are_differentiated(tmp_path: Path) -> None:
