@@ -140,7 +140,7 @@ class Drawing:
             data["parameters"] = {name: given[name] for name in chosen}
         unknowns: Data = {}
         if self.is_standard or self.chance(0.5):
-            for name, value in () if own.is_closed else own.design:
+            for name, value in own.design:
                 if self.chance(0.3) and name not in chosen:
                     unknowns[name] = {"guess": value, "range": [round(0.5 * value, 4), pick.choice([None, 2 * value])]}
         if self.chance(0.3):
