@@ -216,14 +216,21 @@ static void lay_shared(arena *a, mbs_stages *s, const mbs_stages_problem *proble
     lay_pivots(a, a->base ? t->inner.pivots : &spare, t->inner.n, t->nx, entries, t->inner.capacity);
 }
 
+static int is_read(const mbs_stages_stage *t, int j)
+{
+    int l;
+    for (l = t->E.begin[j]; l < t->E.end[j]; ++l)
+        if (t->E.row[l] < t->inner.n)
+            return 1;
+    return 0;
+}
+
 /* Count the first states that no inner equation reads, in whole lanes. */
 static int count_unread(const mbs_stages_stage *t)
 {
-    int j, l, i = t->inner.n;
-    for (j = 0; t->E.begin && j < t->nx && i == t->inner.n; ++j)
-        for (l = t->E.begin[j]; l < t->E.end[j]; ++l)
-            i = smaller(i, t->E.row[l]);
-    j -= i < t->inner.n;
+    int j = 0;
+    while (t->E.begin && j < t->nx && !is_read(t, j))
+        ++j;
     return j / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 

@@ -11,10 +11,9 @@ The bytes belong to the compiler, the flags and the processor that the graphs we
 from __future__ import annotations
 
 import re
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePath
+from pathlib import PurePath
 
 from mbsgen.errors import MbsError
 
@@ -59,24 +58,6 @@ class Chain:
 
     bytes: int
     functions: tuple[str, ...]
-
-
-def compile_graphs(compiler: Sequence[str], sources: Sequence[Path], place: Path) -> dict[str, Function]:
-    """Compile sources into the folder `place` by a GCC with its flags; return their functions.
-
-    A function of one file alone has the name `file.c:function`. Raises StackError if the compiler refuses.
-    """
-    command = [*compiler, GRAPHS, "-c"]
-    graphs = []
-    for source in sources:
-        made = place / f"{source.stem}.o"
-        done = subprocess.run(
-            [*command, str(source), "-o", str(made)], capture_output=True, text=True, errors="replace", check=False
-        )
-        if done.returncode:
-            raise StackError(f"{compiler[0]} writes no call graph of {source}; use GCC:\n{done.stderr.strip()}")
-        graphs.append(made.with_suffix(".ci").read_text("utf-8"))
-    return read_graphs(graphs)
 
 
 def read_graphs(graphs: Sequence[str]) -> dict[str, Function]:

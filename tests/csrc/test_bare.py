@@ -11,8 +11,9 @@ import pytest
 
 from mbsgen.resources import folder
 from mbsrun import bare
-from mbsrun.stack import Rules, compile_graphs, find_deepest, list_tasks
+from mbsrun.stack import Rules, find_deepest, list_tasks
 from tests.csrc.stages import STATUS, STRICT, sources
+from tests.graphs import compile_graphs
 
 CSRC = folder("csrc")
 EXAMPLE = CSRC / "stages" / "example"

@@ -120,6 +120,9 @@ def test_call_graphs_are_written_once(
     monkeypatch.setattr(library, "GRAPHS", "-O0")
     with pytest.raises(CompileError, match=r"writes no file \.ci"):
         write_graphs(tmp_path, "one", ["mbs_half.c"], compiler)
+    (tmp_path / "mbs_half.c").write_text("int f(void) { return }", encoding="utf-8")
+    with pytest.raises(CompileError, match=r"failed with status"):
+        write_graphs(tmp_path, "one", ["mbs_half.c"], compiler)
 
 
 def test_other_flags_make_another_library(tmp_path: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

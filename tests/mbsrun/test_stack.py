@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mbsrun.stack import Chain, Function, Rules, StackError, compile_graphs, find_deepest, read_graphs
+from mbsrun.stack import Chain, Function, Rules, StackError, find_deepest, read_graphs
+from tests.graphs import compile_graphs
 from tests.mbsgen.targets.compilation import Requires
 
 GRAPH = r"""graph: { title: "/a/b/one.c"
@@ -90,6 +91,3 @@ def test_a_compiled_program(requires: Requires, tmp_path: Path) -> None:
     assert 800 <= chain.bytes < 1000
     with pytest.raises(StackError, match="grows at run time"):
         find_deepest(found, ["grow"], Rules({"program.c": ()}))
-    source.write_text("int f(void) { return }", "utf-8")
-    with pytest.raises(StackError, match=r"gcc writes no call graph of .*program\.c; use GCC:\n.*"):
-        compile_graphs([requires("gcc")], [source], tmp_path)
