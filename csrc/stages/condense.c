@@ -37,6 +37,16 @@ int mbs_stages_outer(const mbs_stages_stage *s, int i)
     return i < s->nx ? i : i - s->inner.n;
 }
 
+void mbs_stages_apply_curvature(const mbs_stages_stage *s, const real *z, real *out)
+{
+    int i;
+    for (i = 0; i < s->n && s->curvature > 0; ++i)
+        if (!is_inner(s, i))
+            out[i] += s->curvature * z[i];
+    for (i = 0; i < s->inner.deferred && s->curvature > 0; ++i)
+        out[s->nx + s->inner.variable[i]] += s->curvature * z[s->nx + s->inner.variable[i]];
+}
+
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i)
 {
     return is_inner(s, i) ? row_of_v(s, i) : NULL;

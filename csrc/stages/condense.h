@@ -17,6 +17,9 @@ void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch
 /* The place of variable i in the recursion; -1 for an inner one. */
 int mbs_stages_outer(const mbs_stages_stage *s, int i);
 
+/* out += curvature z, for the recursion's variables among all variables z of a stage. */
+void mbs_stages_apply_curvature(const mbs_stages_stage *s, const real *z, real *out);
+
 /* How variable i changes with the recursion's variables, if it is an inner one; NULL: it is one of these. */
 const real *mbs_stages_variation(const mbs_stages_stage *s, int i);
 

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #define KAPPA_EPSILON ((real)10)  /* errors that a barrier parameter is lowered at, beside itself */
+#define CONVEX ((real)3)          /* and where the last step needed no curvature, as many times larger ones */
 #define KAPPA_MU ((real)0.2)
 #define THETA_MU ((real)1.5)
 #define TAU ((real)0.99)
@@ -30,8 +31,9 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
     const real tolerance = s->options.tolerance < products ? s->options.tolerance : products;
     const real zero = tolerance / (KAPPA_EPSILON + 1), least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
+    const real factor = p->added > 0 ? KAPPA_EPSILON : CONVEX * KAPPA_EPSILON;
     const real rounding = mbs_stages_rounding(p);
-    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= KAPPA_EPSILON * p->mu + rounding) {
+    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= factor * p->mu + rounding) {
         const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
         if (p->mu <= least)
             return force ? -1 : 0;

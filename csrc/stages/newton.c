@@ -7,7 +7,9 @@
  *
  * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
- * identity is added to the curvature of all variables (Waechter, Biegler, 2006, algorithm IC). */
+ * identity is added to the curvature of variables (Waechter, Biegler, 2006, algorithm IC). Inner variables follow the
+ * others and get none, so what is condensed stays, and a further try costs no more than the recursion. */
+#include "condense.h"
 #include "solver.h"
 
 #include <string.h>
@@ -42,19 +44,20 @@ static void add_to(real *a, int from, int n, real b)
         a[i] += b;
 }
 
-/* Add curvature to all variables of stages from `first` on. */
-static void add_curvature(const mbs_stages *s, mbs_stages_phase *p, int first, real regular)
+/* Add curvature to stages from `first` on: to the recursion's variables, which give the inner ones, to slacks and to
+ * elastic variables. */
+static void add_curvature(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
     int k;
-    for (k = first; k < s->problem->stages; ++k) {
-        const mbs_stages_stage *t = &s->recursion.stage[k];
+    for (k = 0; k < s->problem->stages; ++k) {
+        mbs_stages_stage *t = &s->recursion.stage[k];
         const int rows = t->g + t->ng - t->e;
-        add_to(p->sigma, t->w, t->n, regular);
-        add_to(p->sigma, at + t->s, t->ng, regular);
+        t->curvature = k < first ? 0 : regular;
+        add_to(p->sigma, at + t->s, t->ng, t->curvature);
         if (p->elastic) {
-            add_to(p->sigma, plus + t->e, rows, regular);
-            add_to(p->sigma, minus + t->e, rows, regular);
+            add_to(p->sigma, plus + t->e, rows, t->curvature);
+            add_to(p->sigma, minus + t->e, rows, t->curvature);
         }
     }
 }
@@ -119,8 +122,7 @@ static void soften_rows(mbs_stages *s)
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
     find_sigma(s, p);
-    if (regular > 0)
-        add_curvature(s, p, first, regular);
+    add_curvature(s, p, first, regular);
     find_diagonal(s, p);
     find_compliance(s, p);
     s->recursion.plain = 0;
@@ -128,7 +130,7 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
         soften_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
-    return mbs_stages_factorise(&s->recursion);
+    return mbs_stages_factorise(&s->recursion, regular > 0);
 }
 
 static real first_curvature(real before)
@@ -150,7 +152,7 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
         if (regular == 0)
             regular = first_curvature(before);
         else if (k >= first)
-            regular *= before == 0 ? 100 : 8;
+            regular *= before == 0 ? 100 : 6;
         k = s->options.by_stage ? k : 0;
         first = k < first ? k : first;
         if (!(regular < MOST))
@@ -194,6 +196,7 @@ static void find_stage_residual(mbs_stages *s, int k)
         mbs_stages_matrix_apply_symmetric(&t->H, s->dw + t->w, s->residual_w + t->w);
     mbs_stages_add_stage_transposed(r, k, s->dy, s->residual_w);
     mbs_stages_add_stage_rows(r, k, s->dw, s->residual_c);
+    mbs_stages_apply_curvature(t, s->dw + t->w, s->residual_w + t->w);
     for (i = t->w; i < w; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
     for (i = t->e; i < rows; ++i)
@@ -350,7 +353,7 @@ static void estimate_softly(mbs_stages *s)
 {
     s->softening = MBS_STAGES_SOFTENED;
     soften_rows(s);
-    if (mbs_stages_factorise(&s->recursion) >= 0 || solve_reduced(s) < 0)
+    if (mbs_stages_factorise(&s->recursion, 1) >= 0 || solve_reduced(s) < 0)
         s->softening = MBS_STAGES_HARD;
 }
 
@@ -366,11 +369,13 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
         p->sigma[i] = s->fixed[i] ? 0 : 1;
     for (i = 0; i < s->variables; ++i)
         r->diagonal[i] = 1;
+    for (i = 0; i < r->stages; ++i)
+        r->stage[i].curvature = 0;
     find_compliance(s, p);
     r->plain = 1;
     r->soft_dynamics = p->elastic;
     p->added = 0;
-    if (mbs_stages_factorise(r) < 0) {
+    if (mbs_stages_factorise(r, 0) < 0) {
         memset(p->trial_c, 0, (size_t)s->rows * sizeof *p->trial_c);
         reduce_right(s, p, p->trial_c);
         if (solve_reduced(s) < 0 && !p->elastic && s->softening == MBS_STAGES_HARD)

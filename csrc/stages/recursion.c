@@ -63,7 +63,7 @@ static entrance enter(const mbs_stages_recursion *r, int k)
     return e;
 }
 
-/* Q = H + diagonal, lower triangle. Where variables were condensed, H holds the diagonal already. */
+/* Q = H + diagonal + curvature, lower triangle. Where variables were condensed, H holds the diagonal already. */
 static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q)
 {
     const size_t n = (size_t)s->dense.n;
@@ -72,8 +72,8 @@ static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s,
         memset(Q, 0, n * n * sizeof *Q);
     else
         memcpy(Q, s->dense.H, n * n * sizeof *Q);
-    for (i = 0; i < n && s->inner.n == 0; ++i)
-        Q[i * n + i] += r->diagonal[(size_t)s->w + i];
+    for (i = 0; i < n; ++i)
+        Q[i * n + i] += s->curvature + (s->inner.n == 0 ? r->diagonal[(size_t)s->w + i] : 0);
 }
 
 static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
@@ -163,14 +163,21 @@ static void condense_stages(void *recursion, int from, int to, int worker)
     mbs_stages_condense(r, &r->scratch[worker], from, to);
 }
 
-/* Without a team, stages are condensed while they are in the cache: a group at once, when the recursion comes to it. */
+/* Condense the group of stage k, the last one of it, while the recursion has it in the cache. */
+static void condense_next(mbs_stages_recursion *r, int k)
+{
+    const int first = k - r->stage[k].inner.lane;
+    condense_stages(r, first, k + 1, 0);
+    r->condensed = first;
+}
+
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     mbs_stages_stage *s = &r->stage[k];
     mbs_stages_step *p = &r->step[k];
     real *Q = r->work[3];
-    if (!r->team && mbs_stages_group(r, k + 1) == k + 1)
-        condense_stages(r, k - s->inner.lane, k + 1, 0);
+    if (k < r->condensed)
+        condense_next(r, k);
     s->inner.poor = s->inner.own && s->inner.missing == 0;
     p->n = s->dense.n;
     p->nv = s->dense.nv;
@@ -209,12 +216,22 @@ static int dependent_rows(const mbs_stages_step *p)
     return p->rows - p->pivots - p->passed;
 }
 
-int mbs_stages_factorise(mbs_stages_recursion *r)
+/* Nothing is condensed yet; a team condenses all stages at once. */
+static void condense_anew(mbs_stages_recursion *r)
+{
+    mbs_stages_order_pivots(r);
+    r->condensed = r->stages;
+    if (r->team) {
+        mbs_stages_for_all(r, condense_stages, r);
+        r->condensed = 0;
+    }
+}
+
+int mbs_stages_factorise(mbs_stages_recursion *r, int again)
 {
     int k;
-    mbs_stages_order_pivots(r);
-    if (r->team)
-        mbs_stages_for_all(r, condense_stages, r);
+    if (!again)
+        condense_anew(r);
     r->dependent = r->singular = 0;
     for (k = r->stages - 1; k >= 0; --k) {
         if (factorise_stage(r, k))

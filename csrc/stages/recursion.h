@@ -36,6 +36,7 @@ typedef struct {
     int nx, nv, n, ne, ng, next; /* n = nx + nv; next: states of the next stage, 0 of the last one */
     int w, e, d, g, s;           /* where they begin */
     int equal;                   /* equal bounds that have room */
+    real curvature;              /* added to the cost of the recursion's variables */
     mbs_stages_matrix E, F, G, H; /* ne, next, ng, n rows; n columns each */
     mbs_stages_dense dense;       /* the same numbers, or copies where there are patterns or inner variables */
     mbs_stages_inner inner;
@@ -71,9 +72,9 @@ typedef struct {
 
 /* Everything that one factorisation and its solutions share:
  *
- *     (H + diagonal) dw + JT dy = -rw,   J dw - compliance dy = -rc,   dw = 0 where fixed.
+ *     (H + diagonal + curvature) dw + JT dy = -rw,   J dw - compliance dy = -rc,   dw = 0 where fixed.
  *
- * J has the rows e, d, g. A row with compliance 0 holds exactly; inner rows of e do. The compliance of d is 0 in all rows, or in none. */
+ * The curvature is a number for each stage, of all variables but inner ones. J has the rows e, d, g. A row with compliance 0 holds exactly; inner rows of e do. The compliance of d is 0 in all rows, or in none. */
 typedef struct {
     int stages, variables, rows;
     mbs_stages_stage *stage;
@@ -82,6 +83,7 @@ typedef struct {
     const char *fixed;
     real *diagonal, *compliance;
     int plain; /* 1: without H */
+    int condensed; /* stages from here on are condensed, by the derivatives and the diagonal that are there */
     int dependent, soft_dynamics;
     int singular; /* stages whose inner equations do not determine the inner variables */
     real zero_pivot, zero_curvature;
@@ -95,8 +97,9 @@ typedef struct {
 /* Do a task for all stages. */
 void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data);
 
-/* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. */
-int mbs_stages_factorise(mbs_stages_recursion *r);
+/* Factorise; returns -1, or the stage where the reduced Hessian is not positive definite. `again`: since the last call,
+ * curvature and compliance alone have changed. */
+int mbs_stages_factorise(mbs_stages_recursion *r, int again);
 
 /* Solve once. */
 void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, real *dw, real *dy);

@@ -158,6 +158,7 @@ static int resume(mbs_stages *s)
     copy_main(p->upper, s->least.upper, n);
     memset(p->y, 0, (size_t)s->rows * sizeof *p->y);
     p->tiny = p->rejected = p->acceptable = 0;
+    mbs_stages_search_anew(p);
     s->softening = MBS_STAGES_HARD;
     if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
         return MBS_STAGES_CALLBACK_FAILED;

@@ -6,7 +6,6 @@
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
 #define LEAST_SCALE ((real)1e-8)
-#define FAR ((real)1e-2) /* barrier parameter of a warm start, beside the square of its largest violation */
 
 static const real NONE = 2 * MBS_STAGES_INFINITE;
 
@@ -284,15 +283,14 @@ static real first_barrier(const mbs_stages *s)
  * higher its barrier parameter must be, unless the caller chose one. */
 static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
 {
-    real violation, mu;
-    start_warm(s, p);
-    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
-        return -1;
-    violation = mbs_stages_largest(s->rows, p->c);
-    mu = FAR * (violation < 1 ? violation * violation : 1);
-    if (s->options.barrier > 0 || !(mu > p->mu))
-        return 0;
-    p->mu = mu;
+    if (!(s->options.barrier > 0)) {
+        real violation, mu;
+        if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+            return -1;
+        violation = mbs_stages_largest(s->rows, p->c);
+        mu = violation < 1 ? violation * violation : 1;
+        p->mu = mu > p->mu ? mu : p->mu;
+    }
     start_warm(s, p);
     return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);
 }

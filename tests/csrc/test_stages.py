@@ -377,7 +377,7 @@ def test_multipliers_of_fixed_variables(library: Library) -> None:
 
 
 def test_a_warm_start_takes_few_iterations(either: Library) -> None:
-    """From a solution: one or two; from a neighbour, in a loop that shifts: at most half of a cold start's."""
+    """From a solution: one or two; from a neighbour, in a loop that shifts: at most five, and fewer than cold."""
     problem = cart_pole()
     solver = Solver(either, problem)
     cold = solver.solve()
@@ -389,7 +389,7 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
         solver.lower[:4] = solver.upper[:4] = start
         loop = solver.solve(warm=1)
         assert loop.status == "solved"
-        assert loop.result.iterations <= cold.result.iterations / 2
+        assert loop.result.iterations <= 5 < cold.result.iterations
         assert np.array_equal(loop.w[:4], solver.lower[:4])
 
 

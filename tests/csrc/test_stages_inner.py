@@ -196,11 +196,15 @@ def collocation(*, inner: int, sparse: bool = True) -> Problem:
 
 
 def test_a_condensed_nonlinear_problem_has_the_optimum_of_ipopt(library: Library) -> None:
-    """Accelerations at points of Gauss are inner; curvature is added on the way."""
+    """Accelerations at points of Gauss are inner. Curvature is added on the way, to the other variables alone; so the path
+    differs where it is needed.
+    """
     problem = collocation(inner=4)
     answer, whole = Solver(library, problem).solve(), Solver(library, collocation(inner=0, sparse=False)).solve()
-    assert (answer.status, answer.result.iterations) == (whole.status, whole.result.iterations)
-    assert max(row[7] for row in answer.path) > 0
+    assert (answer.status, whole.status) == ("solved", "solved")
+    assert answer.result.iterations <= whole.result.iterations
+    assert min(max(row[7] for row in one.path) for one in (answer, whole)) > 0
+    assert answer.result.cost == pytest.approx(whole.result.cost, rel=1e-8)
     assert answer.result.cost == pytest.approx(problem.ipopt()[0]["f"][0], rel=1e-8)
     assert max(problem.residuals(*answer.point)) < 1e-7
 
