@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbsrun.external import OnDemand
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
 from mbsrun.ocp.status import SOLVED
@@ -49,6 +49,17 @@ def test_other_numbers_need_no_other_tables(swing: tuple[Problem, OnDemand]) -> 
         other = solve(replace(changed, solver=replace(changed.solver, method="ipopt")), plant)
         assert isinstance(other, Solution)
         assert outcome.cost.total == pytest.approx(other.cost.total, rel=1e-6)
+
+
+def test_a_search_after_restoration_takes_all_lengths() -> None:
+    """Steps that lower errors alone end with it: this task goes on from restoration six times."""
+    problem, plant = read("arm_reach", intervals=25, representation=Representation("EXP1-A"))
+    problem = replace(problem, cost=replace(problem.cost, input_rates=0.0))
+    angle = -0.4 * np.pi
+    problem = problem.with_target("hand", (0.63 * np.cos(angle), 0.63 * np.sin(angle), -0.1))
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.status == SOLVED
 
 
 def test_an_infeasible_problem_names_rows_that_clash(swing: tuple[Problem, OnDemand]) -> None:
