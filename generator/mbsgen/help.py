@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import click
@@ -28,17 +29,48 @@ class ModelCommand(click.Command):
         _write_sections(formatter, rows)
 
 
+class CommandsOnDemand(MutableMapping[str, click.Command]):
+    """Commands of a package, loaded when they are used: `fit-motion` is its `fit_motion.fit_motion_command`."""
+
+    def __init__(self, package: str, names: Iterable[str]) -> None:
+        self._package = package
+        self._commands: dict[str, click.Command | None] = dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> click.Command:
+        """Return a command."""
+        command = self._commands[name]
+        if command is None:
+            module = name.replace("-", "_")
+            command = getattr(import_module(f"{self._package}.{module}"), f"{module}_command")
+            assert isinstance(command, click.Command), "the module has the command of its name"
+            self._commands[name] = command
+        return command
+
+    def __setitem__(self, name: str, command: click.Command) -> None:
+        """Add a command."""
+        self._commands[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        """Take a command out."""
+        del self._commands[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Return an iterator over the names."""
+        return iter(self._commands)
+
+    def __len__(self) -> int:
+        """Return how many commands there are."""
+        return len(self._commands)
+
+
 class CommandsBySubject(click.Group):
     """A group that lists its commands by subject, each with its first argument and its whole summary."""
 
     command_class = ModelCommand
 
-    def __init__(self, *arguments: Any, subjects: Mapping[str, Sequence[click.Command]] | None = None, **own: Any):
+    def __init__(self, *arguments: Any, subjects: Mapping[str, Sequence[str]] | None = None, **own: Any):
         super().__init__(*arguments, **own)
-        self.subjects = subjects or {}
-        for commands in self.subjects.values():
-            for command in commands:
-                self.add_command(command)
+        self._subjects = subjects
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  # click's
         """List the names in the order in which the commands were given."""
@@ -46,9 +78,10 @@ class CommandsBySubject(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under the titles of their subjects."""
-        subjects = self.subjects or {COMMANDS: tuple(self.commands.values())}
+        subjects = self._subjects or {COMMANDS: tuple(self.commands)}
         _write_sections(
-            formatter, {title: [_describe(each, ctx) for each in commands] for title, commands in subjects.items()}
+            formatter,
+            {title: [_describe(self.commands[name], ctx) for name in names] for title, names in subjects.items()},
         )
 
 

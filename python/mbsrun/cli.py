@@ -8,28 +8,8 @@ from importlib.metadata import version
 import click
 
 from mbsgen.errors import MbsError
-from mbsgen.help import CommandsBySubject
-from mbsrun.commands.advise import advise_command
-from mbsrun.commands.animate import animate_command
-from mbsrun.commands.cache import cache_command
-from mbsrun.commands.chart import chart
-from mbsrun.commands.console import (
-    BAD_INPUT,
-    say,
-)
-from mbsrun.commands.controller import controller_command
-from mbsrun.commands.fit_motion import fit_motion_command
-from mbsrun.commands.fmu import fmu_command
-from mbsrun.commands.inverse import inverse_command
-from mbsrun.commands.inverse_dynamics import inverse_dynamics_command
-from mbsrun.commands.lab import lab_command
-from mbsrun.commands.linearise import linearise_command
-from mbsrun.commands.playground import playground_command
-from mbsrun.commands.simulate import simulate_command
-from mbsrun.commands.solve import solve_command
-from mbsrun.commands.study import study_command
-from mbsrun.commands.sweep import sweep_command
-from mbsrun.commands.track import track_command
+from mbsgen.help import CommandsBySubject, CommandsOnDemand
+from mbsrun.commands.console import BAD_INPUT, say
 from mbsrun.environment import describe_installation
 
 HELP = """Simulate multibody systems, and solve their optimal control problems.
@@ -43,13 +23,13 @@ examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, p
 """
 
 COMMANDS = {
-    "Motions": (simulate_command, inverse_command, linearise_command, animate_command),
-    "Optimal control": (solve_command, sweep_command),
-    "Controllers": (controller_command, track_command),
-    "Recorded motions": (fit_motion_command, inverse_dynamics_command),
-    "Other programs": (fmu_command, playground_command),
-    "Speed and accuracy": (advise_command, chart, lab_command, study_command),
-    "Files": (cache_command,),
+    "Motions": ("simulate", "inverse", "linearise", "animate"),
+    "Optimal control": ("solve", "sweep"),
+    "Controllers": ("controller", "track"),
+    "Recorded motions": ("fit-motion", "inverse-dynamics"),
+    "Other programs": ("fmu", "playground"),
+    "Speed and accuracy": ("advise", "chart", "lab", "study"),
+    "Files": ("cache",),
 }
 
 
@@ -66,6 +46,7 @@ def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     cls=CommandsBySubject,
     help=HELP,
     subjects=COMMANDS,
+    commands=CommandsOnDemand("mbsrun.commands", (name for names in COMMANDS.values() for name in names)),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.option(

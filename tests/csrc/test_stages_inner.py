@@ -196,9 +196,7 @@ def collocation(*, inner: int, sparse: bool = True) -> Problem:
 
 
 def test_a_condensed_nonlinear_problem_has_the_optimum_of_ipopt(library: Library) -> None:
-    """Accelerations at points of Gauss are inner. Curvature is added on the way, to the other variables alone; so the path
-    differs where it is needed.
-    """
+    """Accelerations at points of Gauss are inner. Curvature is added on the way, to other variables alone."""
     problem = collocation(inner=4)
     answer, whole = Solver(library, problem).solve(), Solver(library, collocation(inner=0, sparse=False)).solve()
     assert (answer.status, whole.status) == ("solved", "solved")

@@ -97,11 +97,11 @@ The output folder gets
 
 
 @click.group("chart", cls=CommandsBySubject, help=CHART_HELP, short_help="Measure speed against accuracy, and draw it.")
-def chart() -> None:
+def chart_command() -> None:
     """Measure and draw."""
 
 
-@chart.command("kernels", help=KERNELS_HELP, short_help="Time of a call against lost digits.")
+@chart_command.command("kernels", help=KERNELS_HELP, short_help="Time of a call against lost digits.")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
@@ -122,7 +122,7 @@ def chart_kernels_command(
     write_captions("kernels", points[0].mechanism, out)
 
 
-@chart.command("simulation", help=SIMULATION_HELP, short_help="Processor time of a motion against its error.")
+@chart_command.command("simulation", help=SIMULATION_HELP, short_help="Processor time of a motion against its error.")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
@@ -148,7 +148,9 @@ def chart_simulation_command(
     write_captions("simulation", points[0].mechanism, out)
 
 
-@chart.command("optimisation", help=OPTIMISATION_HELP, short_help="Time of a solve against the error of its optimum.")
+@chart_command.command(
+    "optimisation", help=OPTIMISATION_HELP, short_help="Time of a solve against the error of its optimum."
+)
 @click.argument("problem", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--intervals", type=click.IntRange(1, 10_000), multiple=True, help="By default 5 10 20 40.")
@@ -198,7 +200,7 @@ def chart_optimisation_command(
     write_captions("optimisation", f"{plant.manifest.model}, {stated.name}", out)
 
 
-@chart.command("fidelity", help=FIDELITY_HELP, short_help="Time that simpler models save, against their error.")
+@chart_command.command("fidelity", help=FIDELITY_HELP, short_help="Time that simpler models save, against their error.")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="A scene to measure.")
@@ -218,7 +220,7 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
     write_captions("fidelity", points[0].mechanism, out)
 
 
-@chart.command("fronts", help=FRONTS_HELP, short_help="Fronts of all formulations, with the advised choice.")
+@chart_command.command("fronts", help=FRONTS_HELP, short_help="Fronts of all formulations, with the advised choice.")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
