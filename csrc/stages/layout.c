@@ -412,7 +412,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)
         *of_slacks[i] = numbers(a, s->slacks, 1);
     s->least.elastic = 1;
-    s->recursion.zero_pivot = real_pow(MBS_STAGES_EPSILON, (real)0.65); /* double: 7e-11 */
+    s->recursion.zero_pivot = MBS_STAGES_ZERO;
     s->recursion.zero_curvature = 10 * MBS_STAGES_EPSILON;
     s->recursion.fixed = s->fixed;
     s->recursion.stages = s->problem->stages;

@@ -8,7 +8,8 @@
  * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
  * identity is added to the curvature of variables (Waechter, Biegler, 2006, algorithm IC). Inner variables follow the
- * others and get none, so what is condensed stays, and a further try costs no more than the recursion. */
+ * others and get none, so what is condensed stays, and a further try costs no more than the recursion. Where their
+ * equations do not determine them, small changes of the others move them far, and they get curvature too. */
 #include "condense.h"
 #include "solver.h"
 
@@ -44,9 +45,9 @@ static void add_to(real *a, int from, int n, real b)
         a[i] += b;
 }
 
-/* Add curvature to stages from `first` on: to the recursion's variables, which give the inner ones, to slacks and to
- * elastic variables. */
-static void add_curvature(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
+/* Add curvature to stages from `first` on: to the recursion's variables, to slacks, to elastic variables; by `inner` to
+ * inner ones too. */
+static void add_curvature(mbs_stages *s, mbs_stages_phase *p, int first, real regular, int inner)
 {
     const int at = s->variables, plus = at + s->slacks, minus = plus + s->rows;
     int k;
@@ -54,6 +55,7 @@ static void add_curvature(mbs_stages *s, mbs_stages_phase *p, int first, real re
         mbs_stages_stage *t = &s->recursion.stage[k];
         const int rows = t->g + t->ng - t->e;
         t->curvature = k < first ? 0 : regular;
+        add_to(p->sigma, t->w + t->nx, inner ? t->inner.n : 0, t->curvature);
         add_to(p->sigma, at + t->s, t->ng, t->curvature);
         if (p->elastic) {
             add_to(p->sigma, plus + t->e, rows, t->curvature);
@@ -121,8 +123,9 @@ static void soften_rows(mbs_stages *s)
 /* Factorise with added curvature in stages from `first` on; returns -1, or the stage that lacks curvature. */
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
 {
+    const int inner = s->result.singular > 0 || s->recursion.singular > 0;
     find_sigma(s, p);
-    add_curvature(s, p, first, regular);
+    add_curvature(s, p, first, regular, inner);
     find_diagonal(s, p);
     find_compliance(s, p);
     s->recursion.plain = 0;
@@ -130,7 +133,7 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
         soften_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
-    return mbs_stages_factorise(&s->recursion, regular > 0);
+    return mbs_stages_factorise(&s->recursion, regular > 0 && !inner);
 }
 
 static real first_curvature(real before)

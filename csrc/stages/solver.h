@@ -12,6 +12,7 @@
 #define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
 #define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
+#define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
@@ -19,6 +20,7 @@
 #define MBS_STAGES_LOW 1e-6
 #define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-8
+#define MBS_STAGES_ZERO 1.5e-8
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
