@@ -31,7 +31,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
     const real tolerance = s->options.tolerance < products ? s->options.tolerance : products;
     const real zero = tolerance / (KAPPA_EPSILON + 1), least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
-    const real factor = p->added > 0 ? KAPPA_EPSILON : CONVEX * KAPPA_EPSILON;
+    const real factor = p->added > 0 || p->elastic ? KAPPA_EPSILON : CONVEX * KAPPA_EPSILON;
     const real rounding = mbs_stages_rounding(p);
     while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= factor * p->mu + rounding) {
         const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
