@@ -120,10 +120,10 @@ static void soften_rows(mbs_stages *s)
         s->softening = MBS_STAGES_HARD_FOR_GOOD;
 }
 
-/* Factorise with added curvature in stages from `first` on; returns -1, or the stage that lacks curvature. */
-static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular)
+/* Factorise with added curvature in stages from `first` on, by `inner` of all variables; returns -1, or the stage that
+ * lacks curvature. */
+static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular, int inner)
 {
-    const int inner = s->result.singular > 0 || s->recursion.singular > 0;
     find_sigma(s, p);
     add_curvature(s, p, first, regular, inner);
     find_diagonal(s, p);
@@ -149,9 +149,10 @@ static real first_curvature(real before)
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = p->regular;
-    int first = s->problem->stages, k;
+    int first = s->problem->stages, inner = s->result.singular > 0, k;
     real regular = 0;
-    while ((k = factorise_with(s, p, first, regular)) >= 0) {
+    while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
+        inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
         if (regular == 0)
             regular = first_curvature(before);
         else if (k >= first)
