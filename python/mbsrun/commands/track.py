@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
@@ -33,7 +32,7 @@ from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
-from mbsrun.tracking.compiled import CompiledController, find_wrong_rate, list_misfits
+from mbsrun.tracking.compiled import BARRIER, CompiledController, Stepping, find_wrong_rate, list_misfits
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
 from mbsrun.tracking.mechanisms import load_simulated
@@ -125,6 +124,13 @@ MAX_STEPS = 100  # of Newton's method in a sample
     metavar="VIOLATION",
     help="With --steps: solve where the plan violates a constraint by more than this, as a step may go wrong.",
 )
+@click.option(
+    "--barrier",
+    type=click.FloatRange(0, min_open=True),
+    metavar="RATIO",
+    help="With --steps: their barrier parameter, beside the cost of the controller's own optimum; by default "
+    f"{BARRIER:g}. Larger ones are steadier after blows, and keep farther from bounds.",
+)
 @choose_format
 @click.pass_context
 @name_lines
@@ -139,6 +145,7 @@ def track_command(
     folder: Path | None,
     steps: int | None,
     rescue: float | None,
+    barrier: float | None,
     **given: Any,
 ) -> None:
     """Read, run, write, print."""
@@ -148,8 +155,7 @@ def track_command(
         raise click.UsageError("--controller has its own solver; leave --threads out")
     if folder is None and steps is not None:
         raise click.UsageError("--steps is for a controller in C; give --controller too")
-    if rescue is not None and steps is None:
-        raise click.UsageError("--rescue is for control in real time; give --steps too")
+    stepping = _choose_stepping(steps, rescue=rescue, barrier=barrier)
     statement = TrialStatement(settings, _collect_options(given))
     models: list[Path] = []
 
@@ -172,7 +178,7 @@ def track_command(
         predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
         controller: Controller = SolvingController(problem, model, trial.period, trial.horizon)
         if folder is not None:
-            controller = _load_controller(folder, file, problem, trial, statement, steps, rescue)
+            controller = _load_controller(folder, file, problem, trial, statement, stepping)
     try:
         found = _run(trial, problem, Plant(true, trial), controller, predicting)
     except NoPlanError as error:
@@ -189,14 +195,22 @@ def track_command(
     context.exit(0 if report.is_met else NOT_SOLVED)
 
 
+def _choose_stepping(steps: int | None, **options: float | None) -> Stepping | None:
+    given = {name: value for name, value in options.items() if value is not None}
+    if steps is not None:
+        return Stepping(steps, **given)
+    for name in given:
+        raise click.UsageError(f"--{name} is for control in real time; give --steps too")
+    return None
+
+
 def _load_controller(
     folder: Path,
     file: Path,
     problem: Problem,
     trial: Trial,
     statement: TrialStatement,
-    steps: int | None,
-    rescue: float | None,
+    stepping: Stepping | None,
 ) -> CompiledController:
     """Load a controller in C. Raises InputError with every way in which it does not fit the problem and the loop."""
     loaded = load_controller(folder)
@@ -214,7 +228,7 @@ def _load_controller(
         raise refuse(faults)
     if manifest.problem_hash != hash_problem(problem):
         say(f"warning: {folder} was written for another version of the problem; its own weights, bounds and ends count")
-    return CompiledController(loaded, problem, trial.period, steps, np.inf if rescue is None else rescue)
+    return CompiledController(loaded, problem, trial.period, stepping)
 
 
 def _collect_options(given: dict[str, Any]) -> dict[str, Data]:

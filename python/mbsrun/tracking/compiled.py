@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,20 @@ Array = NDArray[np.float64]
 
 ROUNDED = 1e-6  # of a number of periods in an interval
 STEPPED = "stepped"
-BARRIER = 1e-6  # of steps in real time, beside the cost of the controller's own optimum
+BARRIER = 3e-6  # of steps in real time, beside the cost of the controller's own optimum: smaller ones diverge earlier
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """Control in real time: `steps` of Newton's method in a sample.
+
+    They solve for a barrier parameter of `barrier` beside the cost of the controller's own optimum. A larger one is
+    steadier, and less exact. A sample solves where its plan's violation is larger than `rescue`.
+    """
+
+    steps: int
+    barrier: float = BARRIER
+    rescue: float = math.inf
 
 
 class MisfitError(MbsError):
@@ -34,13 +48,10 @@ class MisfitError(MbsError):
 
 
 class CompiledController:
-    """Calls a controller's C; `steps` in real time in each sample, or None for solves to the tolerance.
-
-    In real time, samples solve where the plan's violation is larger than `rescue`.
-    """
+    """Calls a controller's C: `stepping` in real time, or None for solves to the tolerance."""
 
     def __init__(
-        self, controller: Controller, problem: Problem, period: float, steps: int | None = None, rescue: float = np.inf
+        self, controller: Controller, problem: Problem, period: float, stepping: Stepping | None = None
     ) -> None:
         """Take a loaded controller. Raises MisfitError where it is another problem's, or the rate does not fit."""
         manifest = controller.manifest
@@ -52,13 +63,13 @@ class CompiledController:
         misfit = find_wrong_rate(self._interval, period)
         if misfit is not None:
             raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfit)}")
-        self._controller, self._period, self._steps = controller, period, steps
-        if steps is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
-            controller.options.least_barrier = BARRIER * abs(manifest.cost)
+        self._controller, self._period, self._stepping = controller, period, stepping
+        if stepping is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
+            controller.options.least_barrier = stepping.barrier * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
-        self._rescue, self._violation = rescue, 0.0
+        self._violation = 0.0
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
         """Move the plan ahead by the intervals that have passed; linearise, where the sample only makes steps."""
@@ -71,24 +82,24 @@ class CompiledController:
         for _ in range(passed):
             self._violation = self._controller.prepare(shift=True).violation
         self._begun += passed * self._interval
-        if not passed and self._steps is not None:
+        if not passed and self._stepping is not None:
             self._violation = self._controller.prepare().violation
 
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve, or make steps, from a state. The first plan is solved for in any case."""
-        before = clock.process_time()
-        if self._steps is None or not self._has_plan or not self._violation <= self._rescue:
+        before, stepping = clock.process_time(), self._stepping
+        if stepping is None or not self._has_plan or not self._violation <= stepping.rescue:
             return self._solve(q, qd, before)
         state = np.concatenate((q, qd))
         inputs, step = self._controller.feedback(state)
-        for _ in range(self._steps - 1):
+        for _ in range(stepping.steps - 1):
             if step.status == STEPPED:
                 self._controller.prepare()
                 inputs, step = self._controller.feedback(state)
         seconds = clock.process_time() - before
         is_solved = step.status == STEPPED
         return Decision(
-            inputs if is_solved else self.planned(self._time), step.status, is_solved, self._steps, seconds,
+            inputs if is_solved else self.planned(self._time), step.status, is_solved, stepping.steps, seconds,
             step.violation,
         )  # fmt: skip
 

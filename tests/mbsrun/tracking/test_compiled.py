@@ -22,9 +22,13 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Kick, Noise, Plant, SolvingController, Trial, record, track
-from mbsrun.tracking.compiled import CompiledController, MisfitError
+from mbsrun.tracking.compiled import CompiledController, MisfitError, Stepping
+from mbsrun.tracking.mechanisms import load_simulated
+from mbsrun.tracking.record import report_track
+from mbsrun.tracking.statement import TrialStatement
 from tests.mbsrun.tracking.tasks import FOLLOW
 
+MODELS = Path(__file__).parents[3] / "models"
 Call = Callable[..., tuple[object, str]]
 
 QUIET = Noise(np.zeros(1), np.zeros(1), np.zeros(1))
@@ -57,7 +61,8 @@ def test_it_acts_as_the_solver_does(
     """The problem is quadratic, so that one step solves it; periods are intervals of the plan, or halves."""
     trial = replace(TRIAL, period=period)
     written.reset()
-    found = track(trial, problem.bounds, Plant(puck, trial), CompiledController(written, problem, period, steps))
+    stepping = None if steps is None else Stepping(steps)
+    found = track(trial, problem.bounds, Plant(puck, trial), CompiledController(written, problem, period, stepping))
     assert found.failures == 0
     assert {x.decision.status for x in found.samples} == {"solved" if steps is None else "stepped"}
     assert np.abs(found.q[:, 0] - np.sin(found.t)).max() < 0.05
@@ -140,6 +145,8 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_place(call: Call, mi
     [
         (["--steps", "1"], "--steps is for a controller in C; give --controller too"),
         (["--controller", "controller", "--rescue", "1"], "--rescue is for control in real time; give --steps too"),
+        (["--controller", "controller", "--barrier", "1"], "--barrier is for control in real time; give --steps too"),
+        (["--controller", "controller", "--steps", "1", "--barrier", "0"], "0.0 is not in the range x>0"),
         (["--controller", "controller", "--steps", "0"], "0 is not in the range 1<=x<=100"),
         (["--controller", "controller", "--solver", "ipopt"], "--controller has its own solver; leave --solver out"),
         (["--controller", "puck.yaml"], "is a file"),
@@ -165,7 +172,7 @@ def test_samples_solve_where_a_plan_violates_too_much(written: Controller, probl
     """The interval that a shift appends violates a plan: by less than the first limit, and more than the second."""
     for limit, expected in ((1e3, {"stepped"}), (1e-12, {"solved"})):
         written.reset()
-        controller = CompiledController(written, problem, TRIAL.period, steps=1, rescue=limit)
+        controller = CompiledController(written, problem, TRIAL.period, Stepping(1, rescue=limit))
         found = track(TRIAL, problem.bounds, Plant(puck, TRIAL), controller)
         assert {x.decision.status for x in found.samples[1:]} == expected
         assert np.abs(found.q[:, 0] - np.sin(found.t)).max() < 0.05
@@ -173,10 +180,38 @@ def test_samples_solve_where_a_plan_violates_too_much(written: Controller, probl
 
 def test_a_state_that_is_no_number_keeps_the_plan(written: Controller, problem: Problem) -> None:
     written.reset()
-    controller = CompiledController(written, problem, 0.05, steps=1)
+    controller = CompiledController(written, problem, 0.05, Stepping(1))
     first = controller.feedback(np.zeros(1), np.ones(1))
     controller.prepare(0.05, {})
     lost = controller.feedback(np.array([np.nan]), np.ones(1))
     assert (first.is_solved, lost.is_solved) == (True, False)
     assert lost.inputs == pytest.approx(controller.planned(0.05))
     assert np.isfinite(lost.inputs).all()
+
+
+def test_steps_end_at_the_barrier_parameter_that_is_asked_for(written: Controller, problem: Problem) -> None:
+    for barrier in (1e-6, 1e-3):
+        written.reset()
+        controller = CompiledController(written, problem, 0.05, Stepping(1, barrier=barrier))
+        controller.feedback(np.zeros(1), np.ones(1))
+        assert written.options.least_barrier == barrier * abs(written.manifest.cost) > 0
+
+
+def test_one_step_a_sample_swings_a_pole_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its inputs go from bound to bound, where steps diverge if the barrier parameter is too small."""
+    monkeypatch.setenv("CFLAGS", "-O1")
+    file = MODELS / "track" / "cart_pole.ocp.yaml"
+    problem, model = read_problem(file, load_on_demand)
+    write_folder(make(problem, model, MODELS / "cart_pole.yaml").files, tmp_path)
+    controller = mbsrun.controller(tmp_path)
+    known, true = (load_simulated(MODELS / "cart_pole.yaml", is_released=released) for released in (False, True))
+    for seed in (0, 1):
+        statement = TrialStatement(file.with_name("cart_pole.track.yaml"), {"noise": {"seed": seed}})
+        trial, parameters = statement.trial(problem, true.manifest, true.parameters)
+        changed = true.with_parameters(**parameters)
+        controller.reset()
+        steps = CompiledController(controller, problem, trial.period, Stepping(1))
+        found = track(trial, problem.bounds, Plant(changed, trial), steps, known)
+        assert found.failures == 0
+        assert max(x.decision.violation for x in found.samples) < 100
+        assert report_track(found, problem, changed).is_met
