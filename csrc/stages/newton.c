@@ -9,7 +9,7 @@
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
  * identity is added to the curvature of variables (Waechter, Biegler, 2006, algorithm IC). Inner variables follow the
  * others and get none, so what is condensed stays, and a further try costs no more than the recursion. Where their
- * equations do not determine them, small changes of the others move them far, and they get curvature too. */
+ * equations do not determine them, or hardly do, small changes of the others move them far, and they get it too. */
 #include "condense.h"
 #include "solver.h"
 
@@ -19,6 +19,8 @@
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
 #define FREE ((real)1e20)
+#define SHORT ((real)0.02)   /* a step length that shows too little curvature */
+#define AGAIN 2              /* as many steps in a row */
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
 #define ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
@@ -143,14 +145,23 @@ static real first_curvature(real before)
     return before / 3 > LEAST ? before / 3 : LEAST;
 }
 
+/* Whether inner variables need curvature too: once steps with added curvature were cut short again and again. */
+static int is_cautious(mbs_stages_phase *p)
+{
+    if (p->shortened < AGAIN)
+        p->shortened = p->added > 0 && p->alpha < SHORT ? p->shortened + 1 : 0;
+    return p->shortened == AGAIN;
+}
+
 /* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough.
  *
  * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds it to these alone. */
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = p->regular;
-    int first = s->problem->stages, inner = s->result.singular > 0, k;
+    int first = s->problem->stages, k;
     real regular = 0;
+    int inner = is_cautious(p) || s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
         if (regular == 0)
