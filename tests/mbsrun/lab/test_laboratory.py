@@ -46,7 +46,7 @@ SLICE: dict[str, str | Measure] = {  # of each case a short trial, or a smaller 
     "F01": partial(chains.measure_straight, size=2),
     "F02": partial(chains.measure_long, kind="spatial", size=12),
     "F03": partial(chains.measure_heavy_tip, size=3, ratio=1e8),
-    "F04": partial(chains.measure_harmless, factors=[1.0, 1e12, 1.0]),
+    "F04": partial(chains.measure_harmless, factors=[1.0, 1e12, 1.0], is_alarming=True),
     "F05": partial(locks.measure_lock, lock="elbow", distances=(1e-3, 1e-9, 0.0)),
     "F06": "a leaf without mass",
     "F07": "where the file allows it",
