@@ -83,6 +83,7 @@ Exit codes
 
 PREPARED = 0.1  # of a sample's processor time: less preparation is not printed
 LISTED = 8  # margins and statuses that are printed
+DIVERGED = 1e4  # violation of a plan that steps do not come back from
 MAX_STEPS = 100  # of Newton's method in a sample
 
 
@@ -299,6 +300,11 @@ def _list_warnings(report: Report) -> list[str]:
         warnings.append(f"{found.halt}; what was written is incomplete")
     if found.failures:
         warnings.append(f"the controller found no plan at {found.failures} of {samples} samples; see track.csv")
+    if report.violation > DIVERGED:
+        warnings.append(
+            f"a plan violates its constraints by {report.violation:.1e}: the steps in real time diverged; "
+            "give a larger --barrier, more --steps, or --rescue"
+        )
     if report.late:
         warnings.append(
             f"at {report.late} of {samples} samples the controller took longer than a period; the plant waited for it"
