@@ -151,7 +151,7 @@ def weigh_links(workspace: Workspace, factors: Sequence[float]) -> tuple[Specime
 def measure_harmless(workspace: Workspace, factors: Sequence[float], is_alarming: bool) -> list[Finding]:
     """F04: forces are such that all accelerations are of order 1; M is ill conditioned, but not when it is scaled.
 
-    `is_alarming`: the condition of M itself predicts a loss that there is not.
+    `is_alarming`: the condition of M itself predicts a loss, and no digit is lost.
     """
     chosen, states, losses = weigh_links(workspace, factors)
     findings = [_check_error(x, NO_ALARM) for x in losses]

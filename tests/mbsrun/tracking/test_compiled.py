@@ -197,7 +197,7 @@ def test_steps_end_at_the_barrier_parameter_that_is_asked_for(written: Controlle
 def test_one_step_a_sample_swings_a_pole_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its inputs go from bound to bound. If the barrier parameter is too small, steps diverge, and the command says so."""
+    """Its inputs go from bound to bound. With a small barrier parameter steps diverge, and the command says so."""
     monkeypatch.setenv("CFLAGS", "-O1")
     monkeypatch.setattr(record, "save", lambda *_: None)  # pictures take seconds
     file = MODELS / "track" / "cart_pole.ocp.yaml"
