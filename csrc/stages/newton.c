@@ -19,8 +19,6 @@
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
 #define FREE ((real)1e20)
-#define SHORT ((real)0.02)   /* a step length that shows too little curvature */
-#define AGAIN 2              /* as many steps in a row */
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
 #define ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
@@ -145,14 +143,6 @@ static real first_curvature(real before)
     return before / 3 > LEAST ? before / 3 : LEAST;
 }
 
-/* Whether inner variables need curvature too: once steps with added curvature were cut short again and again. */
-static int is_cautious(mbs_stages_phase *p)
-{
-    if (p->shortened < AGAIN)
-        p->shortened = p->added > 0 && p->alpha < SHORT ? p->shortened + 1 : 0;
-    return p->shortened == AGAIN;
-}
-
 /* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough.
  *
  * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds it to these alone. */
@@ -161,7 +151,7 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
     const real before = p->regular;
     int first = s->problem->stages, k;
     real regular = 0;
-    int inner = is_cautious(p) || s->result.singular > 0;
+    int inner = p->cautious || s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
         if (regular == 0)
