@@ -5,6 +5,10 @@
 
 #define KAPPA_EPSILON ((real)10)  /* errors that a barrier parameter is lowered at, beside itself */
 #define CONVEX ((real)3)          /* and where the last step needed no curvature, as many times larger ones */
+#define LONG ((real)0.8)          /* a step that followed the barrier problem, */
+#define EARLY ((real)3e-2)        /* of a barrier parameter as small as this, */
+#define FAR ((real)100)           /* with errors of as many times the parameter, */
+#define LATE ((real)1e-2)         /* or with any errors from here on */
 #define KAPPA_MU ((real)0.2)
 #define THETA_MU ((real)1.5)
 #define TAU ((real)0.99)
@@ -24,7 +28,19 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_filter_clear(&p->filter);
 }
 
-/* Lower the barrier parameter while its problem is solved well enough; superlinearly near the end. */
+/* Whether a whole step without added curvature left the products of distances and multipliers near the barrier
+ * parameter. Then its problem need not be solved. Errors count only as long as they may choose among minima. */
+static int is_followed(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    if (p->elastic || p->soft > 0 || p->watchdog.active || p->added > 0 || p->alpha < LONG || p->mu > EARLY)
+        return 0;
+    if (mbs_stages_measure_errors(s, p, 0).complementarity > KAPPA_EPSILON * p->mu)
+        return 0;
+    return p->mu <= LATE || mbs_stages_measure_errors(s, p, p->mu).scaled <= FAR * p->mu;
+}
+
+/* Lower the barrier parameter while its problem is solved well enough, and once where a step followed it; superlinearly
+ * near the end. */
 static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 {
     const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s);
@@ -34,7 +50,8 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
     int force = p->tiny && p->tiny_before;
     const real factor = p->added > 0 || p->elastic ? KAPPA_EPSILON : CONVEX * KAPPA_EPSILON;
     const real rounding = mbs_stages_rounding(p);
-    while (force || mbs_stages_measure_errors(s, p, p->mu).scaled <= factor * p->mu + rounding) {
+    int followed = p->mu > least && is_followed(s, p);
+    while (force || followed || mbs_stages_measure_errors(s, p, p->mu).scaled <= factor * p->mu + rounding) {
         const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
         if (p->mu <= least)
             return force ? -1 : 0;
@@ -44,7 +61,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
         mbs_stages_search_anew(p);
         mbs_stages_filter_clear(&p->filter);
         mbs_stages_reweigh(s, p);
-        force = 0;
+        force = followed = 0;
     }
     return 0;
 }
