@@ -30,7 +30,7 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 
 /* Whether a whole step without added curvature left the products of distances and multipliers near the barrier
  * parameter. Then its problem need not be solved. Errors count only as long as they may choose among minima. */
-static int is_followed(const mbs_stages *s, const mbs_stages_phase *p)
+static int is_followed(mbs_stages *s, mbs_stages_phase *p)
 {
     if (p->elastic || p->soft > 0 || p->watchdog.active || p->added > 0 || p->alpha < LONG || p->mu > EARLY)
         return 0;
