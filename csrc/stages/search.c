@@ -214,6 +214,7 @@ static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alp
     }
     memcpy(p->c, p->trial_c, (size_t)s->rows * sizeof *p->c);
     p->cost = p->trial_cost;
+    p->theta_before = p->theta;
     p->theta = t->theta;
     p->alpha = alpha;
     mind_length(p, alpha);

@@ -69,6 +69,7 @@ typedef struct {
     real *c, *trial_c, *soc_c; /* rows at x, at the trial, for a second-order correction */
     real cost, trial_cost;
     real theta, phi;          /* violation and barrier function at x */
+    real theta_before;        /* violation before the last step */
     real theta_most, theta_least;
     real mu, tau;
     real regular, added;      /* curvature that was added last where it lacked; in this step */

@@ -262,6 +262,13 @@ def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
     assert max(problem.residuals(*answer.point)) < 1e-7
 
 
+def test_the_barrier_parameter_does_not_wait_for_rows_that_steps_bring_near(library: Library) -> None:
+    """The bounds of the chain are far, and products of distances and multipliers follow the parameter."""
+    solver = Solver(library, next(p for p in nonlinear() if p.name == "hanging chain"))
+    assert solver.solve().status == "solved"
+    assert any(violation > 0.1 and barrier < 1e-6 for _, _, _, violation, _, barrier, _, _ in solver.path)
+
+
 def pendulum() -> Problem:
     return next(p for p in nonlinear() if p.name == "pendulum")
 
