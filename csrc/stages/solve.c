@@ -6,6 +6,7 @@
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
 #define LEAST_SCALE ((real)1e-8)
+#define MOST ((real)2e-4) /* barrier parameter that a warm start needs for its violation: larger ones leave the plan */
 
 static const real NONE = 2 * MBS_STAGES_INFINITE;
 
@@ -288,7 +289,7 @@ static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
         if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
             return -1;
         violation = mbs_stages_largest(s->rows, p->c);
-        mu = violation < 1 ? violation * violation : 1;
+        mu = violation * violation < MOST ? violation * violation : MOST;
         p->mu = mu > p->mu ? mu : p->mu;
     }
     start_warm(s, p);
