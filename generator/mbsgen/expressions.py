@@ -26,7 +26,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from mbsgen.errors import MbsError
 
@@ -183,30 +183,100 @@ def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expr
 
 def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T]) -> T:
     """Compute an expression in a number type. Raises ExpressionError for unknown names and where it has no value."""
+    return Program((expression,), algebra).evaluate(values)[0]
+
+
+@dataclass(frozen=True)
+class _Step(Generic[T]):
+    """A part of a program that is computed from others; `expression` is named where it has no value."""
+
+    part: int
+    compute: Callable[..., T]
+    operands: tuple[int, ...]
+    expression: Expression
+
+
+class Program(Generic[T]):
+    """Expressions as steps, each part that occurs several times once: quicker than `evaluate` from the second time."""
+
+    def __init__(self, expressions: Sequence[Expression], algebra: Algebra[T]) -> None:
+        """Write the steps in the order of evaluation."""
+        self._algebra = algebra
+        self._parts: dict[tuple[str, tuple[int, ...]], int] = {}  # numbers of parts, by what they do with other parts
+        self._values: list[Any] = []  # of parts that are numbers and constants
+        self._names: dict[str, int] = {}
+        self._steps: list[_Step[T]] = []
+        self._results = [self._add(expression) for expression in expressions]
+
+    def evaluate(self, values: Mapping[str, T]) -> list[T]:
+        """Compute all expressions. Raises ExpressionError for unknown names and where one has no value."""
+        found = self._values.copy()
+        for name, part in self._names.items():
+            if name not in values:
+                raise ExpressionError(f"unknown name {_quote(name)}", _list_known(sorted(values)))
+            found[part] = values[name]
+        for step in self._steps:
+            try:
+                found[step.part] = step.compute(*[found[operand] for operand in step.operands])
+            except (ArithmeticError, ValueError):
+                finding = f"{write(step.expression)} has no value"
+                raise ExpressionError(finding, "keep to what the function is defined for") from None
+        return [found[part] for part in self._results]
+
+    def _add(
+        self,
+        expression: Expression,
+        given: Mapping[str, int] = MappingProxyType({}),
+        whole: Expression | None = None,
+    ) -> int:
+        """Add a part and return its number; `given` are parts that names stand for in the definition of `whole`."""
+        if isinstance(expression, Name) and expression.name in given:
+            return given[expression.name]
+        operands = tuple(self._add(operand, given, whole) for operand in _operands(expression))
+        if isinstance(expression, Call) and expression.function not in self._algebra.functions:
+            definition = _DEFINITIONS[expression.function]
+            return self._add(definition, dict(zip("xw", operands, strict=True)), whole or expression)
+        key = (_label(expression), operands)
+        if key not in self._parts:
+            self._parts[key] = len(self._values)
+            self._append(expression, operands, whole or expression)
+        return self._parts[key]
+
+    def _append(self, expression: Expression, operands: tuple[int, ...], whole: Expression) -> None:
+        part, algebra = len(self._values), self._algebra
+        self._values.append(None)
+        match expression:
+            case Number(value):
+                self._values[part] = algebra.number(value)
+            case Constant(name):
+                self._values[part] = algebra.constants[name]
+            case Name(name):
+                self._names[name] = part
+            case Negation():
+                self._steps.append(_Step(part, algebra.negate, operands, whole))
+            case Operation(symbol):
+                self._steps.append(_Step(part, algebra.operations[symbol], operands, whole))
+            case Power(_, exponent):
+                self._steps.append(_Step(part, lambda base: algebra.power(base, exponent), operands, whole))
+            case Call(function):
+                self._steps.append(_Step(part, algebra.functions[function], operands, whole))
+
+
+def _label(expression: Expression) -> str:
+    """Write what an expression does with its operands."""
     match expression:
         case Number(value):
-            return algebra.number(value)
-        case Constant(name):
-            return algebra.constants[name]
-        case Name(name) if name in values:
-            return values[name]
-        case Name(name):
-            raise ExpressionError(f"unknown name {_quote(name)}", _list_known(sorted(values)))
-        case Negation(operand):
-            return algebra.negate(evaluate(operand, values, algebra))
-    operands = [evaluate(operand, values, algebra) for operand in _operands(expression)]
-    try:
-        match expression:
-            case Operation(symbol):
-                return algebra.operations[symbol](*operands)
-            case Power(_, exponent):
-                return algebra.power(operands[0], exponent)
-            case Call(function) if function in _DEFINITIONS and function not in algebra.functions:
-                return evaluate(_DEFINITIONS[function], dict(zip("xw", operands, strict=True)), algebra)
-            case Call(function):
-                return algebra.functions[function](*operands)
-    except (ArithmeticError, ValueError, ExpressionError):
-        raise ExpressionError(f"{write(expression)} has no value", "keep to what the function is defined for") from None
+            return repr(value)
+        case Constant(name) | Name(name):
+            return name
+        case Negation():
+            return "-"
+        case Operation(symbol):
+            return symbol
+        case Power(_, exponent):
+            return f"**{exponent}"
+        case Call(function):
+            return function
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.expressions import Expression, ExpressionError, evaluate, names, parse
+from mbsgen.expressions import Expression, ExpressionError, Program, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.closure import RANK, find_closure
 from mbsrun.differentiation import differentiate_by
@@ -70,7 +70,7 @@ class Guide:
         texts = {drive.joint: drive.expression for drive in drives}
         self.joints, self.places = list(manifest.driven), list_entries(manifest, manifest.driven)
         self.texts = [texts[i] for i in self.joints]
-        self._expressions = [derive(text) for text in self.texts]
+        self._program = Program([part for text in self.texts for part in derive(text)], ARRAYS)
         self._constants = {name: np.array([value]) for name, value in (constants or {}).items()}
         self._unknowns, self._guesses = list(unknowns or {}), np.array([*(unknowns or {}).values()])
 
@@ -88,15 +88,9 @@ class Guide:
         values = self._guesses if unknowns is None or not unknowns.size else unknowns
         known = self._constants | dict(zip(self._unknowns, values[:, None], strict=True))
         known |= {TIME: t.ravel(), HORIZON: np.array([horizon])}
-        found = np.zeros((3, t.size, len(self.joints)))
         with np.errstate(all="ignore"):
-            for k, orders in enumerate(self._expressions):
-                for row, expression in zip(found, orders, strict=True):
-                    try:
-                        row[:, k] = evaluate(expression, known, ARRAYS)
-                    except ExpressionError:
-                        row[:, k] = np.nan
-        q, qd, qdd = found.reshape(3, *t.shape, len(self.joints))
+            found = [np.broadcast_to(part, t.size).reshape(t.shape) for part in self._program.evaluate(known)]
+        q, qd, qdd = (np.stack(found[order::3], axis=-1) for order in range(3))
         return q, qd, qdd
 
     def put(self, t: Array, horizon: float, unknowns: Array, *parts: Array) -> list[Array]:

@@ -90,7 +90,10 @@ class Inputs(Protocol):
     """The inputs of some motions, and the rates of further states."""
 
     def read(self, time: Array, q: Array, qd: Array, states: Array) -> dict[str, Array]:
-        """Return the parts of the motions at times (B, 1) since the start, of which u and w are the inputs."""
+        """Return the parts of the motions at times (B, 1) since the start, of which u and w are the inputs.
+
+        Driven joints are where they are then.
+        """
 
     def place(self, time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return states (B, ...) at times (B, 1) with driven joints where they are then."""
@@ -105,9 +108,9 @@ class Constant:
 
     u: Array
 
-    def read(self, _time: Array, _q: Array, _qd: Array, _states: Array) -> dict[str, Array]:
-        """Return the inputs."""
-        return {"u": self.u, "w": np.zeros((len(self.u), 0))}
+    def read(self, _time: Array, q: Array, qd: Array, _states: Array) -> dict[str, Array]:
+        """Return the inputs, and the states: no joint is driven."""
+        return {"q": q, "qd": qd, "u": self.u, "w": np.zeros((len(self.u), 0))}
 
     def place(self, _time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the states: no joint is driven."""
@@ -129,29 +132,35 @@ class _Piece:
         """Return the parts of the motions; inputs that change are read off the polynomials through the points."""
         trajectory, k = self.course.trajectory, self.intervals
         t = trajectory.t[k, None] + time
+        q, qd, a = self._drive(time, q, qd)
         parts = {
             "t": t,
             "T": np.full_like(t, trajectory.t[-1]),
             "q": q,
             "qd": qd,
+            "a": a,
             "states": states,
             "controls": self._read(time, trajectory.controls, trajectory.point_controls),
             "u": self._read(time, trajectory.u, trajectory.point_u),
             "w": self._read(time, trajectory.point_w[:, 0], trajectory.point_w),
             "unknowns": np.tile(trajectory.unknowns, (len(k), 1)),
         }
-        if self.course.guide is not None:
-            parts["a"] = self.course.guide.read(t[:, 0], float(trajectory.t[-1]), trajectory.unknowns)[2]
         return self.course.given(parts)
 
     def place(self, time: Array, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the states with driven joints where they are then."""
+        return self._drive(time, q, qd)[:2]
+
+    def _drive(self, time: Array, q: Array, qd: Array) -> tuple[Array, Array, Array]:
+        """Return the states with driven joints where they are then, and the accelerations (B, d) of these."""
         guide, trajectory = self.course.guide, self.course.trajectory
         if guide is None:
-            return q, qd
+            return q, qd, np.zeros((len(q), 0))
         t = trajectory.t[self.intervals] + time[:, 0]
-        q, qd = guide.put(t, float(trajectory.t[-1]), trajectory.unknowns, q, qd)
-        return q, qd
+        q, qd = q.copy(), qd.copy()
+        motion = guide.read(t, float(trajectory.t[-1]), trajectory.unknowns)
+        q[:, guide.places], qd[:, guide.joints], a = motion
+        return q, qd, a
 
     def _read(self, time: Array, values: Array, points: Array) -> Array:
         """Return inputs that are constant over the intervals, or polynomials through values at their points."""
@@ -220,8 +229,8 @@ def integrate(
 
     def rate(time: float, flat: Array) -> Array:
         q, qd, further = np.split(flat.reshape(states.shape), ends, axis=1)
-        q, qd = inputs.place(pace * time, q, qd)
         parts = inputs.read(pace * time, q, qd, further)
+        q, qd = parts["q"], parts["qd"]
         qdd, forces = _balance(plant, q, qd, parts, held)
         rates = inputs.rates(parts | {"qdd": qdd} | forces)
         return (pace * np.concatenate((find_rates(plant, q, qd), qdd, rates), axis=1)).ravel()

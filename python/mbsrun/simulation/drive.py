@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BarycentricInterpolator
 
 from mbsgen.errors import MbsError
-from mbsgen.expressions import Algebra, Expression, evaluate, names
+from mbsgen.expressions import Algebra, Expression, Program, names
 from mbsrun.kernel import Kernels
 from mbsrun.quantities import Quantity
 
@@ -206,24 +206,23 @@ def express(
         name: quantities[name] for e in expressions for name in names(e) if name in quantities and name not in known
     }
 
+    program = Program(expressions, ARRAYS)
+
     def compute(t: Array, state: Mapping[str, Array]) -> Array:
-        columns = []
-        for expression, label in zip(expressions, labels, strict=True):
-            with np.errstate(all="ignore"):
-                column = np.broadcast_to(evaluate(expression, {**known, TIME: t, **state}, ARRAYS), t.shape)
+        with np.errstate(all="ignore"):
+            columns = [np.broadcast_to(x, t.shape) for x in program.evaluate({**known, TIME: t, **state})]
+        for column, label in zip(columns, labels, strict=True):
             wrong = np.flatnonzero(~np.isfinite(column))
             if wrong.size:
                 finding = f"the input of {label} has no finite value at t = {t[wrong[0]]:.6g} s"
                 raise DriveError(finding, "mend its expression")
-            columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def follow(kernels: Kernels, t: Array, q: Array, qd: Array) -> Array:
         return compute(t, measure(used, kernels, q, qd))
 
-    for expression in expressions:  # an unknown name is an error before anything runs
-        with np.errstate(all="ignore"):
-            evaluate(expression, {**known, **dict.fromkeys(used, np.ones(1))}, ARRAYS)
+    with np.errstate(all="ignore"):  # an unknown name is an error before anything runs
+        program.evaluate({**known, **dict.fromkeys(used, np.ones(1))})
     if used or period is not None:
         return Drive(control=follow, period=period)
     is_constant = not any(TIME in names(expression) for expression in expressions)
