@@ -27,6 +27,7 @@ from mbsrun.measuring.page import render_page
 from mbsrun.measuring.sections import Section, distinguish, read_folders, write_csv, write_section
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS
+from mbsrun.ocp.mirror import find_mirror
 from mbsrun.ocp.problem import Representation, find_conflicts
 from mbsrun.ocp.starts import list_turning
 from mbsrun.ocp.study import Study, Targets, Weights
@@ -212,7 +213,8 @@ def study_command(
     bumped = tuple(subject.plant.manifest.actuated)
     turning = list_turning(problem, subject.plant.manifest)
     sensor = find_sensor(problem, file)
-    study = Study(problem, sensor, grid, costs or SETS, representations, bumped, turning, linear, method="mbs")
+    mirror = find_mirror(problem, subject.plant, sensor)
+    study = Study(problem, sensor, grid, costs or SETS, representations, bumped, turning, linear, mirror, method="mbs")
     chosen = bool(protocols or asked)
     campaign = Campaign(
         subject=subject,

@@ -20,11 +20,12 @@ from studies.docquier.figures import name_set
 from studies.docquier.judgement import SHOWN
 from studies.docquier.results import ROBUST, Results
 
-PARTS = ("interpolation", *COUNTS, "neighbours", "hops", "exchange")  # in their order
+PARTS = ("interpolation", *COUNTS, "neighbours", "mirror", "hops", "exchange")  # in their order
 Row = tuple[Cell, ...]
 
 TEXT = (
-    "A search for lower minima: random starts, neighbours, hops, other representations. It finds minima, and "
+    "A search for lower minima: random starts, neighbours, mirror images, hops, other representations. It finds "
+    "minima, and "
     "cannot show that no lower one exists. The number of independent starts that found the lowest known cost is a "
     "measure of trust. A task is left in a higher minimum if any attempt in the record, of this protocol "
     f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
@@ -81,8 +82,8 @@ def report_robust(results: Results, states: Mapping[Weights, State]) -> Section 
     columns = ("cost", "part", "attempts", "solved", "first in the lowest minimum, targets", "iterations, median")
     columns += ("CPU s, median", "CPU s, all", "% of it")
     note = (
-        "Random starts, neighbours and hops are tried in the first representation alone; the others get what it found "
-        "by exchange. "
+        "Random starts, neighbours, mirror images and hops are tried in the first representation alone; the others get "
+        "what it found by exchange. "
         "A part is first in the lowest minimum of a target if no part before it, in this round or an earlier one, was."
     )
     rows = tuple(row for weights, attempts in own.items() for row in _list_parts(results, weights, attempts))

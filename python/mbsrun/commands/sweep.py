@@ -28,6 +28,7 @@ from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.attempts import Summary, describe_search, list_open_tasks, summarise
 from mbsrun.ocp.executor import LocalExecutor
+from mbsrun.ocp.mirror import find_mirror
 from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
@@ -49,7 +50,8 @@ Protocols
            failures, and minima higher than the lowest known, are counted
   robust   interpolations with the inputs of their motion; random starts: bumps and noise
            on them, other end poses, whole turns of joints without limits; then the
-           solutions of neighbours, and of other representations, until nothing is new
+           solutions of neighbours, their mirror images, and solutions of other
+           representations, until nothing is new
 
 A search cannot show that no minimum is lower: the summary shows how many independent starts found the lowest
 cost known. Motions with whole turns are compared among themselves, and listed on their own.
@@ -154,6 +156,7 @@ def sweep_command(
         representations,
         _find_bumped(bumped, plant.manifest),
         list_turning(problem, plant.manifest),
+        mirror=find_mirror(problem, plant, sensor),
     )
     is_through = True
     about = (identify(study, plant.manifest), describe(study, plant.manifest))

@@ -18,6 +18,7 @@ from mbsrun.ocp import methods, schemes, solution
 from mbsrun.ocp.guess import Pose, adapt, balance, find_pose, interpolate, rest
 from mbsrun.ocp.linear import MUMPS, OWN, choose
 from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
+from mbsrun.ocp.mirror import reflect
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt
@@ -141,7 +142,8 @@ class Worker:
         scheme, start = schemes.build(problem.family, problem.degree), order.trial.start
         if isinstance(start, Found):
             assert order.motion is not None, "a trial that starts from a motion is ordered with it"
-            return adapt(order.motion, problem, scheme)
+            own, signs = order.motion, order.study.mirror
+            return adapt(reflect(own, signs, self.plant.manifest) if start.is_mirrored else own, problem, scheme)
         if isinstance(start, Hop):
             assert order.motion is not None, "a hop is ordered with the motion that it starts from"
             return hop(adapt(order.motion, problem, scheme), problem, self.plant, start.seed)

@@ -15,6 +15,8 @@ from mbsrun.ocp.linear import MUMPS
 from mbsrun.ocp.problem import Point, Problem, Representation, SolverName, cylindrical
 from mbsrun.ocp.record import Task
 
+SAME = 1e-12  # rad: azimuths
+
 Place = tuple[int, int]
 Weights = tuple[float, float]
 
@@ -38,6 +40,12 @@ class Targets:
         """List the places next to one."""
         (i, j), (a, b), known = place, self.every, set(self.places)
         yield from (near for near in ((i - a, j), (i + a, j), (i, j - b), (i, j + b)) if near in known)
+
+    def opposite(self, place: Place) -> Place | None:
+        """Return the place at the opposite azimuth, if it is taken and another one."""
+        (i, j), last = place, len(self.azimuths) - 1
+        is_there = abs(self.azimuths[i] + self.azimuths[last - i]) <= SAME and (last - i, j) in self.places
+        return (last - i, j) if is_there and last - i != i else None
 
     @property
     def spread(self) -> tuple[Place, ...]:
@@ -69,6 +77,7 @@ class Study:
     bumped: tuple[int, ...]  # coordinates that bumps move
     turning: tuple[int, ...] = ()  # entries of q to which the robust protocol adds whole turns
     linear_solver: str = MUMPS  # of IPOPT, for all protocols except searches for optima, which take the fastest
+    mirror: tuple[int, ...] = ()  # signs of coordinates in mirror images of motions, see `find_mirror`; (): none
     method: SolverName = "ipopt"  # of the robust protocol, and of searches from many starts
 
     def state(self, task: Task) -> Problem:

@@ -11,6 +11,7 @@ The *robust* protocol looks for the lowest minimum of every task. It cannot show
                     the first representation, from the random starts of `starts`: independent of each other; more of
                     them where input rates are free, which makes many minima; quaternions take no bumps and no waves
     neighbours      the first representation, from the best motion of each neighbouring target, until nothing is new
+    mirror          the first representation, from the image of a lower motion to the opposite target, staying near it
     hops            the first representation, from its best motions, without whole turns and with, plus random waves;
                     until none of them leads to a lower minimum
     exchange        each representation that is in a higher minimum, from the best motion of another, staying near it
@@ -78,6 +79,7 @@ class Found:
 
     origin: Task
     is_held: bool = False  # stay near: the motion is an optimum of this task too
+    is_mirrored: bool = False  # its mirror image
 
 
 Start = Interpolation | Varied | Found | Hop
@@ -120,7 +122,11 @@ def plan_round(
         return list_interpolations(study, "robust", "interpolation", "dynamic") + _list_variations(study)
     if number >= ROUNDS:
         return []
-    moves = itertools.chain(_list_neighbours(study, best, number), _list_hops(study, best, turned, number))
+    moves = itertools.chain(
+        _list_neighbours(study, best, number),
+        _list_mirrored(study, best, number),
+        _list_hops(study, best, turned, number),
+    )
     near = [trial for trial in moves if trial.key not in tried]
     return near or [trial for trial in _list_exchanges(study, best, number) if trial.key not in tried]
 
@@ -129,10 +135,10 @@ def restate(study: Study, attempt: Attempt) -> Trial:
     """Return the trial of an attempt by the paper's protocol or the robust one, from its names."""
     task, part, guess = attempt.task, attempt.part, attempt.guess
     start: Start
-    if part in ("neighbours", "exchange"):
+    if part in ("neighbours", "mirror", "exchange"):
         place, representation, _ = guess.split(" ")
         i, j = map(int, place.split(","))
-        start = Found(Task((i, j), task.weights, representation), is_held=part == "exchange")
+        start = _find_start(Task((i, j), task.weights, representation), part)
     elif part == "hops":
         turns, _, *seed, k = guess.rsplit(" ", 2 + len(task.place))
         start = Hop(task, "" if turns == "-" else turns, (*map(int, seed), attempt.round, int(k)))
@@ -200,6 +206,18 @@ def _list_neighbours(study: Study, best: Mapping[Task, Best], number: int) -> It
                     yield _start_from(origin, best[origin], Task(place, weights, scout), "neighbours", number)
 
 
+def _list_mirrored(study: Study, best: Mapping[Task, Best], number: int) -> Iterator[Trial]:
+    """Start every target from the image of a lower motion to the opposite one."""
+    scout = study.representations[0].value
+    for weights in study.costs:
+        for place in study.targets.spread if study.mirror else ():
+            task, opposite = Task(place, weights, scout), study.targets.opposite(place)
+            origin = None if opposite is None else Task(opposite, weights, scout)
+            own = best[task].cost if task in best else None
+            if origin is not None and origin in best and is_higher(own, best[origin].cost):
+                yield _start_from(origin, best[origin], task, "mirror", number)
+
+
 def _list_hops(study: Study, best: Mapping[Task, Best], turned: Mapping[Task, Best], number: int) -> Iterator[Trial]:
     """Start every target from waves on its best motions."""
     if study.problem.has_quaternions:
@@ -236,4 +254,8 @@ def _list_exchanges(study: Study, best: Mapping[Task, Best], number: int) -> Ite
 
 def _start_from(origin: Task, best: Best, task: Task, part: str, number: int) -> Trial:
     name = f"{origin.place[0]},{origin.place[1]} {origin.representation} {best.cost:.9g}"
-    return Trial(task, "robust", part, name, Found(origin, is_held=part == "exchange"), number)
+    return Trial(task, "robust", part, name, _find_start(origin, part), number)
+
+
+def _find_start(origin: Task, part: str) -> Found:
+    return Found(origin, is_held=part in ("exchange", "mirror"), is_mirrored=part == "mirror")

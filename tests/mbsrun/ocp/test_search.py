@@ -17,14 +17,15 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.attempts import list_open_tasks, summarise
 from mbsrun.ocp.executor import LocalExecutor, Worker, choose_options
 from mbsrun.ocp.guess import bump, interpolate
-from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.mirror import find_mirror
+from mbsrun.ocp.problem import Control, Problem, Representation
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.search import Order, Outcome, OutOfTimeError, Search
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.study import Study, Targets, identify
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.trials import MULTISTART, Found, ProtocolName, Trial, plan_round
+from mbsrun.ocp.trials import MULTISTART, Found, Interpolation, ProtocolName, Trial, plan_round, restate
 from tests.mbsrun.peer import Peer
 
 TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
@@ -312,3 +313,32 @@ def test_bumps_leave_both_ends_as_they_are(reach: Problem) -> None:
     assert slopes == pytest.approx(bumped.point_qd, abs=1e-6)
     slopes = scheme.D @ np.concatenate((bumped.qd[:-1, None], bumped.point_qd), axis=1) / motion.t[1]
     assert slopes == pytest.approx(bumped.point_qdd, abs=1e-5)
+
+
+def test_an_optimum_is_mirrored(study: Study, arm: Peer) -> None:
+    """The arm turns the other way in a mirror, its pendulum swings the other way; the optimum costs the same there."""
+    mirror = find_mirror(study.problem, arm, "hand")
+    assert mirror == (-1, 1, 1, 1, -1, 1)
+    targets = Targets(0.64, (-0.04, 0.0, 0.04), (0.0,))
+    two = replace(study, targets=targets, costs=((1.0, 10.0),), mirror=mirror)
+    assert [targets.opposite(place) for place in targets.places] == [(2, 0), None, (0, 0)]
+    origin, task = (Task((i, 0), (1.0, 10.0), "IMPL") for i in (2, 0))
+    worker = Worker(arm)
+    first = worker.carry_out(
+        Order(two, Trial(origin, "robust", "interpolation", "dynamic", Interpolation("dynamic")), None)
+    )
+    cost, motion = first.attempt.cost, first.motion
+    assert cost is not None
+    assert motion is not None
+    best = {origin: Best(cost, 0), task: Best(1.01 * cost, 0)}
+    (trial,) = (t for t in plan_round(two, "robust", 1, best, ()) if t.part == "mirror")
+    assert trial.task == task
+    assert restate(two, replace(first.attempt, task=task, part="mirror", guess=trial.guess, round=1)) == trial
+    outcome = worker.carry_out(Order(two, trial, motion))
+    assert outcome.attempt.cost == pytest.approx(cost, rel=1e-9)
+    assert outcome.attempt.iterations < first.attempt.iterations
+    assert outcome.motion is not None
+    assert outcome.motion.q == pytest.approx(motion.q * mirror, abs=1e-6)
+    same = plan_round(two, "robust", 1, {origin: Best(cost, 0), task: Best(cost * (1 + 1e-9), 0)}, ())
+    assert [t for t in same if t.part == "mirror"] == []
+    assert find_mirror(replace(study.problem, controls=(Control("c"),)), arm, "hand") == ()
