@@ -116,7 +116,7 @@ MBSRUN = Package(
         "ocp.parts",
         "ocp.restating",
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
-        "ocp.solution ocp.starts",
+        "ocp.solution ocp.starts ocp.mirror",
         "ocp.assembly",
         "ocp.solve ocp.table ocp.recorded ocp.study",
         "ocp.certificate ocp.resimulation ocp.sensitivity",

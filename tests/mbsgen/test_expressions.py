@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from dataclasses import replace
 from fractions import Fraction
 
 import pytest
@@ -24,6 +25,7 @@ from mbsgen.expressions import (
     Number,
     Operation,
     Power,
+    Program,
     evaluate,
     names,
     parse,
@@ -181,6 +183,26 @@ def test_values_may_be_of_any_type() -> None:
         functions={},
     )
     assert evaluate(parse("(a + 1)**2/3 - 0.5"), {"a": Fraction(1, 2)}, fractions) == Fraction(1, 4)
+
+
+def test_equal_parts_of_a_program_are_computed_once() -> None:
+    """Products, powers and a function that others define; each expression alone has the same results."""
+    products: list[float] = []
+
+    def multiply(x: float, y: float) -> float:
+        products.append(x * y)
+        return x * y
+
+    counting = replace(FLOATS, operations={**FLOATS.operations, "*": multiply})
+    texts = ["a*b + (a*b)**2", "sin(a*b) - (a*b)**3", "min(a*b, b*a)", "a*2.5 - a*-2.5"]
+    program = Program([parse(text) for text in texts], counting)
+    assert program.evaluate(VALUES) == [evaluate(parse(text), VALUES, FLOATS) for text in texts]
+    assert products == [6.0, 6.0, 5.0, -5.0]
+    assert program.evaluate({"a": 0.0, "b": 1.0})[0] == 0
+    with pytest.raises(ExpressionError, match="unknown name"):
+        program.evaluate({"a": 1.0})
+    with pytest.raises(ExpressionError, match=r"step\(a, b\) has no value"):
+        Program([parse("step(a, b)")], FLOATS).evaluate({"a": 1.0, "b": 0.0})
 
 
 expressions: st.SearchStrategy[Expression] = st.recursive(
