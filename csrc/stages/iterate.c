@@ -12,6 +12,7 @@
 #define KAPPA_MU ((real)0.2)
 #define THETA_MU ((real)1.5)
 #define TAU ((real)0.99)
+#define NEAR ((real)0.5)          /* the first step of a warm start that is near its solution, at least */
 #define KAPPA_SIGMA ((real)1e10)  /* how far z may be from mu / distance */
 
 /* Start the filter, and the limits of the violation, at x. */
@@ -136,15 +137,30 @@ static int search(mbs_stages *s, mbs_stages_phase *p)
     return mbs_stages_search(s, p) && (gentle || p->failing || mbs_stages_search_softly(s, p)) ? -1 : 0;
 }
 
+/* Whether the first step of a warm start is short, or there is none. */
+static int is_far(const mbs_stages *s, const mbs_stages_phase *p, int failed)
+{
+    return failed || mbs_stages_boundary(s, p, p->x, p->step.x, p->tau) < NEAR ||
+           mbs_stages_dual_boundary(s, p, &p->step) < NEAR;
+}
+
 static int advance(mbs_stages *s, mbs_stages_phase *p)
 {
+    int failed;
     if (lower_barrier(s, p))
         return MBS_STAGES_OUT_OF_DIGITS;
     if (mbs_stages_phase_hessian(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
     p->theta = mbs_stages_sum(s->rows, p->c);
     p->phi = mbs_stages_barrier(s, p, p->x, p->cost);
-    if (find_step(s, p) ? mbs_stages_search_without_step(s, p) : search(s, p)) {
+    failed = find_step(s, p);
+    if (s->farther > 0 && is_far(s, p, failed)) {
+        const int begun = mbs_stages_start_farther(s, p);
+        if (begun)
+            return begun > 0 ? MBS_STAGES_RUNNING : MBS_STAGES_CALLBACK_FAILED;
+    }
+    s->farther = 0;
+    if (failed ? mbs_stages_search_without_step(s, p) : search(s, p)) {
         const int status = leave(s, p);
         if (status != MBS_STAGES_RUNNING)
             return status;

@@ -280,20 +280,33 @@ static real first_barrier(const mbs_stages *s)
     return first > least ? first : least;
 }
 
-/* Put a warm start on the central path. The farther it is from its rows, the more do bounds that bind change, and the
- * higher its barrier parameter must be, unless the caller chose one. */
+/* Put a warm start on the central path. Where its first step is short, bounds that bind change, and it needs a higher
+ * barrier parameter: the higher, the farther it is from its rows. The caller may choose one. */
 static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
 {
     if (!(s->options.barrier > 0)) {
-        real violation, mu;
+        real violation;
         if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
             return -1;
         violation = mbs_stages_largest(s->rows, p->c);
-        mu = violation * violation < MOST ? violation * violation : MOST;
-        p->mu = mu > p->mu ? mu : p->mu;
+        s->farther = violation * violation < MOST ? violation * violation : MOST;
     }
     start_warm(s, p);
     return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);
+}
+
+int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p)
+{
+    const real mu = s->farther;
+    s->farther = 0;
+    if (!(mu > p->mu))
+        return 0;
+    p->mu = mu;
+    start_warm(s, p);
+    if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+        return -1;
+    mbs_stages_begin(s, p);
+    return 1;
 }
 
 /* The first point and its multipliers; a status where that fails. */
@@ -313,6 +326,7 @@ int mbs_stages_start(mbs_stages *s)
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;
     p->mu = first_barrier(s);
+    s->farther = 0;
     if (!o->warm)
         start_bounds(s, p);
     if (o->warm ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))

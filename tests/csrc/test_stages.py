@@ -401,16 +401,16 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
 
 
 def test_a_warm_start_far_away_begins_with_a_larger_barrier_parameter(library: Library) -> None:
-    """At most 1e-6 near a solution, and more far from it."""
+    """At most 1e-7 near a solution, also where rows are violated but the step to them is long; more far from it."""
     solver = Solver(library, cart_pole())
     cold = solver.solve()
     barriers = []
-    for move in (0.0, 1e-4, 0.5):
+    for move in (0.0, 1e-4, 0.02, 1.5):
         solver.set(w=cold.w, y=cold.y, below=cold.below, above=cold.above)
         solver.lower[:4] = solver.upper[:4] = cold.w[:4] + move
         barriers.append(solver.solve(warm=1, iterations=1).result.barrier)
-    assert max(barriers[:2]) <= 1e-6
-    assert barriers[2] > 1e-4
+    assert max(barriers[:3]) <= 1e-7
+    assert barriers[3] > 1e-4
     assert solver.solve(warm=1).status == "solved"
 
 
