@@ -119,7 +119,7 @@ struct mbs_stages {
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
-    real farther;   /* the barrier parameter of a warm start whose first step is short; 0: not a warm start, or not its first */
+    real farther;   /* the barrier parameter of a warm start whose first step is short; 0 after the first step */
     int has_units;  /* some variables have a scale other than 1 */
     char *failed; /* stages whose callback gave no result */
     real *costs;  /* of stages, unscaled */
@@ -183,12 +183,12 @@ void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs
 
 /* solve.c: the first point; bounds of all variables and slacks; the iterate for the caller */
 int mbs_stages_start(mbs_stages *s);
-
-/* Begin a warm start anew with its larger barrier parameter; 1: done, 0: it has no larger one, -1: no values. */
-int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p);
 int mbs_stages_set_bounds(mbs_stages *s);
 void mbs_stages_centre(mbs_stages_phase *p, int i);
 void mbs_stages_write_point(mbs_stages *s);
+
+/* Begin a warm start anew with its larger barrier parameter; 1: done, 0: it has no larger one, -1: no values. */
+int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p);
 real mbs_stages_least_barrier(const mbs_stages *s);
 
 /* iterate.c: run a barrier problem until there is a status */

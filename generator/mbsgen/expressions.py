@@ -202,9 +202,7 @@ class Program(Generic[T]):
     def __init__(self, expressions: Sequence[Expression], algebra: Algebra[T]) -> None:
         """Write the steps in the order of evaluation."""
         self._algebra = algebra
-        self._parts: dict[
-            tuple[str, tuple[int, ...]], int
-        ] = {}  # numbers of parts, by their operation and its operands
+        self._parts: dict[tuple[str, tuple[int, ...]], int] = {}  # their numbers, by operation and operands
         self._values: list[Any] = []  # of parts that are numbers and constants
         self._names: dict[str, int] = {}
         self._steps: list[_Step[T]] = []

@@ -25,9 +25,8 @@ Row = tuple[Cell, ...]
 
 TEXT = (
     "A search for lower minima: random starts, neighbours, mirror images, hops, other representations. It finds "
-    "minima, and "
-    "cannot show that no lower one exists. The number of independent starts that found the lowest known cost is a "
-    "measure of trust. A task is left in a higher minimum if any attempt in the record, of this protocol "
+    "minima, and cannot show that no lower one exists. The number of independent starts that found the lowest known "
+    "cost is a measure of trust. A task is left in a higher minimum if any attempt in the record, of this protocol "
     f"or another, in this representation or another, found a cost that is lower by more than {SAME:g} of it. "
     "Motions with whole turns of joints without limits compete among themselves, and are listed on their own; all "
     "statements are about motions without. A joint may also turn away and back, which counts as no turn. "

@@ -50,8 +50,8 @@ Protocols
            failures, and minima higher than the lowest known, are counted
   robust   interpolations with the inputs of their motion; random starts: bumps and noise
            on them, other end poses, whole turns of joints without limits; then the
-           solutions of neighbours, their mirror images, and solutions of other
-           representations, until nothing is new
+           solutions of neighbours, mirror images of solutions at the opposite azimuth,
+           and solutions of other representations, until nothing is new
 
 A search cannot show that no minimum is lower: the summary shows how many independent starts found the lowest
 cost known. Motions with whole turns are compared among themselves, and listed on their own.

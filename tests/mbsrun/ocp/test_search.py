@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsrun.kernel import KernelError, Place
 from mbsrun.ocp import schemes
 from mbsrun.ocp.attempts import list_open_tasks, summarise
 from mbsrun.ocp.executor import LocalExecutor, Worker, choose_options
@@ -350,3 +351,18 @@ def test_an_optimum_is_mirrored(study: Study, arm: Peer) -> None:
     same = plan_round(two, "robust", 1, {origin: Best(cost, 0), task: Best(cost * (1 + 1e-9), 0)}, ())
     assert [t for t in same if t.part == "mirror"] == []
     assert find_mirror(replace(study.problem, controls=(Control("c"),)), arm, "hand") == ()
+
+
+def test_no_mirror_image_is_found_by_kernels_that_fail(
+    study: Study, arm: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kernel that fails in the state that is tried, and numbers that are not finite."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise KernelError("impl", Place(None, None, 1), 0)
+
+    monkeypatch.setattr(Peer, "__call__", fail)
+    assert find_mirror(study.problem, arm, "hand") == ()
+    undefined = {"Phi": np.full((64, 6), np.nan), "position": np.full((64, 3, 1), np.nan)}
+    monkeypatch.setattr(Peer, "__call__", lambda *_, **__: undefined)
+    assert find_mirror(study.problem, arm, "hand") == ()
