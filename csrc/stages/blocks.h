@@ -1,4 +1,4 @@
-/* Small dense blocks, column by column. */
+/* Small dense blocks. */
 #ifndef MBS_STAGES_BLOCKS_H
 #define MBS_STAGES_BLOCKS_H
 
@@ -22,13 +22,6 @@ typedef mbs_stages_real real;
 #define real_log10 log10
 #endif
 
-/* C += factor A B: A is m by k, B is k by n; `lower`: only the lower triangle of C. */
-void mbs_stages_multiply(int m, int n, int k, real factor, const real *A, int lda, const real *B, int ldb, real *C,
-                         int ldc, int lower);
-
-/* B = AT, A is m by n */
-void mbs_stages_transpose(int m, int n, const real *A, int lda, real *B, int ldb);
-
 /* y += factor A x, and y += factor AT x; A is m by n */
 void mbs_stages_apply(int m, int n, real factor, const real *A, int lda, const real *x, real *y);
 void mbs_stages_apply_transposed(int m, int n, real factor, const real *A, int lda, const real *x, real *y);
@@ -36,27 +29,31 @@ void mbs_stages_apply_transposed(int m, int n, real factor, const real *A, int l
 /* y += factor A x, of the lower triangle of a symmetric A */
 void mbs_stages_apply_symmetric(int n, real factor, const real *A, int lda, const real *x, real *y);
 
-/* Rows of `width` numbers, contiguous, for the operations below; a width is a multiple of MBS_STAGES_LANES. */
-#define MBS_STAGES_LANES 4
-int mbs_stages_width(int n);
-
-/* out = scale (out + sum over t of factor[t stride] times row index[t]); rows begin `ld` numbers apart */
-void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
-                        int ld, real scale, real *out);
-
-/* M += ST Z: S and Z have m rows, M has `width` of them; rows begin `ld` numbers apart. */
-void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M, int ld);
-
-/* Factorise the first n columns of the lower triangle of a symmetric A, m by m: A = L LT there. Returns the column of
- * the first pivot that is not above `zero` times the largest that the diagonal entry was, or -1. */
-int mbs_stages_cholesky(int m, int n, real *A, int lda, real zero);
-
-/* x = L^-1 x and x = L^-T x */
+/* x = L^-1 x and x = L^-T x, for a lower triangle */
 void mbs_stages_lower(int n, const real *L, int ldl, real *x);
 void mbs_stages_lower_transposed(int n, const real *L, int ldl, real *x);
 
-/* x = U^-1 x and x = U^-T x; U in the upper triangle */
-void mbs_stages_upper(int n, const real *U, int ldu, real *x);
-void mbs_stages_upper_transposed(int n, const real *U, int ldu, real *x);
+/* For the operations below, matrices lie row by row. A row has a `width`, a multiple of MBS_STAGES_LANES: zeros fill it
+ * up. Rows begin `ld` numbers apart. */
+#define MBS_STAGES_LANES 4
+int mbs_stages_width(int n);
+
+real mbs_stages_dot(int width, const real *a, const real *b);
+
+/* out = scale (out + sum over t of factor[t stride] times row index[t] - first) */
+void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
+                        const real *rows, int ld, real scale, real *out);
+
+/* out += factor times the sum over t < count of by[t stride] times row t */
+void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,
+                         real *out);
+
+/* M += factor ST Z: S and Z have m rows; M has `rows` of them, a multiple of MBS_STAGES_LANES. Rows before `whole` may
+ * get their part of the lower triangle alone. */
+void mbs_stages_gram(int m, int rows, int width, int whole, real factor, const real *S, int lds, const real *Z, int ldz,
+                     real *M, int ldm);
+
+/* Copy the lower triangle of rows and columns from .. to - 1 into the upper one. */
+void mbs_stages_mirror(int from, int to, real *M, int ld);
 
 #endif

@@ -14,12 +14,13 @@
 #define OFTEN 4 /* an order that fails in one of as many stages is given up */
 #define TRIES 3
 
+/* The row of V of inner variable i of all variables. */
 static real *row_of_v(const mbs_stages_stage *s, int i)
 {
-    return s->inner.V + (size_t)i * (size_t)s->inner.width;
+    return s->inner.V + (size_t)(i - s->nx) * (size_t)s->dense.width;
 }
 
-/* The part of it that is not 0 for inner variables. */
+/* The part of it that is not 0. */
 static real *read_part_of_v(const mbs_stages_stage *s, int i)
 {
     return row_of_v(s, i) + s->inner.skip;
@@ -158,7 +159,7 @@ static void set_outer_sizes(mbs_stages_stage *s)
     s->dense.nv = s->nv - s->inner.n + s->inner.deferred;
     s->dense.n = s->nx + s->dense.nv;
     s->dense.ne = s->ne - s->inner.n + s->inner.deferred;
-    s->inner.width = mbs_stages_width(s->dense.n);
+    s->dense.width = mbs_stages_width(s->dense.n);
 }
 
 /* B = -r_u, in the order of the rows of r. */
@@ -166,7 +167,7 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_matrix *E = &s->E;
-    const size_t width = (size_t)y->width;
+    const size_t width = (size_t)s->dense.width;
     int i, j, l;
     memset(m->right, 0, (size_t)y->n * width * sizeof *m->right);
     for (j = 0; j < s->n; ++j) {
@@ -181,17 +182,11 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     }
 }
 
-/* Rows of V of outer variables, and of deferred ones. */
+/* Rows of V of deferred variables. */
 static void write_units(const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     int i;
-    for (i = 0; i < s->n; ++i)
-        if (!is_inner(s, i)) {
-            real *row = row_of_v(s, i);
-            memset(row, 0, (size_t)y->width * sizeof *row);
-            row[mbs_stages_outer(s, i)] = 1;
-        }
     for (i = 0; i < y->deferred; ++i)
         row_of_v(s, s->nx + y->variable[i])[s->n - y->n + i] = 1;
 }
@@ -208,19 +203,19 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_pivots *p = y->pivots;
     const mbs_stages_factors *f = &y->factors;
-    const int width = y->width - y->skip;
+    const int ld = s->dense.width, width = ld - y->skip;
     real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
     int i;
     for (i = 0; i < y->n; ++i)
-        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, y->width,
-                           *lane_of(y, f->inverse, i), B + (size_t)p->row[i] * (size_t)y->width);
+        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
+                           B + (size_t)p->row[i] * (size_t)ld);
     for (i = y->n - 1; i >= 0; --i) {
-        real *to = S + (size_t)p->column[i] * (size_t)y->width;
+        real *to = S + (size_t)p->column[i] * (size_t)ld;
         memset(to - y->skip, 0, (size_t)y->skip * sizeof *to);
-        memcpy(to, B + (size_t)p->row[i] * (size_t)y->width, (size_t)width * sizeof *to);
-        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
-                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, y->width, 1, to);
+        memcpy(to, B + (size_t)p->row[i] * (size_t)ld, (size_t)width * sizeof *to);
+        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1, to);
     }
 }
 
@@ -269,7 +264,7 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
         defer(s, &c);
         set_outer_sizes(s);
         write_right(m, s);
-        mbs_stages_solve_rows_completely(&c, y->width, m->right, row_of_v(s, s->nx));
+        mbs_stages_solve_rows_completely(&c, s->dense.width, m->right, row_of_v(s, s->nx));
     } else {
         set_outer_sizes(s);
         write_right(m, s);
@@ -290,46 +285,44 @@ static void add_row(int width, real factor, const real *restrict a, real *restri
 static void add_variation(const mbs_stages_stage *s, int j, real factor, real *to)
 {
     if (is_inner(s, j))
-        add_row(s->inner.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
+        add_row(s->dense.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
     else
         to[mbs_stages_outer(s, j)] += factor;
 }
 
 /* `to` = rows of A V; row i of A comes to place[i], or nowhere if that is -1; `count` rows in all. */
-static void reduce_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s, const mbs_stages_matrix *A,
-                        const int *place, int count, real *to)
+static void reduce_rows(const mbs_stages_stage *s, const mbs_stages_matrix *A, const int *place, int count, real *to)
 {
-    const int width = s->inner.width;
+    const size_t width = (size_t)s->dense.width;
     int j, l;
     if (count == 0)
         return;
-    memset(m->right, 0, (size_t)count * (size_t)width * sizeof *m->right);
+    memset(to, 0, (size_t)count * width * sizeof *to);
     for (j = 0; j < s->n; ++j)
         for (l = A->begin[j]; l < A->end[j]; ++l) {
             const int i = place ? place[A->row[l]] : A->row[l];
             if (i >= 0)
-                add_variation(s, j, A->value[l], m->right + (size_t)i * (size_t)width);
+                add_variation(s, j, A->value[l], to + (size_t)i * width);
         }
-    mbs_stages_transpose(s->dense.n, count, m->right, width, to, count);
 }
 
 /* Rows of e of which rounding alone is left are 0, so that none of it becomes a pivot. */
 static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s,
                            const int *place)
 {
-    real *size = m->vector[5], *left = m->vector[0];
+    real *size = m->vector[5];
     int i, j;
     mbs_stages_matrix_row_maxima(&s->E, size);
-    for (i = 0; i < s->dense.ne; ++i)
-        left[i] = 0;
-    for (j = 0; j < s->dense.n; ++j)
-        for (i = 0; i < s->dense.ne; ++i) {
-            const real a = real_abs(s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)i]);
-            left[i] = a > left[i] ? a : left[i];
-        }
-    for (i = 0; i < s->ne; ++i)
-        for (j = 0; place[i] >= 0 && !(left[place[i]] > r->zero_pivot * size[i]) && j < s->dense.n; ++j)
-            s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)place[i]] = 0;
+    for (i = 0; i < s->ne; ++i) {
+        real *row, left = 0;
+        if (place[i] < 0)
+            continue;
+        row = s->dense.E + (size_t)place[i] * (size_t)s->dense.width;
+        for (j = 0; j < s->dense.n; ++j)
+            left = real_abs(row[j]) > left ? real_abs(row[j]) : left;
+        if (!(left > r->zero_pivot * size[i]))
+            memset(row, 0, (size_t)s->dense.n * sizeof *row);
+    }
 }
 
 /* Rows of e that the recursion sees: rows that are not inner, then deferred ones. */
@@ -346,35 +339,37 @@ static void place_rows(const mbs_stages_stage *s, int *place)
 static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     place_rows(s, m->spots);
-    reduce_rows(m, s, &s->E, m->spots, s->dense.ne, s->dense.E);
+    reduce_rows(s, &s->E, m->spots, s->dense.ne, s->dense.E);
     if (s->dense.ne > 0)
         clear_rounding(r, m, s, m->spots);
-    reduce_rows(m, s, &s->F, NULL, s->next, s->dense.F);
-    reduce_rows(m, s, &s->G, NULL, s->ng, s->dense.G);
+    reduce_rows(s, &s->F, NULL, s->next, s->dense.F);
+    reduce_rows(s, &s->G, NULL, s->ng, s->dense.G);
 }
 
 /* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal; columns from `skip` on. */
 static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, int skip, real *half)
 {
     const mbs_stages_matrix *H = &s->H;
-    const real *v = row_of_v(s, j) + skip;
-    const int width = s->inner.width - skip;
-    real diagonal = r->diagonal[s->w + j];
-    int i, l = H->begin[j];
-    if (!r->plain && l < H->end[j] && H->row[l] == j)
-        diagonal += H->value[l++];
-    for (i = 0; i < width; ++i)
-        half[i] = diagonal / 2 * v[i];
-    if (!r->plain && l < H->end[j])
-        mbs_stages_combine(width, H->end[j] - l, H->row + l, H->value + l, 1, s->inner.V + skip, s->inner.width, 1,
-                           half);
+    const int n = s->inner.n, width = s->dense.width - skip;
+    int l = H->begin[j], end = r->plain ? l : H->end[j], own = l < end && H->row[l] == j;
+    const real diagonal = (r->diagonal[s->w + j] + (own ? H->value[l] : 0)) / 2;
+    memset(half, 0, (size_t)width * sizeof *half);
+    if (is_inner(s, j))
+        add_row(width, diagonal, row_of_v(s, j) + skip, half);
+    else
+        half[mbs_stages_outer(s, j) - skip] = diagonal;
+    for (l += own; l < end && H->row[l] < s->nx; ++l)
+        half[H->row[l] - skip] += H->value[l];
+    for (; end > l && H->row[end - 1] >= s->nx + n; --end)
+        half[H->row[end - 1] - n - skip] += H->value[end - 1];
+    mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1, half);
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    const int n = s->dense.n, inner = s->inner.n, skip = s->inner.skip;
-    const size_t width = (size_t)s->inner.width;
+    const int n = s->dense.n, inner = s->inner.n, skip = s->inner.skip, wide = s->dense.width;
+    const size_t width = (size_t)wide;
     real *M = m->product, *Z = m->right;
     int i, j;
     memset(M + (size_t)(s->n - inner) * width, 0, (width - (size_t)(s->n - inner)) * width * sizeof *M);
@@ -384,24 +379,26 @@ static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch 
         find_half(r, s, j, 0, M + (size_t)(j - inner) * width);
     for (j = 0; j < inner; ++j)
         find_half(r, s, s->nx + j, skip, Z + (size_t)j * width + skip);
-    mbs_stages_gram(inner, s->inner.width - skip, read_part_of_v(s, s->nx), Z + skip,
-                    M + (size_t)skip * width + skip, s->inner.width);
-    for (j = 0; j < n; ++j)
-        for (i = j; i < n; ++i)
-            s->dense.H[(size_t)j * (size_t)n + (size_t)i] =
-                M[(size_t)i * width + (size_t)j] + M[(size_t)j * width + (size_t)i];
+    mbs_stages_gram(inner, wide - skip, wide - skip, 0, 1, read_part_of_v(s, s->nx), wide, Z + skip, wide,
+                    M + (size_t)skip * width + skip, wide);
+    for (i = 0; i < n; ++i) {
+        real *to = s->dense.H + (size_t)i * width;
+        for (j = 0; j <= i; ++j)
+            to[j] = M[(size_t)i * width + (size_t)j] + M[(size_t)j * width + (size_t)i];
+        for (j = n; j < wide; ++j)
+            to[j] = 0;
+    }
 }
 
-/* Copy matrices with patterns into dense ones. */
+/* Copy matrices of a stage without inner variables into dense ones. */
 static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 {
-    if (s->H.begin == NULL)
-        return;
-    mbs_stages_matrix_spread(&s->E, s->dense.E, s->ne);
-    mbs_stages_matrix_spread(&s->F, s->dense.F, s->next);
-    mbs_stages_matrix_spread(&s->G, s->dense.G, s->ng);
+    const mbs_stages_dense *d = &s->dense;
+    mbs_stages_matrix_spread(&s->E, 0, d->E, d->width);
+    mbs_stages_matrix_spread(&s->F, 0, d->F, d->width);
+    mbs_stages_matrix_spread(&s->G, 0, d->G, d->width);
     if (!r->plain)
-        mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
+        mbs_stages_matrix_spread(&s->H, 1, d->H, d->width);
 }
 
 static void condense_stage(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
@@ -495,30 +492,18 @@ void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_s
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
 {
     int i;
-    memset(out, 0, (size_t)s->inner.width * sizeof *out);
+    memset(out, 0, (size_t)s->dense.width * sizeof *out);
     for (i = 0; i < s->n; ++i)
         add_variation(s, i, gradient[i], out);
 }
 
-static real dot(int width, const real *restrict a, const real *restrict b)
-{
-    real sum[MBS_STAGES_LANES] = {0};
-    int i, c;
-    for (i = 0; i < width; i += MBS_STAGES_LANES)
-        for (c = 0; c < MBS_STAGES_LANES; ++c)
-            sum[c] += a[i + c] * b[i + c];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
+void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
 {
     const mbs_stages_inner *y = &s->inner;
     int i;
-    for (i = s->dense.n; i < y->width; ++i)
-        outer[i] = 0;
     for (i = 0; i < s->n; ++i)
         z[i] = is_inner(s, i) ? y->constant[i - s->nx] +
-                                    dot(y->width - y->skip, read_part_of_v(s, i), outer + y->skip)
+                                    mbs_stages_dot(s->dense.width - y->skip, read_part_of_v(s, i), outer + y->skip)
                               : outer[mbs_stages_outer(s, i)];
 }
 

@@ -99,17 +99,15 @@ real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A)
     return most;
 }
 
-void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld)
+void mbs_stages_matrix_spread(const mbs_stages_matrix *A, int triangle, real *dense, int ld)
 {
-    int j, l;
+    int i, j, l;
+    memset(dense, 0, (size_t)A->rows * (size_t)ld * sizeof *dense);
     for (j = 0; j < A->columns; ++j) {
-        real *to = dense + (size_t)j * (size_t)ld;
-        if (A->begin == NULL) {
-            memcpy(to, A->value + (size_t)j * (size_t)A->rows, (size_t)A->rows * sizeof *to);
-            continue;
-        }
-        memset(to, 0, (size_t)A->rows * sizeof *to);
-        for (l = A->begin[j]; l < A->end[j]; ++l)
-            to[A->row[l]] = A->value[l];
+        real *to = dense + j;
+        for (i = triangle ? j : 0; A->begin == NULL && i < A->rows; ++i)
+            to[(size_t)i * (size_t)ld] = A->value[(size_t)j * (size_t)A->rows + (size_t)i];
+        for (l = A->begin ? A->begin[j] : 0; A->begin && l < A->end[j]; ++l)
+            to[(size_t)A->row[l] * (size_t)ld] = A->value[l];
     }
 }
