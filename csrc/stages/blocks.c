@@ -86,6 +86,26 @@ int mbs_stages_width(int n)
     return (n + MBS_STAGES_LANES - 1) / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 
+/* MBS_STAGES_LANES numbers, written as a vector where there are such: a loop over so few is taken apart before a
+ * compiler sees that it could be one. */
+#if defined(__GNUC__)
+typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
+#define ADD(a, x, b) ((a) += (x) * (b))
+#define SCALE(a, x) ((a) *= (x))
+#else
+typedef struct {
+    real at[MBS_STAGES_LANES];
+} lanes;
+#define OF_LANES(assign)                          \
+    do {                                          \
+        int l;                                    \
+        for (l = 0; l < MBS_STAGES_LANES; ++l)    \
+            assign;                               \
+    } while (0)
+#define ADD(a, x, b) OF_LANES((a).at[l] += (x) * (b).at[l])
+#define SCALE(a, x) OF_LANES((a).at[l] *= (x))
+#endif
+
 real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
 {
     real sum[MBS_STAGES_LANES] = {0};
@@ -96,28 +116,29 @@ real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* Sums stay in registers: lengths of the inner loops are constants, so that compilers make vectors of them. */
-#define COMBINE(LENGTH)                                                                                               \
-    static void combine_##LENGTH(int count, const int *restrict index, int first, const real *restrict factor,        \
-                                 size_t stride, const real *restrict rows, size_t ld, real scale,                     \
-                                 real *restrict out)                                                                  \
+/* For COUNT times LANES columns. Sums stay in registers: their number is constant. */
+#define COMBINE(COUNT)                                                                                                \
+    static void combine_##COUNT(int count, const int *restrict index, int first, const real *restrict factor,         \
+                                size_t stride, const real *restrict rows, size_t ld, real scale, real *restrict out)  \
     {                                                                                                                 \
-        real sum[LENGTH];                                                                                             \
+        lanes sum[COUNT], *to = (lanes *)out;                                                                         \
         int t, c;                                                                                                     \
-        for (c = 0; c < LENGTH; ++c)                                                                                  \
-            sum[c] = out[c];                                                                                          \
+        for (c = 0; c < COUNT; ++c)                                                                                   \
+            sum[c] = to[c];                                                                                           \
         for (t = 0; t < count; ++t) {                                                                                 \
-            const real *restrict row = rows + (size_t)(index[t] - first) * ld;                                        \
+            const lanes *row = (const lanes *)(rows + (size_t)(index[t] - first) * ld);                               \
             const real f = factor[(size_t)t * stride];                                                                \
-            for (c = 0; c < LENGTH; ++c)                                                                              \
-                sum[c] += f * row[c];                                                                                 \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                ADD(sum[c], f, row[c]);                                                                               \
         }                                                                                                             \
-        for (c = 0; c < LENGTH; ++c)                                                                                  \
-            out[c] = scale * sum[c];                                                                                  \
+        for (c = 0; c < COUNT; ++c) {                                                                                 \
+            SCALE(sum[c], scale);                                                                                     \
+            to[c] = sum[c];                                                                                           \
+        }                                                                                                             \
     }
-COMBINE(16)
-COMBINE(8)
 COMBINE(4)
+COMBINE(2)
+COMBINE(1)
 
 void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
                         const real *rows, int ld, real scale, real *out)
@@ -125,28 +146,32 @@ void mbs_stages_combine(int width, int count, const int *index, int first, const
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
     for (; c + 16 <= width; c += 16)
-        combine_16(count, index, first, factor, step, rows + c, w, scale, out + c);
-    for (; c + 8 <= width; c += 8)
-        combine_8(count, index, first, factor, step, rows + c, w, scale, out + c);
-    for (; c < width; c += 4)
         combine_4(count, index, first, factor, step, rows + c, w, scale, out + c);
+    for (; c + 8 <= width; c += 8)
+        combine_2(count, index, first, factor, step, rows + c, w, scale, out + c);
+    for (; c < width; c += 4)
+        combine_1(count, index, first, factor, step, rows + c, w, scale, out + c);
 }
 
-#define ADD_ROWS(LENGTH)                                                                                              \
-    static void add_rows_##LENGTH(int count, real factor, const real *restrict by, size_t stride,                     \
-                                  const real *restrict rows, size_t ld, real *restrict out)                           \
+#define ADD_ROWS(COUNT)                                                                                               \
+    static void add_rows_##COUNT(int count, real factor, const real *restrict by, size_t stride,                      \
+                                 const real *restrict rows, size_t ld, real *restrict out)                            \
     {                                                                                                                 \
-        real sum[LENGTH] = {0};                                                                                       \
+        lanes sum[COUNT], *to = (lanes *)out;                                                                         \
         int t, c;                                                                                                     \
-        for (t = 0; t < count; ++t, by += stride, rows += ld)                                                         \
-            for (c = 0; c < LENGTH; ++c)                                                                              \
-                sum[c] += *by * rows[c];                                                                              \
-        for (c = 0; c < LENGTH; ++c)                                                                                  \
-            out[c] += factor * sum[c];                                                                                \
+        for (c = 0; c < COUNT; ++c)                                                                                   \
+            sum[c] = to[c];                                                                                           \
+        for (t = 0; t < count; ++t, by += stride, rows += ld) {                                                       \
+            const real f = factor * *by;                                                                              \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                ADD(sum[c], f, ((const lanes *)rows)[c]);                                                             \
+        }                                                                                                             \
+        for (c = 0; c < COUNT; ++c)                                                                                   \
+            to[c] = sum[c];                                                                                           \
     }
-ADD_ROWS(16)
-ADD_ROWS(8)
 ADD_ROWS(4)
+ADD_ROWS(2)
+ADD_ROWS(1)
 
 void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,
                          real *out)
@@ -154,30 +179,38 @@ void mbs_stages_add_rows(int width, int count, real factor, const real *by, int 
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
     for (; c + 16 <= width; c += 16)
-        add_rows_16(count, factor, by, step, rows + c, w, out + c);
-    for (; c + 8 <= width; c += 8)
-        add_rows_8(count, factor, by, step, rows + c, w, out + c);
-    for (; c < width; c += 4)
         add_rows_4(count, factor, by, step, rows + c, w, out + c);
+    for (; c + 8 <= width; c += 8)
+        add_rows_2(count, factor, by, step, rows + c, w, out + c);
+    for (; c < width; c += 4)
+        add_rows_1(count, factor, by, step, rows + c, w, out + c);
 }
 
-/* A tile of M, 4 by LENGTH */
-#define GRAM(LENGTH)                                                                                                  \
-    static void gram_##LENGTH(int m, real factor, const real *restrict S, size_t lds, const real *restrict Z,         \
-                              size_t ldz, real *restrict M, size_t ldm)                                               \
+/* A tile of M, 4 by COUNT times LANES */
+#define GRAM(COUNT)                                                                                                   \
+    static void gram_##COUNT(int m, real factor, const real *restrict S, size_t lds, const real *restrict Z,          \
+                             size_t ldz, real *restrict M, size_t ldm)                                                \
     {                                                                                                                 \
-        real sum[4][LENGTH] = {{0}};                                                                                  \
+        const real zeros[COUNT * MBS_STAGES_LANES] = {0};                                                             \
+        lanes sum[4][COUNT];                                                                                          \
         int j, b, c;                                                                                                  \
-        for (j = 0; j < m; ++j, S += lds, Z += ldz)                                                                   \
-            for (b = 0; b < 4; ++b)                                                                                   \
-                for (c = 0; c < LENGTH; ++c)                                                                          \
-                    sum[b][c] += S[b] * Z[c];                                                                         \
         for (b = 0; b < 4; ++b)                                                                                       \
-            for (c = 0; c < LENGTH; ++c)                                                                              \
-                M[(size_t)b * ldm + (size_t)c] += factor * sum[b][c];                                                 \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                sum[b][c] = ((const lanes *)zeros)[c];                                                                \
+        for (j = 0; j < m; ++j, S += lds, Z += ldz)                                                                   \
+            for (c = 0; c < COUNT; ++c) {                                                                             \
+                const lanes z = ((const lanes *)Z)[c];                                                                \
+                ADD(sum[0][c], S[0], z);                                                                              \
+                ADD(sum[1][c], S[1], z);                                                                              \
+                ADD(sum[2][c], S[2], z);                                                                              \
+                ADD(sum[3][c], S[3], z);                                                                              \
+            }                                                                                                         \
+        for (b = 0; b < 4; ++b, M += ldm)                                                                             \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                ADD(((lanes *)M)[c], factor, sum[b][c]);                                                              \
     }
-GRAM(8)
-GRAM(4)
+GRAM(2)
+GRAM(1)
 
 void mbs_stages_gram(int m, int rows, int width, int whole, real factor, const real *S, int lds, const real *Z, int ldz,
                      real *M, int ldm)
@@ -187,9 +220,9 @@ void mbs_stages_gram(int m, int rows, int width, int whole, real factor, const r
     for (b = 0; b < rows; b += 4, M += 4 * l) {
         const int columns = b + 4 > whole ? width : b + 4;
         for (c = 0; c + 8 <= columns; c += 8)
-            gram_8(m, factor, S + b, s, Z + c, z, M + c, l);
+            gram_2(m, factor, S + b, s, Z + c, z, M + c, l);
         for (; c < columns; c += 4)
-            gram_4(m, factor, S + b, s, Z + c, z, M + c, l);
+            gram_1(m, factor, S + b, s, Z + c, z, M + c, l);
     }
 }
 
