@@ -86,26 +86,6 @@ int mbs_stages_width(int n)
     return (n + MBS_STAGES_LANES - 1) / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 
-/* MBS_STAGES_LANES numbers, written as a vector where there are such: a loop over so few is taken apart before a
- * compiler sees that it could be one. */
-#if defined(__GNUC__)
-typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
-#define ADD(a, x, b) ((a) += (x) * (b))
-#define SCALE(a, x) ((a) *= (x))
-#else
-typedef struct {
-    real at[MBS_STAGES_LANES];
-} lanes;
-#define OF_LANES(assign)                          \
-    do {                                          \
-        int l;                                    \
-        for (l = 0; l < MBS_STAGES_LANES; ++l)    \
-            assign;                               \
-    } while (0)
-#define ADD(a, x, b) OF_LANES((a).at[l] += (x) * (b).at[l])
-#define SCALE(a, x) OF_LANES((a).at[l] *= (x))
-#endif
-
 real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
 {
     real sum[MBS_STAGES_LANES] = {0};
@@ -129,10 +109,10 @@ real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
             const lanes *row = (const lanes *)(rows + (size_t)(index[t] - first) * ld);                               \
             const real f = factor[(size_t)t * stride];                                                                \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                ADD(sum[c], f, row[c]);                                                                               \
+                LANES_ADD(sum[c], f, row[c]);                                                                         \
         }                                                                                                             \
         for (c = 0; c < COUNT; ++c) {                                                                                 \
-            SCALE(sum[c], scale);                                                                                     \
+            LANES_SCALE(sum[c], scale);                                                                               \
             to[c] = sum[c];                                                                                           \
         }                                                                                                             \
     }
@@ -164,7 +144,7 @@ void mbs_stages_combine(int width, int count, const int *index, int first, const
         for (t = 0; t < count; ++t, by += stride, rows += ld) {                                                       \
             const real f = factor * *by;                                                                              \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                ADD(sum[c], f, ((const lanes *)rows)[c]);                                                             \
+                LANES_ADD(sum[c], f, ((const lanes *)rows)[c]);                                                       \
         }                                                                                                             \
         for (c = 0; c < COUNT; ++c)                                                                                   \
             to[c] = sum[c];                                                                                           \
@@ -200,14 +180,14 @@ void mbs_stages_add_rows(int width, int count, real factor, const real *by, int 
         for (j = 0; j < m; ++j, S += lds, Z += ldz)                                                                   \
             for (c = 0; c < COUNT; ++c) {                                                                             \
                 const lanes z = ((const lanes *)Z)[c];                                                                \
-                ADD(sum[0][c], S[0], z);                                                                              \
-                ADD(sum[1][c], S[1], z);                                                                              \
-                ADD(sum[2][c], S[2], z);                                                                              \
-                ADD(sum[3][c], S[3], z);                                                                              \
+                LANES_ADD(sum[0][c], S[0], z);                                                                        \
+                LANES_ADD(sum[1][c], S[1], z);                                                                        \
+                LANES_ADD(sum[2][c], S[2], z);                                                                        \
+                LANES_ADD(sum[3][c], S[3], z);                                                                        \
             }                                                                                                         \
         for (b = 0; b < 4; ++b, M += ldm)                                                                             \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                ADD(((lanes *)M)[c], factor, sum[b][c]);                                                              \
+                LANES_ADD(((lanes *)M)[c], factor, sum[b][c]);                                                        \
     }
 GRAM(2)
 GRAM(1)

@@ -22,6 +22,33 @@ typedef mbs_stages_real real;
 #define real_log10 log10
 #endif
 
+#define MBS_STAGES_LANES 4
+
+/* As many numbers, written as a vector where there are such: a loop over so few is taken apart before a compiler sees that
+ * it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c. */
+#if defined(__GNUC__)
+typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
+#define LANES_ADD(a, x, b) ((a) += (x) * (b))
+#define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))
+#define LANES_SCALE(a, x) ((a) *= (x))
+#define LANES_MULTIPLY(a, x, b) ((a) = (x) * (b))
+#else
+typedef struct {
+    real at[MBS_STAGES_LANES];
+} lanes;
+#define OF_LANES(assign)                       \
+    do {                                       \
+        int l;                                 \
+        for (l = 0; l < MBS_STAGES_LANES; ++l) \
+            assign;                            \
+    } while (0)
+#define LANES_ADD(a, x, b) OF_LANES((a).at[l] += (x) * (b).at[l])
+#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[l] += (x).at[l] * (b).at[l])
+#define LANES_SCALE(a, x) OF_LANES((a).at[l] *= (x))
+#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[l] = (x).at[l] * (b).at[l])
+#endif
+#define LANE(a, c) (((real *)&(a))[c])
+
 /* y += factor A x, and y += factor AT x; A is m by n */
 void mbs_stages_apply(int m, int n, real factor, const real *A, int lda, const real *x, real *y);
 void mbs_stages_apply_transposed(int m, int n, real factor, const real *A, int lda, const real *x, real *y);
@@ -35,7 +62,6 @@ void mbs_stages_lower_transposed(int n, const real *L, int ldl, real *x);
 
 /* For the operations below, matrices lie row by row. A row has a `width`, a multiple of MBS_STAGES_LANES: zeros fill it
  * up. Rows begin `ld` numbers apart. */
-#define MBS_STAGES_LANES 4
 int mbs_stages_width(int n);
 
 real mbs_stages_dot(int width, const real *a, const real *b);
