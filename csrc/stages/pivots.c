@@ -382,12 +382,14 @@ static void add_products(int count, const int *restrict place, const lanes *rest
     *sum = a;
 }
 
-/* Numbers at places += x times factors */
-static void add_multiples(int count, const int *restrict place, const lanes *restrict factor, lanes x, lanes *restrict to)
+/* Numbers at places += factors times x, which is none of them */
+static void add_multiples(int count, const int *restrict place, const lanes *restrict factor, const lanes *x,
+                          lanes *restrict to)
 {
+    const lanes a = *x;
     int t;
     for (t = 0; t < count; ++t)
-        LANES_ADD_EACH(to[place[t]], x, factor[t]);
+        LANES_ADD_EACH(to[place[t]], a, factor[t]);
 }
 
 void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *const *b, int count,
@@ -422,12 +424,12 @@ void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_
     for (i = 0; i < p->n; ++i) {
         const int first = p->upper[i];
         half[i] = right[p->column[i]];
-        add_multiples(p->upper[i + 1] - first, p->upper_column + first, upper + first, half[i], right);
+        add_multiples(p->upper[i + 1] - first, p->upper_column + first, upper + first, &half[i], right);
     }
     for (i = p->n - 1; i >= 0; --i) {
         const int first = p->lower[i];
         LANES_MULTIPLY(half[i], inverse[i], half[i]);
         found[p->row[i]] = half[i];
-        add_multiples(p->lower[i + 1] - first, p->lower_place + first, lower + first, half[i], half);
+        add_multiples(p->lower[i + 1] - first, p->lower_place + first, lower + first, &half[i], half);
     }
 }
