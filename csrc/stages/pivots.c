@@ -279,44 +279,64 @@ typedef struct {
     const mbs_stages_pivots *p;
     mbs_stages_together *stages;
     lanes *lower, *inverse, *upper, *row;
-    lanes size, most; /* squares of the row's norms, before elimination and right of the pivot after it */
 } elimination;
 
-static void clear(lanes *to)
+static void clear(int count, const int *restrict place, lanes *restrict row)
 {
-    memset(to, 0, sizeof *to);
+    const lanes zero = {0};
+    int t;
+    for (t = 0; t < count; ++t)
+        row[place[t]] = zero;
 }
 
-/* Write the nonzeros of row i, with zeros where factors have more, and note how large they are. */
-static void spread_row(elimination *a, int i)
+/* The square of the norm of numbers at places */
+static void find_size(int count, const int *restrict place, const lanes *restrict row, lanes *size)
+{
+    lanes sum = {0};
+    int t;
+    for (t = 0; t < count; ++t)
+        LANES_ADD_EACH(sum, row[place[t]], row[place[t]]);
+    *size = sum;
+}
+
+/* Write the nonzeros of row i, with zeros where factors have more. */
+static void spread_row(const elimination *a, int i)
 {
     const mbs_stages_pivots *p = a->p;
+    const int first = p->entry[i], count = p->entry[i + 1] - first;
+    const int *restrict at = p->entry_at + first, *restrict place = p->entry_place + first;
     const real *const *value = a->stages->value;
+    const real *restrict v0 = value[0], *restrict v1 = value[1], *restrict v2 = value[2], *restrict v3 = value[3];
+    lanes *restrict row = a->row;
     int t;
-    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
-        clear(a->row + p->lower_place[t]);
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        clear(a->row + p->upper_place[t]);
-    clear(a->row + i);
-    clear(&a->size);
-    for (t = p->entry[i]; t < p->entry[i + 1]; ++t) {
-        const int at = p->entry_at[t];
-        const lanes number = {value[0][at], value[1][at], value[2][at], value[3][at]};
-        a->row[p->entry_place[t]] = number;
-        LANES_ADD_EACH(a->size, number, number);
+    clear(p->lower[i + 1] - p->lower[i], p->lower_place + p->lower[i], row);
+    clear(p->upper[i + 1] - p->upper[i], p->upper_place + p->upper[i], row);
+    clear(1, &i, row);
+    for (t = 0; t < count; ++t) {
+        const lanes number = {v0[at[t]], v1[at[t]], v2[at[t]], v3[at[t]]};
+        row[place[t]] = number;
     }
+}
+
+/* Numbers at places += factors times x, which is none of them */
+static void add_multiples(int count, const int *restrict place, const lanes *restrict factor, const lanes *x,
+                          lanes *restrict to)
+{
+    const lanes a = *x;
+    int t;
+    for (t = 0; t < count; ++t)
+        LANES_ADD_EACH(to[place[t]], a, factor[t]);
 }
 
 /* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor, negative. */
 static void eliminate_row(const elimination *a, int i)
 {
     const mbs_stages_pivots *p = a->p;
-    int t, l;
+    int t;
     for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {
-        const int j = p->lower_place[t];
+        const int j = p->lower_place[t], first = p->upper[j];
         lanes factor = a->row[j];
-        for (l = p->upper[j]; l < p->upper[j + 1]; ++l)
-            LANES_ADD_EACH(a->row[p->upper_place[l]], factor, a->upper[l]);
+        add_multiples(p->upper[j + 1] - first, p->upper_place + first, a->upper + first, &factor, a->row);
         LANES_SCALE(factor, -1);
         a->lower[t] = factor;
     }
@@ -324,35 +344,33 @@ static void eliminate_row(const elimination *a, int i)
 
 /* Divide row i by its pivots. Where one is as good as 0, or small beside its row, the stage has failed here, unless it
  * has before. Squares too large or too small for their precision count as such. */
-static void take_pivots(elimination *a, int i, real zero_pivot)
+static void take_pivots(const elimination *a, int i, const lanes *size, real zero_pivot)
 {
     const mbs_stages_pivots *p = a->p;
     const real zero = zero_pivot * zero_pivot, lost = LOST * LOST;
-    const lanes pivot = a->row[i];
-    lanes inverse, minus;
+    const int first = p->upper[i], count = p->upper[i + 1] - first, *restrict place = p->upper_place + first;
+    const lanes *restrict row = a->row, pivot = row[i];
+    lanes *restrict upper = a->upper + first, inverse, minus, most;
     int t, c;
-    clear(&a->most);
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t) {
-        const lanes number = a->row[p->upper_place[t]];
-        LANES_ADD_EACH(a->most, number, number);
-    }
+    find_size(count, place, row, &most);
     for (c = 0; c < MBS_STAGES_TOGETHER; ++c) {
         const real own = LANE(pivot, c), square = own * own;
-        const int good = square > zero * LANE(a->size, c) && LANE(a->most, c) <= lost * square;
+        const int good = square > zero * LANE(*size, c) && LANE(most, c) <= lost * square;
         if (!good && a->stages->failed[c] < 0)
             a->stages->failed[c] = i;
         LANE(inverse, c) = good ? 1 / own : 0;
     }
     a->inverse[i] = minus = inverse;
     LANES_SCALE(minus, -1);
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        LANES_MULTIPLY(a->upper[t], minus, a->row[p->upper_place[t]]);
+    for (t = 0; t < count; ++t)
+        LANES_MULTIPLY(upper[t], minus, row[place[t]]);
 }
 
 void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, const mbs_stages_factors *f,
                                    real *work, real zero_pivot)
 {
     elimination a;
+    lanes size;
     int i, c;
     a.p = p;
     a.stages = stages;
@@ -366,8 +384,9 @@ void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_togeth
         stages->failed[c] = -1;
     for (i = 0; i < p->n; ++i) {
         spread_row(&a, i);
+        find_size(p->entry[i + 1] - p->entry[i], p->entry_place + p->entry[i], a.row, &size);
         eliminate_row(&a, i);
-        take_pivots(&a, i, zero_pivot);
+        take_pivots(&a, i, &size, zero_pivot);
     }
 }
 
@@ -380,16 +399,6 @@ static void add_products(int count, const int *restrict place, const lanes *rest
     for (t = 0; t < count; ++t)
         LANES_ADD_EACH(a, factor[t], x[place[t]]);
     *sum = a;
-}
-
-/* Numbers at places += factors times x, which is none of them */
-static void add_multiples(int count, const int *restrict place, const lanes *restrict factor, const lanes *x,
-                          lanes *restrict to)
-{
-    const lanes a = *x;
-    int t;
-    for (t = 0; t < count; ++t)
-        LANES_ADD_EACH(to[place[t]], a, factor[t]);
 }
 
 void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *const *b, int count,
