@@ -99,12 +99,13 @@ real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
 /* For COUNT times LANES columns. Sums stay in registers: their number is constant. */
 #define COMBINE(COUNT)                                                                                                \
     static void combine_##COUNT(int count, const int *restrict index, int first, const real *restrict factor,         \
-                                size_t stride, const real *restrict rows, size_t ld, real scale, real *restrict out)  \
+                                size_t stride, const real *restrict rows, size_t ld, real scale, const real *from,    \
+                                real *out)                                                                            \
     {                                                                                                                 \
-        lanes sum[COUNT], *to = (lanes *)out;                                                                         \
+        lanes sum[COUNT];                                                                                             \
         int t, c;                                                                                                     \
         for (c = 0; c < COUNT; ++c)                                                                                   \
-            sum[c] = to[c];                                                                                           \
+            sum[c] = ((const lanes *)from)[c];                                                                        \
         for (t = 0; t < count; ++t) {                                                                                 \
             const lanes *row = (const lanes *)(rows + (size_t)(index[t] - first) * ld);                               \
             const real f = factor[(size_t)t * stride];                                                                \
@@ -113,7 +114,7 @@ real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
         }                                                                                                             \
         for (c = 0; c < COUNT; ++c) {                                                                                 \
             LANES_SCALE(sum[c], scale);                                                                               \
-            to[c] = sum[c];                                                                                           \
+            ((lanes *)out)[c] = sum[c];                                                                               \
         }                                                                                                             \
     }
 COMBINE(4)
@@ -121,16 +122,16 @@ COMBINE(2)
 COMBINE(1)
 
 void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
-                        const real *rows, int ld, real scale, real *out)
+                        const real *rows, int ld, real scale, const real *from, real *out)
 {
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
     for (; c + 16 <= width; c += 16)
-        combine_4(count, index, first, factor, step, rows + c, w, scale, out + c);
+        combine_4(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
     for (; c + 8 <= width; c += 8)
-        combine_2(count, index, first, factor, step, rows + c, w, scale, out + c);
+        combine_2(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
     for (; c < width; c += 4)
-        combine_1(count, index, first, factor, step, rows + c, w, scale, out + c);
+        combine_1(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
 }
 
 #define ADD_ROWS(COUNT)                                                                                               \

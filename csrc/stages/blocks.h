@@ -66,9 +66,9 @@ int mbs_stages_width(int n);
 
 real mbs_stages_dot(int width, const real *a, const real *b);
 
-/* out = scale (out + sum over t of factor[t stride] times row index[t] - first) */
+/* out = scale (from + sum over t of factor[t stride] times row index[t] - first); `from` may be `out` */
 void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
-                        const real *rows, int ld, real scale, real *out);
+                        const real *rows, int ld, real scale, const real *from, real *out);
 
 /* out += factor times the sum over t < count of by[t stride] times row t */
 void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,

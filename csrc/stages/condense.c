@@ -171,9 +171,9 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     int i, j, l;
     memset(m->right, 0, (size_t)y->n * width * sizeof *m->right);
     for (j = 0; j < s->n; ++j) {
-        const int at = mbs_stages_outer(s, j);
-        for (l = E->begin[j]; at >= 0 && l < E->end[j] && E->row[l] < y->n; ++l)
-            m->right[(size_t)E->row[l] * width + (size_t)at] = -E->value[l];
+        real *column = m->right + (j < s->nx ? j : j - y->n);
+        for (l = E->begin[j]; !is_inner(s, j) && l < E->end[j] && E->row[l] < y->n; ++l)
+            column[(size_t)E->row[l] * width] = -E->value[l];
     }
     for (i = 0; i < y->deferred; ++i) {
         j = s->nx + y->variable[i];
@@ -206,16 +206,20 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     const int ld = s->dense.width, width = ld - y->skip;
     real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
     int i;
-    for (i = 0; i < y->n; ++i)
+    for (i = 0; i < y->n; ++i) {
+        real *row = B + (size_t)p->row[i] * (size_t)ld;
         mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
-                           B + (size_t)p->row[i] * (size_t)ld);
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i), row,
+                           row);
+    }
     for (i = y->n - 1; i >= 0; --i) {
         real *to = S + (size_t)p->column[i] * (size_t)ld;
-        memset(to - y->skip, 0, (size_t)y->skip * sizeof *to);
-        memcpy(to, B + (size_t)p->row[i] * (size_t)ld, (size_t)width * sizeof *to);
+        int j;
+        for (j = 0; j < y->skip; ++j)
+            to[j - y->skip] = 0;
         mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
-                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1, to);
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1,
+                           B + (size_t)p->row[i] * (size_t)ld, to);
     }
 }
 
@@ -275,10 +279,19 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
 
 static void add_row(int width, real factor, const real *restrict a, real *restrict b)
 {
-    int i, c;
-    for (i = 0; i < width; i += MBS_STAGES_LANES)
-        for (c = 0; c < MBS_STAGES_LANES; ++c)
-            b[i + c] += factor * a[i + c];
+    int i;
+    for (i = 0; i < width / MBS_STAGES_LANES; ++i)
+        LANES_ADD(((lanes *)b)[i], factor, ((const lanes *)a)[i]);
+}
+
+static void copy_row(int width, real factor, const real *restrict a, real *restrict b)
+{
+    int i;
+    for (i = 0; i < width / MBS_STAGES_LANES; ++i) {
+        lanes number = ((const lanes *)a)[i];
+        LANES_SCALE(number, factor);
+        ((lanes *)b)[i] = number;
+    }
 }
 
 /* to += factor times row j of V */
@@ -353,16 +366,18 @@ static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, 
     const int n = s->inner.n, width = s->dense.width - skip;
     int l = H->begin[j], end = r->plain ? l : H->end[j], own = l < end && H->row[l] == j;
     const real diagonal = (r->diagonal[s->w + j] + (own ? H->value[l] : 0)) / 2;
-    memset(half, 0, (size_t)width * sizeof *half);
-    if (is_inner(s, j))
-        add_row(width, diagonal, row_of_v(s, j) + skip, half);
-    else
+    if (is_inner(s, j)) {
+        copy_row(width, diagonal, row_of_v(s, j) + skip, half);
+    } else {
+        memset(half, 0, (size_t)width * sizeof *half);
         half[mbs_stages_outer(s, j) - skip] = diagonal;
+    }
     for (l += own; l < end && H->row[l] < s->nx; ++l)
         half[H->row[l] - skip] += H->value[l];
     for (; end > l && H->row[end - 1] >= s->nx + n; --end)
         half[H->row[end - 1] - n - skip] += H->value[end - 1];
-    mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1, half);
+    mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1, half,
+                       half);
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */
@@ -491,10 +506,14 @@ void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_s
 
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
 {
+    const mbs_stages_inner *y = &s->inner;
     int i;
     memset(out, 0, (size_t)s->dense.width * sizeof *out);
-    for (i = 0; i < s->n; ++i)
-        add_variation(s, i, gradient[i], out);
+    memcpy(out, gradient, (size_t)s->nx * sizeof *out);
+    for (i = s->nx + y->n; i < s->n; ++i)
+        out[i - y->n] = gradient[i];
+    mbs_stages_add_rows(s->dense.width - y->skip, y->n, 1, gradient + s->nx, 1, y->V + y->skip, s->dense.width,
+                        out + y->skip);
 }
 
 void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)

@@ -32,6 +32,28 @@ void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *
     }
 }
 
+void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, real *restrict rows, const real *y,
+                                  real *restrict columns)
+{
+    int j, l;
+    if (A->begin == NULL) {
+        mbs_stages_matrix_apply(A, x, rows);
+        mbs_stages_matrix_apply_transposed(A, y, columns);
+        return;
+    }
+    for (j = 0; j < A->columns; ++j) {
+        const real a = x[j];
+        real sum = 0;
+        for (l = A->begin[j]; l < A->end[j]; ++l) {
+            const real value = A->value[l];
+            const int i = A->row[l];
+            rows[i] += value * a;
+            sum += value * y[i];
+        }
+        columns[j] += sum;
+    }
+}
+
 void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *restrict y)
 {
     int j, l;

@@ -16,6 +16,9 @@ typedef struct {
 void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *y);
 void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *y);
 
+/* rows += A x, and columns += AT y */
+void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, real *rows, const real *y, real *columns);
+
 /* y += A x, of the lower triangle of a symmetric A */
 void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *y);
 

@@ -199,8 +199,7 @@ static void find_stage_residual(mbs_stages *s, int k)
     memcpy(s->residual_c + t->e, s->rc + t->e, (size_t)(rows - t->e) * sizeof *s->rc);
     if (!r->plain)
         mbs_stages_matrix_apply_symmetric(&t->H, s->dw + t->w, s->residual_w + t->w);
-    mbs_stages_add_stage_transposed(r, k, s->dy, s->residual_w);
-    mbs_stages_add_stage_rows(r, k, s->dw, s->residual_c);
+    mbs_stages_add_stage_both(r, k, s->dw, s->residual_c, s->dy, s->residual_w);
     mbs_stages_apply_curvature(t, s->dw + t->w, s->residual_w + t->w);
     for (i = t->w; i < w; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];

@@ -548,7 +548,7 @@ void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *
 }
 
 /* The state of stage k is subtracted in the rows of d before it. */
-void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out)
+static void add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out)
 {
     const mbs_stages_stage *s = &r->stage[k];
     int i;
@@ -559,15 +559,18 @@ void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const
     mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
 }
 
-void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out)
+void mbs_stages_add_stage_both(const mbs_stages_recursion *r, int k, const real *w, real *rows, const real *y,
+                               real *gradient)
 {
     const mbs_stages_stage *s = &r->stage[k];
     int i;
-    mbs_stages_matrix_apply(&s->E, w + s->w, out + s->e);
-    mbs_stages_matrix_apply(&s->F, w + s->w, out + s->d);
-    mbs_stages_matrix_apply(&s->G, w + s->w, out + s->g);
+    for (i = 0; k > 0 && i < s->nx; ++i)
+        gradient[s->w + i] -= y[r->stage[k - 1].d + i];
     for (i = 0; i < s->next; ++i)
-        out[s->d + i] -= w[r->stage[k + 1].w + i];
+        rows[s->d + i] -= w[r->stage[k + 1].w + i];
+    mbs_stages_matrix_apply_both(&s->E, w + s->w, rows + s->e, y + s->e, gradient + s->w);
+    mbs_stages_matrix_apply_both(&s->F, w + s->w, rows + s->d, y + s->d, gradient + s->w);
+    mbs_stages_matrix_apply_both(&s->G, w + s->w, rows + s->g, y + s->g, gradient + s->w);
 }
 
 /* What is added to what. */
@@ -583,7 +586,7 @@ static void add_transposed(void *data, int from, int to, int worker)
     int k;
     (void)worker;
     for (k = from; k < to; ++k)
-        mbs_stages_add_stage_transposed(a->r, k, a->y, a->out);
+        add_stage_transposed(a->r, k, a->y, a->out);
 }
 
 void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out)

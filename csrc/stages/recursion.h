@@ -108,9 +108,11 @@ void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, r
  * sides `zero` are 0. A sweep ahead alone; it needs hard dynamics. */
 void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy);
 
-/* out += JT y; the same for variables of stage k alone; out += J w for its rows */
-void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out);
-void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out);
-void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out);
+/* gradient += JT y */
+void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *gradient);
+
+/* The same for variables of stage k alone; and rows += J w for its rows. */
+void mbs_stages_add_stage_both(const mbs_stages_recursion *r, int k, const real *w, real *rows, const real *y,
+                               real *gradient);
 
 #endif
