@@ -31,7 +31,7 @@ def agree(a: Answer, b: Answer, tolerance: float = 1e-9) -> None:
     if len(longer.path) > common:
         assert len(longer.path) == common + 1
         assert 0.1e-8 < max(longer.path[common - 1][3:5]) < 10e-8
-        tolerance = max(tolerance, 1e-7)  # the last barrier differs
+        tolerance = max(tolerance, 1e-6)  # the last barrier differs
     assert close(a.w, b.w, tolerance)
     assert close(a.y, b.y, tolerance)
 
