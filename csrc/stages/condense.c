@@ -376,8 +376,9 @@ static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, 
         half[H->row[l] - skip] += H->value[l];
     for (; end > l && H->row[end - 1] >= s->nx + n; --end)
         half[H->row[end - 1] - n - skip] += H->value[end - 1];
-    mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1, half,
-                       half);
+    if (end > l)
+        mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1,
+                           half, half);
 }
 
 /* H = VT Z + ZT V, with rows of Z as above. */

@@ -342,7 +342,8 @@ static void collect_next(const mbs_stages_recursion *r, int k)
     const mbs_stages_step *p = &r->step[k];
     const entrance q = enter(r, k + 1);
     real *price = r->scratch[0].vector[2];
-    add_products(s->next, q.width, q.p, q.P, p->ahead, price);
+    memcpy(price, q.p, (size_t)s->next * sizeof *price);
+    mbs_stages_add_rows(q.width, s->next, 1, p->ahead, 1, q.P, q.width, price); /* P is symmetric */
     mbs_stages_add_rows(s->dense.width, s->next, 1, price, 1, s->dense.F, s->dense.width, p->linear);
     add_products(q.rows, q.width, q.c, q.C, p->ahead, p->constant + p->own);
 }
@@ -452,16 +453,15 @@ static void spread_multipliers(const mbs_stages_recursion *r, int k, const real 
 }
 
 /* Multipliers of the dynamics from stage k, where these hold exactly. */
-static void price_next(const mbs_stages_recursion *r, int k, real *dy)
+static void price_next(const mbs_stages_recursion *r, int k, real *price, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_step *p = &r->step[k], *q = &r->step[k + 1];
     const int width = mbs_stages_width(s->next);
-    int i, j;
-    add_products(s->next, width, q->p, q->P, q->linear, dy + s->d);
-    for (i = 0; i < q->passed; ++i)
-        for (j = 0; j < s->next; ++j)
-            dy[s->d + j] += q->C[(size_t)i * (size_t)width + (size_t)j] * p->constant[p->own + i];
+    memcpy(price, q->p, (size_t)s->next * sizeof *price);
+    mbs_stages_add_rows(width, s->next, 1, q->linear, 1, q->P, width, price); /* P is symmetric */
+    mbs_stages_add_rows(width, q->passed, 1, p->constant + p->own, 1, q->C, width, price);
+    memcpy(dy + s->d, price, (size_t)s->next * sizeof *dy);
 }
 
 /* All variables and multipliers of stage k, from the recursion's, but inner multipliers. */
@@ -478,7 +478,7 @@ static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
         memcpy(z, p->linear, (size_t)s->n * sizeof *z);
     spread_multipliers(r, k, z, t->rc, p->constant, force, t->dy);
     if (s->next > 0 && !r->soft_dynamics)
-        price_next(r, k, t->dy);
+        price_next(r, k, m->vector[2], t->dy);
     if (s->inner.n > 0)
         mbs_stages_expand_gradient(r, m, k, t->rw, z, force, t->dy);
     for (i = s->w; i < s->w + s->n; ++i)
