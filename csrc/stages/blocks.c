@@ -193,13 +193,13 @@ void mbs_stages_add_rows(int width, int count, real factor, const real *by, int 
 GRAM(2)
 GRAM(1)
 
-void mbs_stages_gram(int m, int rows, int width, int whole, real factor, const real *S, int lds, const real *Z, int ldz,
+void mbs_stages_gram(int m, int rows, int width, int lower, real factor, const real *S, int lds, const real *Z, int ldz,
                      real *M, int ldm)
 {
     const size_t s = (size_t)lds, z = (size_t)ldz, l = (size_t)ldm;
     int b, c;
     for (b = 0; b < rows; b += 4, M += 4 * l) {
-        const int columns = b + 4 > whole ? width : b + 4;
+        const int columns = lower ? b + 4 : width;
         for (c = 0; c + 8 <= columns; c += 8)
             gram_2(m, factor, S + b, s, Z + c, z, M + c, l);
         for (; c < columns; c += 4)
@@ -207,11 +207,11 @@ void mbs_stages_gram(int m, int rows, int width, int whole, real factor, const r
     }
 }
 
-void mbs_stages_mirror(int from, int to, real *M, int ld)
+void mbs_stages_mirror(int n, real *M, int ld)
 {
     const size_t l = (size_t)ld;
     int i, j;
-    for (i = from; i < to; ++i)
-        for (j = from; j < i; ++j)
+    for (i = 0; i < n; ++i)
+        for (j = 0; j < i; ++j)
             M[(size_t)j * l + (size_t)i] = M[(size_t)i * l + (size_t)j];
 }

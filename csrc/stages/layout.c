@@ -51,7 +51,7 @@ static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity,
     p->Y = numbers(a, pivots, width);
     p->Q = numbers(a, pivots, pivots);
     p->L = numbers(a, nv, width);
-    p->P = numbers(a, wide, wide);
+    p->P = numbers(a, nx, wide);
     p->C = numbers(a, smaller(nx, capacity), wide);
     p->p = numbers(a, nx, 1);
     p->c = numbers(a, nx, 1);
@@ -67,7 +67,7 @@ static void lay_soft(arena *a, mbs_stages_soft *p, int n)
 {
     p->n = n;
     p->width = mbs_stages_width(n);
-    p->rows = numbers(a, n, p->width);
+    p->rows = numbers(a, n, n);
     p->sum = numbers(a, n, 1);
     p->own = numbers(a, n, 1);
     p->P = numbers(a, n, p->width);
@@ -269,7 +269,7 @@ static void lay_dense(arena *a, mbs_stages_stage *t)
     d->E = numbers(a, ne, width);
     d->F = numbers(a, t->next, width);
     d->G = numbers(a, t->ng, width);
-    d->H = numbers(a, width, width);
+    d->H = numbers(a, t->n - t->inner.n + t->inner.spare, width);
 }
 
 /* Places of a stage come after the places of earlier stages. */

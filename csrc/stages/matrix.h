@@ -31,7 +31,7 @@ void mbs_stages_matrix_row_maxima(const mbs_stages_matrix *A, real *most);
 /* The largest entry of the diagonal. */
 real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A);
 
-/* Write all entries into a dense matrix with `ld` numbers a row, or those of the lower `triangle`. */
+/* Write all entries, or the lower `triangle` alone, into a dense matrix with `ld` numbers a row. */
 void mbs_stages_matrix_spread(const mbs_stages_matrix *A, int triangle, real *dense, int ld);
 
 #endif

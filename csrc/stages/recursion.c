@@ -99,7 +99,7 @@ static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage 
             scaled[to + (size_t)j] = row.derivative[j] / give;
         ++at;
     }
-    mbs_stages_gram(soft, width, width, s->nx, 1, rows, width, scaled, width, Q, width);
+    mbs_stages_gram(soft, width, width, 1, 1, rows, width, scaled, width, Q, width);
 }
 
 /* Q += FT P F, with the cost P of the next state. */
@@ -108,7 +108,7 @@ static void add_next_cost(const mbs_stages_stage *s, const entrance *next, real 
     const int m = s->next, width = s->dense.width;
     memset(product, 0, (size_t)next->width * (size_t)width * sizeof *product);
     mbs_stages_gram(m, next->width, width, 0, 1, next->P, next->width, s->dense.F, width, product, width);
-    mbs_stages_gram(m, width, width, s->nx, 1, s->dense.F, width, product, width, Q, width);
+    mbs_stages_gram(m, width, width, 1, 1, s->dense.F, width, product, width, Q, width);
 }
 
 /* Add a row that holds exactly: derivatives, or a unit vector where there are none. */

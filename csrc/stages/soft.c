@@ -14,7 +14,7 @@ static void scale_row(mbs_stages_soft *s, int i, real price)
     const real share = s->fixed[i] ? 0 : price / s->sum[i];
     size_t j;
     for (j = 0; j < n; ++j)
-        s->P[j * width + at] = s->P[at * width + j] = s->rows[at * width + j] * share;
+        s->P[j * width + at] = s->P[at * width + j] = s->rows[at * n + j] * share;
     if (s->fixed[i])
         s->P[at * width + at] = price;
 }
@@ -22,7 +22,7 @@ static void scale_row(mbs_stages_soft *s, int i, real price)
 static void lower_others(mbs_stages_soft *s, int i)
 {
     const size_t n = (size_t)s->n, width = (size_t)s->width;
-    const real *row = s->rows + (size_t)i * width;
+    const real *row = s->rows + (size_t)i * n;
     size_t j, k;
     for (j = 0; j < n; ++j) {
         const real factor = row[j] / s->sum[i];
@@ -39,7 +39,7 @@ int mbs_stages_soften(mbs_stages_soft *s, const real *P, const real *give, const
     memcpy(s->fixed, fixed, n);
     for (i = 0; i < s->n; ++i) {
         const real price = 1 / give[i], own = s->P[(size_t)i * width + (size_t)i];
-        memcpy(s->rows + (size_t)i * width, s->P + (size_t)i * width, width * sizeof *P);
+        memcpy(s->rows + (size_t)i * n, s->P + (size_t)i * width, n * sizeof *P);
         s->sum[i] = own + price;
         if (!s->fixed[i] && !(s->sum[i] > zero_curvature * (price + real_abs(own))))
             return -1;
@@ -55,7 +55,7 @@ void mbs_stages_soften_linear(mbs_stages_soft *s, const real *p, const real *giv
     int i, j;
     memcpy(s->p, p, (size_t)s->n * sizeof *p);
     for (i = 0; i < s->n; ++i) {
-        const real own = s->p[i], *row = s->rows + (size_t)i * (size_t)s->width;
+        const real own = s->p[i], *row = s->rows + (size_t)i * (size_t)s->n;
         s->own[i] = own;
         for (j = 0; j < s->n && !s->fixed[i]; ++j)
             s->p[j] -= row[j] * (own / s->sum[i]);
@@ -67,7 +67,7 @@ void mbs_stages_deviate(const mbs_stages_soft *s, const real *give, real *x, rea
 {
     int i, j;
     for (i = s->n - 1; i >= 0; --i) {
-        const real *row = s->rows + (size_t)i * (size_t)s->width;
+        const real *row = s->rows + (size_t)i * (size_t)s->n;
         real force = s->own[i], t = -x[i];
         for (j = 0; j < s->n; ++j)
             force += row[j] * x[j];

@@ -4,7 +4,7 @@
 
 #include "blocks.h"
 
-/* The cost of a prediction, from the cost of the state. Rows have `width` numbers, the last ones 0. */
+/* The cost of a prediction, from the cost of the state. Rows of P have `width` numbers, the last ones 0. */
 typedef struct {
     int n, width;
     real *rows, *sum; /* row i of the cost before deviation i; its diagonal entry and the price of the deviation */

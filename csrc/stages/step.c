@@ -171,7 +171,7 @@ static void gather_cost(mbs_stages_step *p, real *quadratic, real *rr)
     const int m = p->pivots, n = p->reduced, all = mbs_stages_width(p->n), *at = p->order;
     const size_t width = (size_t)p->width;
     int i, j;
-    mbs_stages_mirror(0, p->n, quadratic, all);
+    mbs_stages_mirror(p->n, quadratic, all);
     memset(p->Y, 0, (size_t)m * width * sizeof *p->Y);
     memset(rr, 0, width * width * sizeof *rr);
     for (i = 0; i < p->n; ++i) {
@@ -195,8 +195,8 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
     for (j = 0; j < m; ++j)
         mbs_stages_add_rows(width, m, (real)-0.5, p->Q + (size_t)j * (size_t)m, 1, p->T, width,
                             half + (size_t)j * (size_t)width);
-    mbs_stages_gram(m, width, width, p->nx, -1, p->T, width, half, width, rr, width);
-    mbs_stages_gram(m, width, width, p->nx, -1, half, width, p->T, width, rr, width);
+    mbs_stages_gram(m, width, width, 1, -1, p->T, width, half, width, rr, width);
+    mbs_stages_gram(m, width, width, 1, -1, half, width, p->T, width, rr, width);
     for (i = 0; i < count; ++i)
         p->Y[i] = 2 * half[i] - p->Y[i];
 }
@@ -207,7 +207,7 @@ static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvatur
     const int nx = p->nx, free_ones = p->reduced - nx, width = p->width;
     int i, j;
     memcpy(p->L, rr + (size_t)nx * (size_t)width, (size_t)free_ones * (size_t)width * sizeof *rr);
-    mbs_stages_mirror(0, free_ones, p->L + nx, width);
+    mbs_stages_mirror(free_ones, p->L + nx, width);
     for (i = 0; i < free_ones; ++i) {
         real *row = p->L + (size_t)i * (size_t)width, pivot = row[nx + i], scale;
         mbs_stages_add_rows(width, i, -1, p->L + nx + i, width, p->L, width, row);
@@ -222,18 +222,20 @@ static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvatur
     return 0;
 }
 
-/* Take the free variables out of the cost of x: P = rr - KT K. */
-static void reduce_cost(mbs_stages_step *p, const real *rr)
+/* Take the free variables out of the cost of x: P = rr - KT K. Rows of them in `rr` are overwritten. */
+static void reduce_cost(mbs_stages_step *p, real *rr)
 {
-    const int nx = p->nx, width = mbs_stages_width(nx);
+    const int nx = p->nx;
+    const size_t width = (size_t)mbs_stages_width(nx);
     int i, j;
-    for (i = 0; i < nx; ++i)
-        memcpy(p->P + (size_t)i * (size_t)width, rr + (size_t)i * (size_t)p->width, (size_t)width * sizeof *rr);
-    mbs_stages_gram(p->reduced - nx, width, width, nx, -1, p->L, p->width, p->L, p->width, p->P, width);
-    mbs_stages_mirror(0, nx, p->P, width);
-    for (i = 0; i < nx; ++i)
-        for (j = nx; j < width; ++j)
-            p->P[(size_t)i * (size_t)width + (size_t)j] = 0;
+    mbs_stages_gram(p->reduced - nx, (int)width, (int)width, 1, -1, p->L, p->width, p->L, p->width, rr, p->width);
+    for (i = 0; i < nx; ++i) {
+        const real *from = rr + (size_t)i * (size_t)p->width;
+        real *to = p->P + (size_t)i * width;
+        for (j = 0; j <= i; ++j)
+            to[j] = p->P[(size_t)j * width + (size_t)i] = from[j];
+        memset(to + nx, 0, (width - (size_t)nx) * sizeof *to);
+    }
 }
 
 int mbs_stages_reduce(mbs_stages_step *p, real *quadratic, real *const *work, real zero_pivot, real zero_curvature)
