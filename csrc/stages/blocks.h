@@ -26,7 +26,7 @@ typedef mbs_stages_real real;
 
 /* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees that
  * it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(MBS_SCALAR)
 typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
 #define LANES_ADD(a, x, b) ((a) += (x) * (b))
 #define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,18 @@ import pytest
 from tests.csrc.stage_arm import arm
 from tests.csrc.stage_problems import collocated, nonlinear, steep, turning
 from tests.csrc.stage_quadratics import SIZES, condensed, dense_solution, in_units, random_problem
-from tests.csrc.stages import INFINITE, Answer, Array, Library, Problem, Quadratic, Solver, clashes, close
+from tests.csrc.stages import (
+    INFINITE,
+    Answer,
+    Array,
+    Library,
+    Problem,
+    Quadratic,
+    Solver,
+    clashes,
+    close,
+    compile_solver,
+)
 
 
 def meet(problem: Quadratic, k: int, w: Array) -> None:
@@ -47,6 +59,13 @@ def test_condensed_problems_have_the_iterates_of_whole_ones(library: Library, se
     assert answer.status == "solved"
     agree(answer, whole)
     assert max(problem.residuals(*answer.point)) < 1e-8
+
+
+def test_lanes_are_vectors_or_loops(library: Library, tmp_path: Path) -> None:
+    """Other compilers than gcc and clang get loops."""
+    scalar = Library(compile_solver(tmp_path, "-DMBS_SCALAR"))
+    for problem in (condensed(random_problem(np.random.default_rng(1), SIZES, bounds=0.4)), collocated(12, 0.05, 2.0)):
+        agree(Solver(scalar, problem).solve(), Solver(library, problem).solve())
 
 
 @pytest.mark.parametrize("unread", [3, 4, 9])
