@@ -25,9 +25,10 @@ typedef mbs_stages_real real;
 #define MBS_STAGES_LANES 4
 
 /* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees that
- * it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c. */
+ * it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c of a. */
 #if defined(__GNUC__) && !defined(MBS_SCALAR)
 typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
+#define LANES_OF(a, b, c, d) {a, b, c, d}
 #define LANES_ADD(a, x, b) ((a) += (x) * (b))
 #define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))
 #define LANES_SCALE(a, x) ((a) *= (x))
@@ -36,16 +37,17 @@ typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), 
 typedef struct {
     real at[MBS_STAGES_LANES];
 } lanes;
-#define OF_LANES(assign)                       \
-    do {                                       \
-        int l;                                 \
-        for (l = 0; l < MBS_STAGES_LANES; ++l) \
-            assign;                            \
+#define OF_LANES(assign)                                      \
+    do {                                                      \
+        int number;                                           \
+        for (number = 0; number < MBS_STAGES_LANES; ++number) \
+            assign;                                           \
     } while (0)
-#define LANES_ADD(a, x, b) OF_LANES((a).at[l] += (x) * (b).at[l])
-#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[l] += (x).at[l] * (b).at[l])
-#define LANES_SCALE(a, x) OF_LANES((a).at[l] *= (x))
-#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[l] = (x).at[l] * (b).at[l])
+#define LANES_OF(a, b, c, d) {{a, b, c, d}}
+#define LANES_ADD(a, x, b) OF_LANES((a).at[number] += (x) * (b).at[number])
+#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[number] += (x).at[number] * (b).at[number])
+#define LANES_SCALE(a, x) OF_LANES((a).at[number] *= (x))
+#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[number] = (x).at[number] * (b).at[number])
 #endif
 #define LANE(a, c) (((real *)&(a))[c])
 

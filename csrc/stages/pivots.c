@@ -313,7 +313,7 @@ static void spread_row(const elimination *a, int i)
     clear(p->upper[i + 1] - p->upper[i], p->upper_place + p->upper[i], row);
     clear(1, &i, row);
     for (t = 0; t < count; ++t) {
-        const lanes number = {v0[at[t]], v1[at[t]], v2[at[t]], v3[at[t]]};
+        const lanes number = LANES_OF(v0[at[t]], v1[at[t]], v2[at[t]], v3[at[t]]);
         row[place[t]] = number;
     }
 }
@@ -412,7 +412,7 @@ void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_fact
         right[c] = b[c < count ? c : 0];
     for (i = 0; i < p->n; ++i) {
         const int first = p->lower[i], at = p->row[i];
-        const lanes number = {right[0][at], right[1][at], right[2][at], right[3][at]};
+        const lanes number = LANES_OF(right[0][at], right[1][at], right[2][at], right[3][at]);
         half[i] = number;
         add_products(p->lower[i + 1] - first, p->lower_place + first, lower + first, half, &half[i]);
         LANES_MULTIPLY(half[i], inverse[i], half[i]);
