@@ -37,17 +37,17 @@ typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), 
 typedef struct {
     real at[MBS_STAGES_LANES];
 } lanes;
-#define OF_LANES(assign)                                      \
-    do {                                                      \
-        int number;                                           \
-        for (number = 0; number < MBS_STAGES_LANES; ++number) \
-            assign;                                           \
+#define OF_LANES(assign)                                         \
+    do {                                                         \
+        int at_lane;                                             \
+        for (at_lane = 0; at_lane < MBS_STAGES_LANES; ++at_lane) \
+            assign;                                              \
     } while (0)
 #define LANES_OF(a, b, c, d) {{a, b, c, d}}
-#define LANES_ADD(a, x, b) OF_LANES((a).at[number] += (x) * (b).at[number])
-#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[number] += (x).at[number] * (b).at[number])
-#define LANES_SCALE(a, x) OF_LANES((a).at[number] *= (x))
-#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[number] = (x).at[number] * (b).at[number])
+#define LANES_ADD(a, x, b) OF_LANES((a).at[at_lane] += (x) * (b).at[at_lane])
+#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[at_lane] += (x).at[at_lane] * (b).at[at_lane])
+#define LANES_SCALE(a, x) OF_LANES((a).at[at_lane] *= (x))
+#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[at_lane] = (x).at[at_lane] * (b).at[at_lane])
 #endif
 #define LANE(a, c) (((real *)&(a))[c])
 
