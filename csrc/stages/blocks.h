@@ -31,6 +31,7 @@ typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), 
 #define LANES_OF(a, b, c, d) {a, b, c, d}
 #define LANES_ADD(a, x, b) ((a) += (x) * (b))
 #define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))
+#define LANES_PLUS(a, b) ((a) += (b))
 #define LANES_SCALE(a, x) ((a) *= (x))
 #define LANES_MULTIPLY(a, x, b) ((a) = (x) * (b))
 #else
@@ -46,6 +47,7 @@ typedef struct {
 #define LANES_OF(a, b, c, d) {{a, b, c, d}}
 #define LANES_ADD(a, x, b) OF_LANES((a).at[at_lane] += (x) * (b).at[at_lane])
 #define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[at_lane] += (x).at[at_lane] * (b).at[at_lane])
+#define LANES_PLUS(a, b) OF_LANES((a).at[at_lane] += (b).at[at_lane])
 #define LANES_SCALE(a, x) OF_LANES((a).at[at_lane] *= (x))
 #define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[at_lane] = (x).at[at_lane] * (b).at[at_lane])
 #endif

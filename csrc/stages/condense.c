@@ -491,18 +491,19 @@ void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_s
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
+    const int end = s->nx + y->n;
     real *z = m->vector[5];
     int i;
     memset(z, 0, (size_t)s->n * sizeof *z);
     memcpy(z + s->nx, y->constant, (size_t)y->n * sizeof *z);
-    if (!r->plain)
+    if (!r->plain && y->curved)
         mbs_stages_matrix_apply_symmetric(&s->H, z, gradient);
-    for (i = s->nx; i < s->nx + y->n; ++i)
+    for (i = s->nx; i < end; ++i)
         gradient[i] += r->diagonal[s->w + i] * z[i];
     if (s->dense.ne > 0)
-        mbs_stages_matrix_apply(&s->E, z, rows);
-    mbs_stages_matrix_apply(&s->F, z, rows + s->ne);
-    mbs_stages_matrix_apply(&s->G, z, rows + s->ne + s->next);
+        mbs_stages_matrix_apply(&s->E, s->nx, end, z, rows);
+    mbs_stages_matrix_apply(&s->F, s->nx, end, z, rows + s->ne);
+    mbs_stages_matrix_apply(&s->G, s->nx, end, z, rows + s->ne + s->next);
 }
 
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
@@ -534,15 +535,16 @@ void mbs_stages_expand_gradient(const mbs_stages_recursion *r, const mbs_stages_
     const mbs_stages_inner *y = &s->inner;
     const real *gradient = force + s->nx;
     real *to = m->together[0] + y->lane;
+    const int end = s->nx + y->n;
     int i;
-    for (i = s->nx; i < s->nx + y->n; ++i)
+    for (i = s->nx; i < end; ++i)
         force[i] += (rw ? rw[s->w + i] : 0) + r->diagonal[s->w + i] * z[i];
-    if (!r->plain)
+    if (!r->plain && y->curved)
         mbs_stages_matrix_apply_symmetric(&s->H, z, force);
     if (s->dense.ne > 0)
-        mbs_stages_matrix_apply_transposed(&s->E, dy + s->e, force);
-    mbs_stages_matrix_apply_transposed(&s->F, dy + s->d, force);
-    mbs_stages_matrix_apply_transposed(&s->G, dy + s->g, force);
+        mbs_stages_matrix_apply_transposed(&s->E, s->nx, end, dy + s->e, force);
+    mbs_stages_matrix_apply_transposed(&s->F, s->nx, end, dy + s->d, force);
+    mbs_stages_matrix_apply_transposed(&s->G, s->nx, end, dy + s->g, force);
     for (i = 0; i < y->n; ++i, to += MBS_STAGES_TOGETHER)
         *to = gradient[i];
 }

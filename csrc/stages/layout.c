@@ -235,6 +235,18 @@ static int count_unread(const mbs_stages_stage *t)
     return j / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 
+/* Whether H has nonzeros of inner variables. */
+static int is_curved(const mbs_stages_stage *t)
+{
+    const int end = t->nx + t->inner.n;
+    int j, l;
+    for (j = 0; t->H.begin && j < end; ++j)
+        for (l = t->H.begin[j]; l < t->H.end[j]; ++l)
+            if (j >= t->nx || (t->H.row[l] >= t->nx && t->H.row[l] < end))
+                return 1;
+    return 0;
+}
+
 static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     mbs_stages_inner *y = &t->inner;
@@ -250,6 +262,7 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     }
     y->lane = lane;
     y->skip = count_unread(t);
+    y->curved = is_curved(t);
     y->V = numbers(a, y->n, mbs_stages_width(t->n - y->n + y->spare));
     y->constant = numbers(a, y->n, 1);
     y->variable = take(a, (size_t)y->spare, sizeof(int));

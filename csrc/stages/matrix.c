@@ -3,28 +3,29 @@
 
 #include <string.h>
 
-void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *restrict y)
+void mbs_stages_matrix_apply(const mbs_stages_matrix *A, int from, int to, const real *x, real *restrict y)
 {
     int j, l;
     if (A->begin == NULL) {
-        mbs_stages_apply(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        mbs_stages_apply(A->rows, to - from, 1, A->value + (size_t)from * (size_t)A->rows, A->rows, x + from, y);
         return;
     }
-    for (j = 0; j < A->columns; ++j) {
+    for (j = from; j < to; ++j) {
         const real a = x[j];
         for (l = A->begin[j]; l < A->end[j]; ++l)
             y[A->row[l]] += A->value[l] * a;
     }
 }
 
-void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *restrict y)
+void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, int from, int to, const real *x, real *restrict y)
 {
     int j, l;
     if (A->begin == NULL) {
-        mbs_stages_apply_transposed(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        mbs_stages_apply_transposed(A->rows, to - from, 1, A->value + (size_t)from * (size_t)A->rows, A->rows, x,
+                                    y + from);
         return;
     }
-    for (j = 0; j < A->columns; ++j) {
+    for (j = from; j < to; ++j) {
         real sum = 0;
         for (l = A->begin[j]; l < A->end[j]; ++l)
             sum += A->value[l] * x[A->row[l]];
@@ -37,8 +38,8 @@ void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, rea
 {
     int j, l;
     if (A->begin == NULL) {
-        mbs_stages_matrix_apply(A, x, rows);
-        mbs_stages_matrix_apply_transposed(A, y, columns);
+        mbs_stages_matrix_apply(A, 0, A->columns, x, rows);
+        mbs_stages_matrix_apply_transposed(A, 0, A->columns, y, columns);
         return;
     }
     for (j = 0; j < A->columns; ++j) {

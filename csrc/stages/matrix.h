@@ -12,9 +12,9 @@ typedef struct {
     real *value;
 } mbs_stages_matrix;
 
-/* y += A x, and y += AT x */
-void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *y);
-void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *y);
+/* y += A x, and y += AT x, for the columns from .. to - 1 of A */
+void mbs_stages_matrix_apply(const mbs_stages_matrix *A, int from, int to, const real *x, real *y);
+void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, int from, int to, const real *x, real *y);
 
 /* rows += A x, and columns += AT y */
 void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, real *rows, const real *y, real *columns);

@@ -269,7 +269,7 @@ static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_scratch 
             constant[exact++] = rows[i];
     }
     if (exact < A->rows - first)
-        mbs_stages_matrix_apply_transposed(A, force, gradient);
+        mbs_stages_matrix_apply_transposed(A, 0, A->columns, force, gradient);
     return exact;
 }
 
@@ -425,7 +425,7 @@ static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A
         soft += r->compliance[place + i] > 0;
     memcpy(residual, rc + place, (size_t)A->rows * sizeof *residual);
     if (soft > 0)
-        mbs_stages_matrix_apply(A, z, residual);
+        mbs_stages_matrix_apply(A, 0, A->columns, z, residual);
     for (i = 0; i < first; ++i)
         residual[i] = 0;
     for (i = first; i < A->rows; ++i) {
@@ -554,9 +554,9 @@ static void add_stage_transposed(const mbs_stages_recursion *r, int k, const rea
     int i;
     for (i = 0; k > 0 && i < s->nx; ++i)
         out[s->w + i] -= y[r->stage[k - 1].d + i];
-    mbs_stages_matrix_apply_transposed(&s->E, y + s->e, out + s->w);
-    mbs_stages_matrix_apply_transposed(&s->F, y + s->d, out + s->w);
-    mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->E, 0, s->n, y + s->e, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->F, 0, s->n, y + s->d, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->G, 0, s->n, y + s->g, out + s->w);
 }
 
 void mbs_stages_add_stage_both(const mbs_stages_recursion *r, int k, const real *w, real *rows, const real *y,

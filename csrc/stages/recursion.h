@@ -17,6 +17,7 @@ typedef struct {
     int n; /* 0: none */
     int capacity; /* the most nonzeros of both factors */
     int skip; /* first states that no inner equation reads, in whole lanes: V is 0 there */
+    int curved; /* 1: H has nonzeros of inner variables */
     mbs_stages_pivots *pivots; /* of all stages of a kind */
     mbs_stages_factors factors; /* of a group of stages of a kind that follow each other */
     int lane;                   /* of this stage in them; 0: a group begins */
