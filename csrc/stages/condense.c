@@ -359,51 +359,91 @@ static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scr
     reduce_rows(s, &s->G, NULL, s->ng, s->dense.G);
 }
 
-/* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal; columns from `skip` on. */
-static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, int skip, real *half)
+/* Nonzeros of a column of H below its diagonal: of outer variables before inner ones from `begin` on, of inner ones from
+ * `inner` on, of outer variables after them from `after` on. */
+typedef struct {
+    int begin, inner, after, end;
+    real diagonal; /* with that of the barrier */
+} column;
+
+static column find_column(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j)
 {
     const mbs_stages_matrix *H = &s->H;
-    const int n = s->inner.n, width = s->dense.width - skip;
-    int l = H->begin[j], end = r->plain ? l : H->end[j], own = l < end && H->row[l] == j;
-    const real diagonal = (r->diagonal[s->w + j] + (own ? H->value[l] : 0)) / 2;
-    if (is_inner(s, j)) {
-        copy_row(width, diagonal, row_of_v(s, j) + skip, half);
-    } else {
-        memset(half, 0, (size_t)width * sizeof *half);
-        half[mbs_stages_outer(s, j) - skip] = diagonal;
-    }
-    for (l += own; l < end && H->row[l] < s->nx; ++l)
-        half[H->row[l] - skip] += H->value[l];
-    for (; end > l && H->row[end - 1] >= s->nx + n; --end)
-        half[H->row[end - 1] - n - skip] += H->value[end - 1];
-    if (end > l)
-        mbs_stages_combine(width, end - l, H->row + l, s->nx, H->value + l, 1, s->inner.V + skip, s->dense.width, 1,
-                           half, half);
+    const int begin = H->begin[j], end = r->plain ? begin : H->end[j], own = begin < end && H->row[begin] == j;
+    column c;
+    c.end = c.after = end;
+    c.diagonal = r->diagonal[s->w + j] + (own ? H->value[begin] : 0);
+    c.begin = c.inner = begin + own;
+    while (c.inner < end && H->row[c.inner] < s->nx)
+        ++c.inner;
+    while (c.after > c.inner && H->row[c.after - 1] >= s->nx + s->inner.n)
+        --c.after;
+    return c;
 }
 
-/* H = VT Z + ZT V, with rows of Z as above. */
+/* Add a row to row and column i of the lower triangle of a symmetric matrix. */
+static void add_to_both(int n, const real *row, int i, real *lower, int width)
+{
+    int j;
+    for (j = 0; j <= i; ++j)
+        lower[(size_t)i * (size_t)width + (size_t)j] += row[j];
+    for (j = i; j < n; ++j)
+        lower[(size_t)j * (size_t)width + (size_t)i] += row[j];
+}
+
+/* The part of outer variable j in the cost: its own curvature, and that which it shares with later variables. */
+static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s, int j)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const column c = find_column(r, s, j);
+    const int width = s->dense.width, skip = s->inner.skip, at = mbs_stages_outer(s, j);
+    real *to = s->dense.H + at, *row = m->right;
+    int l;
+    to[(size_t)at * (size_t)width] += c.diagonal;
+    for (l = c.begin; l < c.inner; ++l)
+        to[(size_t)H->row[l] * (size_t)width] += H->value[l];
+    for (l = c.after; l < c.end; ++l)
+        to[(size_t)(H->row[l] - s->inner.n) * (size_t)width] += H->value[l];
+    if (c.inner == c.after)
+        return;
+    memset(row, 0, (size_t)width * sizeof *row);
+    mbs_stages_combine(width - skip, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
+                       s->inner.V + skip, width, 1, row + skip, row + skip);
+    add_to_both(s->dense.n, row, at, s->dense.H, width);
+}
+
+/* Row j of (H + diagonal) V of inner variables from the diagonal on, and `share` of the diagonal; columns from `skip` on. */
+static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real share, real *row)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const column c = find_column(r, s, j);
+    const int skip = s->inner.skip, width = s->dense.width - skip;
+    int l;
+    copy_row(width, share * c.diagonal, read_part_of_v(s, j), row);
+    for (l = c.after; l < c.end; ++l)
+        row[H->row[l] - s->inner.n - skip] += H->value[l];
+    if (c.after > c.inner)
+        mbs_stages_combine(width, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
+                           s->inner.V + skip, s->dense.width, 1, row, row);
+}
+
+/* H = VT (H + diagonal) V, the lower triangle: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    const int n = s->dense.n, inner = s->inner.n, skip = s->inner.skip, wide = s->dense.width;
-    const size_t width = (size_t)wide;
-    real *M = m->product, *Z = m->right;
-    int i, j;
-    memset(M + (size_t)(s->n - inner) * width, 0, (width - (size_t)(s->n - inner)) * width * sizeof *M);
-    for (j = 0; j < s->nx; ++j)
-        find_half(r, s, j, 0, M + (size_t)j * width);
-    for (j = s->nx + inner; j < s->n; ++j)
-        find_half(r, s, j, 0, M + (size_t)(j - inner) * width);
+    const int inner = s->inner.n, width = s->dense.width, skip = s->inner.skip, columns = width - skip;
+    const int curved = s->inner.curved && !r->plain;
+    real *S = s->inner.V + skip, *Z = m->right + skip;
+    real *H = s->dense.H, *to = H + (size_t)skip * (size_t)(width + 1);
+    int j;
+    memset(H, 0, (size_t)s->dense.n * (size_t)width * sizeof *H);
+    for (j = 0; j < s->n; ++j)
+        if (!is_inner(s, j))
+            add_outer_cost(r, m, s, j);
     for (j = 0; j < inner; ++j)
-        find_half(r, s, s->nx + j, skip, Z + (size_t)j * width + skip);
-    mbs_stages_gram(inner, wide - skip, wide - skip, 0, 1, read_part_of_v(s, s->nx), wide, Z + skip, wide,
-                    M + (size_t)skip * width + skip, wide);
-    for (i = 0; i < n; ++i) {
-        real *to = s->dense.H + (size_t)i * width;
-        for (j = 0; j <= i; ++j)
-            to[j] = M[(size_t)i * width + (size_t)j] + M[(size_t)j * width + (size_t)i];
-        for (j = n; j < wide; ++j)
-            to[j] = 0;
-    }
+        find_row(r, s, s->nx + j, curved ? (real)0.5 : 1, Z + (size_t)j * (size_t)width);
+    mbs_stages_gram(inner, columns, columns, 1, 1, S, width, Z, width, to, width);
+    if (curved)
+        mbs_stages_gram(inner, columns, columns, 1, 1, Z, width, S, width, to, width);
 }
 
 /* Copy matrices of a stage without inner variables into dense ones. */

@@ -282,7 +282,7 @@ static void lay_dense(arena *a, mbs_stages_stage *t)
     d->E = numbers(a, ne, width);
     d->F = numbers(a, t->next, width);
     d->G = numbers(a, t->ng, width);
-    d->H = numbers(a, t->n - t->inner.n + t->inner.spare, width);
+    d->H = numbers(a, mbs_stages_width(t->n - t->inner.n + t->inner.spare), width);
 }
 
 /* Places of a stage come after the places of earlier stages. */
@@ -359,7 +359,6 @@ static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
     for (i = 0; i < 3; ++i)
         m->together[i] = numbers(a, e->inner, MBS_STAGES_TOGETHER);
     m->right = numbers(a, e->inner, e->width);
-    m->product = numbers(a, e->width, e->width);
     m->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
 }
 

@@ -66,7 +66,7 @@ typedef struct {
 /* Memory of one worker. */
 typedef struct {
     real *vector[8];               /* rows and variables of the largest stage */
-    real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
+    real *block, *right;           /* of inner variables: a block, rows of right-hand sides */
     real *together[3];             /* numbers of inner variables of several stages, in lanes */
     int *spots;
 } mbs_stages_scratch;
