@@ -88,12 +88,28 @@ int mbs_stages_width(int n)
 
 real mbs_stages_dot(int width, const real *restrict a, const real *restrict b)
 {
-    real sum[MBS_STAGES_LANES] = {0};
-    int i, c;
-    for (i = 0; i < width; i += MBS_STAGES_LANES)
-        for (c = 0; c < MBS_STAGES_LANES; ++c)
-            sum[c] += a[i + c] * b[i + c];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+    lanes sum = {0};
+    int i;
+    for (i = 0; i < width / MBS_STAGES_LANES; ++i)
+        LANES_ADD_EACH(sum, ((const lanes *)a)[i], ((const lanes *)b)[i]);
+    return (LANE(sum, 0) + LANE(sum, 1)) + (LANE(sum, 2) + LANE(sum, 3));
+}
+
+void mbs_stages_add_row(int width, real factor, const real *restrict row, real *restrict out)
+{
+    int i;
+    for (i = 0; i < width / MBS_STAGES_LANES; ++i)
+        LANES_ADD(((lanes *)out)[i], factor, ((const lanes *)row)[i]);
+}
+
+void mbs_stages_scale_row(int width, real factor, const real *row, real *out)
+{
+    int i;
+    for (i = 0; i < width / MBS_STAGES_LANES; ++i) {
+        lanes number = ((const lanes *)row)[i];
+        LANES_SCALE(number, factor);
+        ((lanes *)out)[i] = number;
+    }
 }
 
 /* For COUNT times LANES columns. Sums stay in registers: their number is constant. */

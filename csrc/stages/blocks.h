@@ -70,6 +70,10 @@ int mbs_stages_width(int n);
 
 real mbs_stages_dot(int width, const real *a, const real *b);
 
+/* out += factor row, and out = factor row; `row` may be `out` of the second one */
+void mbs_stages_add_row(int width, real factor, const real *row, real *out);
+void mbs_stages_scale_row(int width, real factor, const real *row, real *out);
+
 /* out = scale (from + sum over t of factor[t stride] times row index[t] - first); `from` may be `out` */
 void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
                         const real *rows, int ld, real scale, const real *from, real *out);

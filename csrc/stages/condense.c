@@ -277,28 +277,11 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
     write_units(s);
 }
 
-static void add_row(int width, real factor, const real *restrict a, real *restrict b)
-{
-    int i;
-    for (i = 0; i < width / MBS_STAGES_LANES; ++i)
-        LANES_ADD(((lanes *)b)[i], factor, ((const lanes *)a)[i]);
-}
-
-static void copy_row(int width, real factor, const real *restrict a, real *restrict b)
-{
-    int i;
-    for (i = 0; i < width / MBS_STAGES_LANES; ++i) {
-        lanes number = ((const lanes *)a)[i];
-        LANES_SCALE(number, factor);
-        ((lanes *)b)[i] = number;
-    }
-}
-
 /* to += factor times row j of V */
 static void add_variation(const mbs_stages_stage *s, int j, real factor, real *to)
 {
     if (is_inner(s, j))
-        add_row(s->dense.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
+        mbs_stages_add_row(s->dense.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
     else
         to[mbs_stages_outer(s, j)] += factor;
 }
@@ -363,7 +346,7 @@ static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scr
  * `inner` on, of outer variables after them from `after` on. */
 typedef struct {
     int begin, inner, after, end;
-    real diagonal; /* with that of the barrier */
+    real diagonal; /* the barrier's added */
 } column;
 
 static column find_column(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j)
@@ -419,7 +402,7 @@ static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, i
     const column c = find_column(r, s, j);
     const int skip = s->inner.skip, width = s->dense.width - skip;
     int l;
-    copy_row(width, share * c.diagonal, read_part_of_v(s, j), row);
+    mbs_stages_scale_row(width, share * c.diagonal, read_part_of_v(s, j), row);
     for (l = c.after; l < c.end; ++l)
         row[H->row[l] - s->inner.n - skip] += H->value[l];
     if (c.after > c.inner)

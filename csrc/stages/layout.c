@@ -273,8 +273,8 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
 static void lay_dense(arena *a, mbs_stages_stage *t)
 {
     mbs_stages_dense *d = &t->dense;
-    const int ne = t->ne - t->inner.n + t->inner.spare;
-    const int width = mbs_stages_width(t->n - t->inner.n + t->inner.spare);
+    const int ne = t->ne - t->inner.n + t->inner.spare, n = t->n - t->inner.n + t->inner.spare;
+    const int width = mbs_stages_width(n);
     d->nv = t->nv - t->inner.n;
     d->n = t->nx + d->nv;
     d->ne = t->ne - t->inner.n;
@@ -282,7 +282,7 @@ static void lay_dense(arena *a, mbs_stages_stage *t)
     d->E = numbers(a, ne, width);
     d->F = numbers(a, t->next, width);
     d->G = numbers(a, t->ng, width);
-    d->H = numbers(a, mbs_stages_width(t->n - t->inner.n + t->inner.spare), width);
+    d->H = numbers(a, t->inner.n > 0 ? width : n, width); /* products for inner variables fill whole lanes of rows */
 }
 
 /* Places of a stage come after the places of earlier stages. */

@@ -205,7 +205,7 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
 static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvature)
 {
     const int nx = p->nx, free_ones = p->reduced - nx, width = p->width;
-    int i, j;
+    int i;
     memcpy(p->L, rr + (size_t)nx * (size_t)width, (size_t)free_ones * (size_t)width * sizeof *rr);
     mbs_stages_mirror(free_ones, p->L + nx, width);
     for (i = 0; i < free_ones; ++i) {
@@ -214,8 +214,7 @@ static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvatur
         if (!(row[nx + i] > zero_curvature * real_abs(pivot)))
             return -1;
         scale = 1 / real_sqrt(row[nx + i]);
-        for (j = 0; j < width; ++j)
-            row[j] *= scale;
+        mbs_stages_scale_row(width, scale, row, row);
         memset(row + nx, 0, (size_t)i * sizeof *row);
         row[nx + i] = scale;
     }
@@ -314,7 +313,7 @@ void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant
 {
     const int m = p->pivots, free_ones = p->reduced - p->nx, width = p->width;
     real *q = vector;
-    int i, j;
+    int i;
     eliminate_constants(p, constant, vector);
     for (i = 0; i < m; ++i)
         p->t[i] = vector[i];
@@ -324,8 +323,7 @@ void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant
     reduce_linear(p, linear, q);
     for (i = 0; i < free_ones; ++i) {
         const real *row = p->L + (size_t)i * (size_t)width, l = p->l[i] = q[p->nx + i] * row[p->nx + i];
-        for (j = 0; j < width; ++j)
-            q[j] -= l * row[j];
+        mbs_stages_add_row(width, -l, row, q);
     }
     memcpy(p->p, q, (size_t)p->nx * sizeof *q);
 }
