@@ -24,8 +24,8 @@ typedef mbs_stages_real real;
 
 #define MBS_STAGES_LANES 4
 
-/* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees that
- * it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c of a. */
+/* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees
+ * that it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c of a. */
 #if defined(__GNUC__) && !defined(MBS_SCALAR)
 typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
 #define LANES_OF(a, b, c, d) {a, b, c, d}
@@ -82,8 +82,8 @@ void mbs_stages_combine(int width, int count, const int *index, int first, const
 void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,
                          real *out);
 
-/* M += factor ST Z: S and Z have m rows; M has `rows` of them, a multiple of MBS_STAGES_LANES. `lower`: at least the lower
- * triangle of it. */
+/* M += factor ST Z: S and Z have m rows; M has `rows` of them, a multiple of MBS_STAGES_LANES. `lower`: at least the
+ * lower triangle of it. */
 void mbs_stages_gram(int m, int rows, int width, int lower, real factor, const real *S, int lds, const real *Z, int ldz,
                      real *M, int ldm);
 

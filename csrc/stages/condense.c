@@ -209,8 +209,8 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     for (i = 0; i < y->n; ++i) {
         real *row = B + (size_t)p->row[i] * (size_t)ld;
         mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i), row,
-                           row);
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
+                           row, row);
     }
     for (i = y->n - 1; i >= 0; --i) {
         real *to = S + (size_t)p->column[i] * (size_t)ld;
@@ -342,8 +342,8 @@ static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scr
     reduce_rows(s, &s->G, NULL, s->ng, s->dense.G);
 }
 
-/* Nonzeros of a column of H below its diagonal: of outer variables before inner ones from `begin` on, of inner ones from
- * `inner` on, of outer variables after them from `after` on. */
+/* Nonzeros of a column of H below its diagonal: of outer variables before inner ones from `begin` on, of inner ones
+ * from `inner` on, of outer variables after them from `after` on. */
 typedef struct {
     int begin, inner, after, end;
     real diagonal; /* the barrier's added */
@@ -395,7 +395,8 @@ static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scrat
     add_to_both(s->dense.n, row, at, s->dense.H, width);
 }
 
-/* Row j of (H + diagonal) V of inner variables from the diagonal on, and `share` of the diagonal; columns from `skip` on. */
+/* Row j, of an inner variable, of (H + diagonal) V: from the diagonal on, and `share` of the diagonal; columns from `skip`
+ * on. */
 static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real share, real *row)
 {
     const mbs_stages_matrix *H = &s->H;
@@ -410,7 +411,7 @@ static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, i
                            s->inner.V + skip, s->dense.width, 1, row, row);
 }
 
-/* H = VT (H + diagonal) V, the lower triangle: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
+/* The lower triangle of VT (H + diagonal) V: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     const int inner = s->inner.n, width = s->dense.width, skip = s->inner.skip, columns = width - skip;
