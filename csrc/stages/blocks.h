@@ -1,4 +1,4 @@
-/* Small dense blocks, column by column. */
+/* Small dense blocks. */
 #ifndef MBS_STAGES_BLOCKS_H
 #define MBS_STAGES_BLOCKS_H
 
@@ -22,12 +22,36 @@ typedef mbs_stages_real real;
 #define real_log10 log10
 #endif
 
-/* C += factor A B: A is m by k, B is k by n; `lower`: only the lower triangle of C. */
-void mbs_stages_multiply(int m, int n, int k, real factor, const real *A, int lda, const real *B, int ldb, real *C,
-                         int ldc, int lower);
+#define MBS_STAGES_LANES 4
 
-/* B = AT, A is m by n */
-void mbs_stages_transpose(int m, int n, const real *A, int lda, real *B, int ldb);
+/* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees
+ * that it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c of a. */
+#if defined(__GNUC__) && !defined(MBS_SCALAR)
+typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
+#define LANES_OF(a, b, c, d) {a, b, c, d}
+#define LANES_ADD(a, x, b) ((a) += (x) * (b))
+#define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))
+#define LANES_PLUS(a, b) ((a) += (b))
+#define LANES_SCALE(a, x) ((a) *= (x))
+#define LANES_MULTIPLY(a, x, b) ((a) = (x) * (b))
+#else
+typedef struct {
+    real at[MBS_STAGES_LANES];
+} lanes;
+#define OF_LANES(assign)                                         \
+    do {                                                         \
+        int at_lane;                                             \
+        for (at_lane = 0; at_lane < MBS_STAGES_LANES; ++at_lane) \
+            assign;                                              \
+    } while (0)
+#define LANES_OF(a, b, c, d) {{a, b, c, d}}
+#define LANES_ADD(a, x, b) OF_LANES((a).at[at_lane] += (x) * (b).at[at_lane])
+#define LANES_ADD_EACH(a, x, b) OF_LANES((a).at[at_lane] += (x).at[at_lane] * (b).at[at_lane])
+#define LANES_PLUS(a, b) OF_LANES((a).at[at_lane] += (b).at[at_lane])
+#define LANES_SCALE(a, x) OF_LANES((a).at[at_lane] *= (x))
+#define LANES_MULTIPLY(a, x, b) OF_LANES((a).at[at_lane] = (x).at[at_lane] * (b).at[at_lane])
+#endif
+#define LANE(a, c) (((real *)&(a))[c])
 
 /* y += factor A x, and y += factor AT x; A is m by n */
 void mbs_stages_apply(int m, int n, real factor, const real *A, int lda, const real *x, real *y);
@@ -36,27 +60,34 @@ void mbs_stages_apply_transposed(int m, int n, real factor, const real *A, int l
 /* y += factor A x, of the lower triangle of a symmetric A */
 void mbs_stages_apply_symmetric(int n, real factor, const real *A, int lda, const real *x, real *y);
 
-/* Rows of `width` numbers, contiguous, for the operations below; a width is a multiple of MBS_STAGES_LANES. */
-#define MBS_STAGES_LANES 4
-int mbs_stages_width(int n);
-
-/* out = scale (out + sum over t of factor[t stride] times row index[t]); rows begin `ld` numbers apart */
-void mbs_stages_combine(int width, int count, const int *index, const real *factor, int stride, const real *rows,
-                        int ld, real scale, real *out);
-
-/* M += ST Z: S and Z have m rows, M has `width` of them; rows begin `ld` numbers apart. */
-void mbs_stages_gram(int m, int width, const real *S, const real *Z, real *M, int ld);
-
-/* Factorise the first n columns of the lower triangle of a symmetric A, m by m: A = L LT there. Returns the column of
- * the first pivot that is not above `zero` times the largest that the diagonal entry was, or -1. */
-int mbs_stages_cholesky(int m, int n, real *A, int lda, real zero);
-
-/* x = L^-1 x and x = L^-T x */
+/* x = L^-1 x and x = L^-T x, for a lower triangle */
 void mbs_stages_lower(int n, const real *L, int ldl, real *x);
 void mbs_stages_lower_transposed(int n, const real *L, int ldl, real *x);
 
-/* x = U^-1 x and x = U^-T x; U in the upper triangle */
-void mbs_stages_upper(int n, const real *U, int ldu, real *x);
-void mbs_stages_upper_transposed(int n, const real *U, int ldu, real *x);
+/* For the operations below, matrices lie row by row. A row has a `width`, a multiple of MBS_STAGES_LANES: zeros fill it
+ * up. Rows begin `ld` numbers apart. */
+int mbs_stages_width(int n);
+
+real mbs_stages_dot(int width, const real *a, const real *b);
+
+/* out += factor row, and out = factor row; `row` may be `out` of the second one */
+void mbs_stages_add_row(int width, real factor, const real *row, real *out);
+void mbs_stages_scale_row(int width, real factor, const real *row, real *out);
+
+/* out = scale (from + sum over t of factor[t stride] times row index[t] - first); `from` may be `out` */
+void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
+                        const real *rows, int ld, real scale, const real *from, real *out);
+
+/* out += factor times the sum over t < count of by[t stride] times row t */
+void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,
+                         real *out);
+
+/* M += factor ST Z: S and Z have m rows; M has `rows` of them, a multiple of MBS_STAGES_LANES. `lower`: at least the
+ * lower triangle of it. */
+void mbs_stages_gram(int m, int rows, int width, int lower, real factor, const real *S, int lds, const real *Z, int ldz,
+                     real *M, int ldm);
+
+/* Copy the lower triangle of the first n rows into the upper one. */
+void mbs_stages_mirror(int n, real *M, int ld);
 
 #endif

@@ -14,12 +14,13 @@
 #define OFTEN 4 /* an order that fails in one of as many stages is given up */
 #define TRIES 3
 
+/* The row of V of inner variable i of all variables. */
 static real *row_of_v(const mbs_stages_stage *s, int i)
 {
-    return s->inner.V + (size_t)i * (size_t)s->inner.width;
+    return s->inner.V + (size_t)(i - s->nx) * (size_t)s->dense.width;
 }
 
-/* The part of it that is not 0 for inner variables. */
+/* The part of it that is not 0. */
 static real *read_part_of_v(const mbs_stages_stage *s, int i)
 {
     return row_of_v(s, i) + s->inner.skip;
@@ -158,7 +159,7 @@ static void set_outer_sizes(mbs_stages_stage *s)
     s->dense.nv = s->nv - s->inner.n + s->inner.deferred;
     s->dense.n = s->nx + s->dense.nv;
     s->dense.ne = s->ne - s->inner.n + s->inner.deferred;
-    s->inner.width = mbs_stages_width(s->dense.n);
+    s->dense.width = mbs_stages_width(s->dense.n);
 }
 
 /* B = -r_u, in the order of the rows of r. */
@@ -166,13 +167,13 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_matrix *E = &s->E;
-    const size_t width = (size_t)y->width;
+    const size_t width = (size_t)s->dense.width;
     int i, j, l;
     memset(m->right, 0, (size_t)y->n * width * sizeof *m->right);
     for (j = 0; j < s->n; ++j) {
-        const int at = mbs_stages_outer(s, j);
-        for (l = E->begin[j]; at >= 0 && l < E->end[j] && E->row[l] < y->n; ++l)
-            m->right[(size_t)E->row[l] * width + (size_t)at] = -E->value[l];
+        real *column = m->right + (j < s->nx ? j : j - y->n);
+        for (l = E->begin[j]; !is_inner(s, j) && l < E->end[j] && E->row[l] < y->n; ++l)
+            column[(size_t)E->row[l] * width] = -E->value[l];
     }
     for (i = 0; i < y->deferred; ++i) {
         j = s->nx + y->variable[i];
@@ -181,17 +182,11 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     }
 }
 
-/* Rows of V of outer variables, and of deferred ones. */
+/* Rows of V of deferred variables. */
 static void write_units(const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     int i;
-    for (i = 0; i < s->n; ++i)
-        if (!is_inner(s, i)) {
-            real *row = row_of_v(s, i);
-            memset(row, 0, (size_t)y->width * sizeof *row);
-            row[mbs_stages_outer(s, i)] = 1;
-        }
     for (i = 0; i < y->deferred; ++i)
         row_of_v(s, s->nx + y->variable[i])[s->n - y->n + i] = 1;
 }
@@ -208,19 +203,23 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_pivots *p = y->pivots;
     const mbs_stages_factors *f = &y->factors;
-    const int width = y->width - y->skip;
+    const int ld = s->dense.width, width = ld - y->skip;
     real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
     int i;
-    for (i = 0; i < y->n; ++i)
-        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i],
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, y->width,
-                           *lane_of(y, f->inverse, i), B + (size_t)p->row[i] * (size_t)y->width);
+    for (i = 0; i < y->n; ++i) {
+        real *row = B + (size_t)p->row[i] * (size_t)ld;
+        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
+                           row, row);
+    }
     for (i = y->n - 1; i >= 0; --i) {
-        real *to = S + (size_t)p->column[i] * (size_t)y->width;
-        memset(to - y->skip, 0, (size_t)y->skip * sizeof *to);
-        memcpy(to, B + (size_t)p->row[i] * (size_t)y->width, (size_t)width * sizeof *to);
-        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i],
-                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, y->width, 1, to);
+        real *to = S + (size_t)p->column[i] * (size_t)ld;
+        int j;
+        for (j = 0; j < y->skip; ++j)
+            to[j - y->skip] = 0;
+        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1,
+                           B + (size_t)p->row[i] * (size_t)ld, to);
     }
 }
 
@@ -269,7 +268,7 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
         defer(s, &c);
         set_outer_sizes(s);
         write_right(m, s);
-        mbs_stages_solve_rows_completely(&c, y->width, m->right, row_of_v(s, s->nx));
+        mbs_stages_solve_rows_completely(&c, s->dense.width, m->right, row_of_v(s, s->nx));
     } else {
         set_outer_sizes(s);
         write_right(m, s);
@@ -278,58 +277,48 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
     write_units(s);
 }
 
-static void add_row(int width, real factor, const real *restrict a, real *restrict b)
-{
-    int i, c;
-    for (i = 0; i < width; i += MBS_STAGES_LANES)
-        for (c = 0; c < MBS_STAGES_LANES; ++c)
-            b[i + c] += factor * a[i + c];
-}
-
 /* to += factor times row j of V */
 static void add_variation(const mbs_stages_stage *s, int j, real factor, real *to)
 {
     if (is_inner(s, j))
-        add_row(s->inner.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
+        mbs_stages_add_row(s->dense.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
     else
         to[mbs_stages_outer(s, j)] += factor;
 }
 
 /* `to` = rows of A V; row i of A comes to place[i], or nowhere if that is -1; `count` rows in all. */
-static void reduce_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s, const mbs_stages_matrix *A,
-                        const int *place, int count, real *to)
+static void reduce_rows(const mbs_stages_stage *s, const mbs_stages_matrix *A, const int *place, int count, real *to)
 {
-    const int width = s->inner.width;
+    const size_t width = (size_t)s->dense.width;
     int j, l;
     if (count == 0)
         return;
-    memset(m->right, 0, (size_t)count * (size_t)width * sizeof *m->right);
+    memset(to, 0, (size_t)count * width * sizeof *to);
     for (j = 0; j < s->n; ++j)
         for (l = A->begin[j]; l < A->end[j]; ++l) {
             const int i = place ? place[A->row[l]] : A->row[l];
             if (i >= 0)
-                add_variation(s, j, A->value[l], m->right + (size_t)i * (size_t)width);
+                add_variation(s, j, A->value[l], to + (size_t)i * width);
         }
-    mbs_stages_transpose(s->dense.n, count, m->right, width, to, count);
 }
 
 /* Rows of e of which rounding alone is left are 0, so that none of it becomes a pivot. */
 static void clear_rounding(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s,
                            const int *place)
 {
-    real *size = m->vector[5], *left = m->vector[0];
+    real *size = m->vector[5];
     int i, j;
     mbs_stages_matrix_row_maxima(&s->E, size);
-    for (i = 0; i < s->dense.ne; ++i)
-        left[i] = 0;
-    for (j = 0; j < s->dense.n; ++j)
-        for (i = 0; i < s->dense.ne; ++i) {
-            const real a = real_abs(s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)i]);
-            left[i] = a > left[i] ? a : left[i];
-        }
-    for (i = 0; i < s->ne; ++i)
-        for (j = 0; place[i] >= 0 && !(left[place[i]] > r->zero_pivot * size[i]) && j < s->dense.n; ++j)
-            s->dense.E[(size_t)j * (size_t)s->dense.ne + (size_t)place[i]] = 0;
+    for (i = 0; i < s->ne; ++i) {
+        real *row, left = 0;
+        if (place[i] < 0)
+            continue;
+        row = s->dense.E + (size_t)place[i] * (size_t)s->dense.width;
+        for (j = 0; j < s->dense.n; ++j)
+            left = real_abs(row[j]) > left ? real_abs(row[j]) : left;
+        if (!(left > r->zero_pivot * size[i]))
+            memset(row, 0, (size_t)s->dense.n * sizeof *row);
+    }
 }
 
 /* Rows of e that the recursion sees: rows that are not inner, then deferred ones. */
@@ -346,62 +335,110 @@ static void place_rows(const mbs_stages_stage *s, int *place)
 static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     place_rows(s, m->spots);
-    reduce_rows(m, s, &s->E, m->spots, s->dense.ne, s->dense.E);
+    reduce_rows(s, &s->E, m->spots, s->dense.ne, s->dense.E);
     if (s->dense.ne > 0)
         clear_rounding(r, m, s, m->spots);
-    reduce_rows(m, s, &s->F, NULL, s->next, s->dense.F);
-    reduce_rows(m, s, &s->G, NULL, s->ng, s->dense.G);
+    reduce_rows(s, &s->F, NULL, s->next, s->dense.F);
+    reduce_rows(s, &s->G, NULL, s->ng, s->dense.G);
 }
 
-/* Row j of (H + diagonal) V from the diagonal on, and half of the diagonal; columns from `skip` on. */
-static void find_half(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, int skip, real *half)
+/* Nonzeros of a column of H below its diagonal: of outer variables before inner ones from `begin` on, of inner ones
+ * from `inner` on, of outer variables after them from `after` on. */
+typedef struct {
+    int begin, inner, after, end;
+    real diagonal; /* the barrier's added */
+} column;
+
+static column find_column(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j)
 {
     const mbs_stages_matrix *H = &s->H;
-    const real *v = row_of_v(s, j) + skip;
-    const int width = s->inner.width - skip;
-    real diagonal = r->diagonal[s->w + j];
-    int i, l = H->begin[j];
-    if (!r->plain && l < H->end[j] && H->row[l] == j)
-        diagonal += H->value[l++];
-    for (i = 0; i < width; ++i)
-        half[i] = diagonal / 2 * v[i];
-    if (!r->plain && l < H->end[j])
-        mbs_stages_combine(width, H->end[j] - l, H->row + l, H->value + l, 1, s->inner.V + skip, s->inner.width, 1,
-                           half);
+    const int begin = H->begin[j], end = r->plain ? begin : H->end[j], own = begin < end && H->row[begin] == j;
+    column c;
+    c.end = c.after = end;
+    c.diagonal = r->diagonal[s->w + j] + (own ? H->value[begin] : 0);
+    c.begin = c.inner = begin + own;
+    while (c.inner < end && H->row[c.inner] < s->nx)
+        ++c.inner;
+    while (c.after > c.inner && H->row[c.after - 1] >= s->nx + s->inner.n)
+        --c.after;
+    return c;
 }
 
-/* H = VT Z + ZT V, with rows of Z as above. */
+/* Add a row to row and column i of the lower triangle of a symmetric matrix. */
+static void add_to_both(int n, const real *row, int i, real *lower, int width)
+{
+    int j;
+    for (j = 0; j <= i; ++j)
+        lower[(size_t)i * (size_t)width + (size_t)j] += row[j];
+    for (j = i; j < n; ++j)
+        lower[(size_t)j * (size_t)width + (size_t)i] += row[j];
+}
+
+/* The part of outer variable j in the cost: its own curvature, and that which it shares with later variables. */
+static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s, int j)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const column c = find_column(r, s, j);
+    const int width = s->dense.width, skip = s->inner.skip, at = mbs_stages_outer(s, j);
+    real *to = s->dense.H + at, *row = m->right;
+    int l;
+    to[(size_t)at * (size_t)width] += c.diagonal;
+    for (l = c.begin; l < c.inner; ++l)
+        to[(size_t)H->row[l] * (size_t)width] += H->value[l];
+    for (l = c.after; l < c.end; ++l)
+        to[(size_t)(H->row[l] - s->inner.n) * (size_t)width] += H->value[l];
+    if (c.inner == c.after)
+        return;
+    memset(row, 0, (size_t)width * sizeof *row);
+    mbs_stages_combine(width - skip, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
+                       s->inner.V + skip, width, 1, row + skip, row + skip);
+    add_to_both(s->dense.n, row, at, s->dense.H, width);
+}
+
+/* Row j, of an inner variable, of (H + diagonal) V: from the diagonal on, and `share` of the diagonal; columns from `skip`
+ * on. */
+static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real share, real *row)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const column c = find_column(r, s, j);
+    const int skip = s->inner.skip, width = s->dense.width - skip;
+    int l;
+    mbs_stages_scale_row(width, share * c.diagonal, read_part_of_v(s, j), row);
+    for (l = c.after; l < c.end; ++l)
+        row[H->row[l] - s->inner.n - skip] += H->value[l];
+    if (c.after > c.inner)
+        mbs_stages_combine(width, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
+                           s->inner.V + skip, s->dense.width, 1, row, row);
+}
+
+/* The lower triangle of VT (H + diagonal) V: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
-    const int n = s->dense.n, inner = s->inner.n, skip = s->inner.skip;
-    const size_t width = (size_t)s->inner.width;
-    real *M = m->product, *Z = m->right;
-    int i, j;
-    memset(M + (size_t)(s->n - inner) * width, 0, (width - (size_t)(s->n - inner)) * width * sizeof *M);
-    for (j = 0; j < s->nx; ++j)
-        find_half(r, s, j, 0, M + (size_t)j * width);
-    for (j = s->nx + inner; j < s->n; ++j)
-        find_half(r, s, j, 0, M + (size_t)(j - inner) * width);
+    const int inner = s->inner.n, width = s->dense.width, skip = s->inner.skip, columns = width - skip;
+    const int curved = s->inner.curved && !r->plain;
+    real *S = s->inner.V + skip, *Z = m->right + skip;
+    real *H = s->dense.H, *to = H + (size_t)skip * (size_t)(width + 1);
+    int j;
+    memset(H, 0, (size_t)s->dense.n * (size_t)width * sizeof *H);
+    for (j = 0; j < s->n; ++j)
+        if (!is_inner(s, j))
+            add_outer_cost(r, m, s, j);
     for (j = 0; j < inner; ++j)
-        find_half(r, s, s->nx + j, skip, Z + (size_t)j * width + skip);
-    mbs_stages_gram(inner, s->inner.width - skip, read_part_of_v(s, s->nx), Z + skip,
-                    M + (size_t)skip * width + skip, s->inner.width);
-    for (j = 0; j < n; ++j)
-        for (i = j; i < n; ++i)
-            s->dense.H[(size_t)j * (size_t)n + (size_t)i] =
-                M[(size_t)i * width + (size_t)j] + M[(size_t)j * width + (size_t)i];
+        find_row(r, s, s->nx + j, curved ? (real)0.5 : 1, Z + (size_t)j * (size_t)width);
+    mbs_stages_gram(inner, columns, columns, 1, 1, S, width, Z, width, to, width);
+    if (curved)
+        mbs_stages_gram(inner, columns, columns, 1, 1, Z, width, S, width, to, width);
 }
 
-/* Copy matrices with patterns into dense ones. */
+/* Copy matrices of a stage without inner variables into dense ones. */
 static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 {
-    if (s->H.begin == NULL)
-        return;
-    mbs_stages_matrix_spread(&s->E, s->dense.E, s->ne);
-    mbs_stages_matrix_spread(&s->F, s->dense.F, s->next);
-    mbs_stages_matrix_spread(&s->G, s->dense.G, s->ng);
+    const mbs_stages_dense *d = &s->dense;
+    mbs_stages_matrix_spread(&s->E, 0, d->E, d->width);
+    mbs_stages_matrix_spread(&s->F, 0, d->F, d->width);
+    mbs_stages_matrix_spread(&s->G, 0, d->G, d->width);
     if (!r->plain)
-        mbs_stages_matrix_spread(&s->H, s->dense.H, s->n);
+        mbs_stages_matrix_spread(&s->H, 1, d->H, d->width);
 }
 
 static void condense_stage(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
@@ -478,47 +515,40 @@ void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_s
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_inner *y = &s->inner;
+    const int end = s->nx + y->n;
     real *z = m->vector[5];
     int i;
     memset(z, 0, (size_t)s->n * sizeof *z);
     memcpy(z + s->nx, y->constant, (size_t)y->n * sizeof *z);
-    if (!r->plain)
+    if (!r->plain && y->curved)
         mbs_stages_matrix_apply_symmetric(&s->H, z, gradient);
-    for (i = s->nx; i < s->nx + y->n; ++i)
+    for (i = s->nx; i < end; ++i)
         gradient[i] += r->diagonal[s->w + i] * z[i];
     if (s->dense.ne > 0)
-        mbs_stages_matrix_apply(&s->E, z, rows);
-    mbs_stages_matrix_apply(&s->F, z, rows + s->ne);
-    mbs_stages_matrix_apply(&s->G, z, rows + s->ne + s->next);
+        mbs_stages_matrix_apply(&s->E, s->nx, end, z, rows);
+    mbs_stages_matrix_apply(&s->F, s->nx, end, z, rows + s->ne);
+    mbs_stages_matrix_apply(&s->G, s->nx, end, z, rows + s->ne + s->next);
 }
 
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out)
 {
+    const mbs_stages_inner *y = &s->inner;
     int i;
-    memset(out, 0, (size_t)s->inner.width * sizeof *out);
-    for (i = 0; i < s->n; ++i)
-        add_variation(s, i, gradient[i], out);
+    memset(out, 0, (size_t)s->dense.width * sizeof *out);
+    memcpy(out, gradient, (size_t)s->nx * sizeof *out);
+    for (i = s->nx + y->n; i < s->n; ++i)
+        out[i - y->n] = gradient[i];
+    mbs_stages_add_rows(s->dense.width - y->skip, y->n, 1, gradient + s->nx, 1, y->V + y->skip, s->dense.width,
+                        out + y->skip);
 }
 
-static real dot(int width, const real *restrict a, const real *restrict b)
-{
-    real sum[MBS_STAGES_LANES] = {0};
-    int i, c;
-    for (i = 0; i < width; i += MBS_STAGES_LANES)
-        for (c = 0; c < MBS_STAGES_LANES; ++c)
-            sum[c] += a[i + c] * b[i + c];
-    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z)
+void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
 {
     const mbs_stages_inner *y = &s->inner;
     int i;
-    for (i = s->dense.n; i < y->width; ++i)
-        outer[i] = 0;
     for (i = 0; i < s->n; ++i)
         z[i] = is_inner(s, i) ? y->constant[i - s->nx] +
-                                    dot(y->width - y->skip, read_part_of_v(s, i), outer + y->skip)
+                                    mbs_stages_dot(s->dense.width - y->skip, read_part_of_v(s, i), outer + y->skip)
                               : outer[mbs_stages_outer(s, i)];
 }
 
@@ -529,15 +559,16 @@ void mbs_stages_expand_gradient(const mbs_stages_recursion *r, const mbs_stages_
     const mbs_stages_inner *y = &s->inner;
     const real *gradient = force + s->nx;
     real *to = m->together[0] + y->lane;
+    const int end = s->nx + y->n;
     int i;
-    for (i = s->nx; i < s->nx + y->n; ++i)
+    for (i = s->nx; i < end; ++i)
         force[i] += (rw ? rw[s->w + i] : 0) + r->diagonal[s->w + i] * z[i];
-    if (!r->plain)
+    if (!r->plain && y->curved)
         mbs_stages_matrix_apply_symmetric(&s->H, z, force);
     if (s->dense.ne > 0)
-        mbs_stages_matrix_apply_transposed(&s->E, dy + s->e, force);
-    mbs_stages_matrix_apply_transposed(&s->F, dy + s->d, force);
-    mbs_stages_matrix_apply_transposed(&s->G, dy + s->g, force);
+        mbs_stages_matrix_apply_transposed(&s->E, s->nx, end, dy + s->e, force);
+    mbs_stages_matrix_apply_transposed(&s->F, s->nx, end, dy + s->d, force);
+    mbs_stages_matrix_apply_transposed(&s->G, s->nx, end, dy + s->g, force);
     for (i = 0; i < y->n; ++i, to += MBS_STAGES_TOGETHER)
         *to = gradient[i];
 }

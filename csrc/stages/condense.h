@@ -40,7 +40,7 @@ void mbs_stages_condense_right(const mbs_stages_recursion *r, const mbs_stages_s
 void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradient, real *out);
 
 /* All variables z from the recursion's, which zeros fill up to the width. */
-void mbs_stages_expand(const mbs_stages_stage *s, real *outer, real *z);
+void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z);
 
 /* Multipliers of the inner equations of a group. First comes the gradient by the inner variables of each stage k of it,
  * where dy holds all other multipliers; `force` takes the part of fixed variables in it (n numbers, overwritten). Then those

@@ -37,7 +37,7 @@ static int larger(int a, int b)
 
 static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity, int next)
 {
-    const int n = nx + nv, pivots = smaller(nv, capacity);
+    const int n = nx + nv, pivots = smaller(nv, capacity), width = mbs_stages_width(n), wide = mbs_stages_width(nx);
     p->nx = nx;
     p->nv = nv;
     p->n = n;
@@ -47,29 +47,30 @@ static void lay_step(arena *a, mbs_stages_step *p, int nx, int nv, int capacity,
     p->order = take(a, (size_t)n, sizeof(int));
     p->lu = numbers(a, capacity, n);
     p->U = numbers(a, pivots, pivots);
-    p->T = numbers(a, pivots, n);
-    p->Y = numbers(a, pivots, n);
+    p->T = numbers(a, pivots, width);
+    p->Y = numbers(a, pivots, width);
     p->Q = numbers(a, pivots, pivots);
-    p->L = numbers(a, n, nv);
-    p->P = numbers(a, nx, nx);
-    p->C = numbers(a, smaller(nx, capacity), nx);
+    p->L = numbers(a, nv, width);
+    p->P = numbers(a, nx, wide);
+    p->C = numbers(a, smaller(nx, capacity), wide);
     p->p = numbers(a, nx, 1);
     p->c = numbers(a, nx, 1);
     p->t = numbers(a, pivots, 1);
     p->l = numbers(a, nv, 1);
     p->qp = numbers(a, pivots, 1);
-    p->linear = numbers(a, mbs_stages_width(n), 1);
+    p->linear = numbers(a, width, 1);
     p->constant = numbers(a, capacity, 1);
-    p->ahead = numbers(a, next, 1);
+    p->ahead = numbers(a, mbs_stages_width(next), 1);
 }
 
 static void lay_soft(arena *a, mbs_stages_soft *p, int n)
 {
     p->n = n;
+    p->width = mbs_stages_width(n);
     p->rows = numbers(a, n, n);
     p->sum = numbers(a, n, 1);
     p->own = numbers(a, n, 1);
-    p->P = numbers(a, n, n);
+    p->P = numbers(a, n, p->width);
     p->p = numbers(a, n, 1);
     p->fixed = take(a, (size_t)n, 1);
 }
@@ -234,6 +235,18 @@ static int count_unread(const mbs_stages_stage *t)
     return j / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 
+/* Whether H has nonzeros of inner variables. */
+static int is_curved(const mbs_stages_stage *t)
+{
+    const int end = t->nx + t->inner.n;
+    int j, l;
+    for (j = 0; t->H.begin && j < end; ++j)
+        for (l = t->H.begin[j]; l < t->H.end[j]; ++l)
+            if (j >= t->nx || (t->H.row[l] >= t->nx && t->H.row[l] < end))
+                return 1;
+    return 0;
+}
+
 static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     mbs_stages_inner *y = &t->inner;
@@ -249,25 +262,27 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     }
     y->lane = lane;
     y->skip = count_unread(t);
-    y->V = numbers(a, t->n, mbs_stages_width(t->n - y->n + y->spare));
+    y->curved = is_curved(t);
+    y->V = numbers(a, y->n, mbs_stages_width(t->n - y->n + y->spare));
     y->constant = numbers(a, y->n, 1);
     y->variable = take(a, (size_t)y->spare, sizeof(int));
     y->row = take(a, (size_t)y->spare, sizeof(int));
     y->stale = 1;
 }
 
-static void lay_dense(arena *a, mbs_stages_stage *t, int patterns)
+static void lay_dense(arena *a, mbs_stages_stage *t)
 {
     mbs_stages_dense *d = &t->dense;
-    const int n = t->n - t->inner.n + t->inner.spare, ne = t->ne - t->inner.n + t->inner.spare;
-    const int copy = patterns || t->inner.n > 0;
+    const int ne = t->ne - t->inner.n + t->inner.spare, n = t->n - t->inner.n + t->inner.spare;
+    const int width = mbs_stages_width(n);
     d->nv = t->nv - t->inner.n;
     d->n = t->nx + d->nv;
     d->ne = t->ne - t->inner.n;
-    d->E = copy ? numbers(a, ne, n) : t->E.value;
-    d->F = copy ? numbers(a, t->next, n) : t->F.value;
-    d->G = copy ? numbers(a, t->ng, n) : t->G.value;
-    d->H = copy ? numbers(a, n, n) : t->H.value;
+    d->width = mbs_stages_width(d->n);
+    d->E = numbers(a, ne, width);
+    d->F = numbers(a, t->next, width);
+    d->G = numbers(a, t->ng, width);
+    d->H = numbers(a, t->inner.n > 0 ? width : n, width); /* products for inner variables fill whole lanes of rows */
 }
 
 /* Places of a stage come after the places of earlier stages. */
@@ -296,7 +311,7 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     lay_matrix(a, &t->G, t->ng, t->n, p ? &p->dg : NULL);
     lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
     lay_inner(a, s, problem, k, lane, t);
-    lay_dense(a, t, p != NULL);
+    lay_dense(a, t);
 }
 
 /* Equal bounds of a stage, each of which is a row that holds exactly. */
@@ -313,13 +328,13 @@ static int count_equal(const mbs_stages_problem *problem, const mbs_stages_stage
 /* The most that the stages need to work in. */
 typedef struct {
     int variables, rows;                /* of a stage */
-    int outer, outer_rows;              /* of the recursion */
-    int inner, inner_rows, width;       /* of inner variables, and of right-hand sides for them */
+    int outer, outer_rows;              /* of the recursion; `outer` in whole lanes */
+    int inner, width;                   /* of inner variables, and of right-hand sides for them */
 } extent;
 
 static void extend(extent *e, const mbs_stages_stage *t)
 {
-    const int outer = t->n - t->inner.n + t->inner.spare, ne = t->ne - t->inner.n + t->inner.spare;
+    const int outer = mbs_stages_width(t->n - t->inner.n + t->inner.spare), ne = t->ne - t->inner.n + t->inner.spare;
     e->variables = larger(e->variables, t->n);
     e->rows = larger(e->rows, t->ne + t->ng + t->n + t->next);
     e->outer = larger(e->outer, outer);
@@ -327,8 +342,7 @@ static void extend(extent *e, const mbs_stages_stage *t)
     if (t->inner.n == 0)
         return;
     e->inner = larger(e->inner, t->inner.n);
-    e->inner_rows = larger(e->inner_rows, larger(larger(ne, t->inner.n), larger(t->next, t->ng)));
-    e->width = larger(e->width, mbs_stages_width(outer));
+    e->width = larger(e->width, outer);
 }
 
 static int count_workers(const mbs_stages_problem *problem)
@@ -340,12 +354,11 @@ static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
 {
     int i;
     for (i = 0; i < 8; ++i)
-        m->vector[i] = numbers(a, 2 * e->variables + e->rows, 1);
+        m->vector[i] = numbers(a, 2 * (e->variables + MBS_STAGES_LANES) + e->rows, 1);
     m->block = numbers(a, e->inner, e->inner);
     for (i = 0; i < 3; ++i)
         m->together[i] = numbers(a, e->inner, MBS_STAGES_TOGETHER);
-    m->right = numbers(a, e->inner_rows, e->width);
-    m->product = numbers(a, e->width, e->width);
+    m->right = numbers(a, e->inner, e->width);
     m->spots = take(a, (size_t)(2 * e->inner + e->rows), sizeof(int));
 }
 
@@ -364,7 +377,7 @@ static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int wor
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
-    extent most = {1, 1, 1, 1, 0, 0, 0};
+    extent most = {1, 1, 1, 1, 0, 0};
     int k, lane = 0;
     mbs_stages_stage spare;
     for (k = 0; k < problem->stages; ++k) {

@@ -3,32 +3,55 @@
 
 #include <string.h>
 
-void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *restrict y)
+void mbs_stages_matrix_apply(const mbs_stages_matrix *A, int from, int to, const real *x, real *restrict y)
 {
     int j, l;
     if (A->begin == NULL) {
-        mbs_stages_apply(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        mbs_stages_apply(A->rows, to - from, 1, A->value + (size_t)from * (size_t)A->rows, A->rows, x + from, y);
         return;
     }
-    for (j = 0; j < A->columns; ++j) {
+    for (j = from; j < to; ++j) {
         const real a = x[j];
         for (l = A->begin[j]; l < A->end[j]; ++l)
             y[A->row[l]] += A->value[l] * a;
     }
 }
 
-void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *restrict y)
+void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, int from, int to, const real *x, real *restrict y)
 {
     int j, l;
     if (A->begin == NULL) {
-        mbs_stages_apply_transposed(A->rows, A->columns, 1, A->value, A->rows, x, y);
+        mbs_stages_apply_transposed(A->rows, to - from, 1, A->value + (size_t)from * (size_t)A->rows, A->rows, x,
+                                    y + from);
         return;
     }
-    for (j = 0; j < A->columns; ++j) {
+    for (j = from; j < to; ++j) {
         real sum = 0;
         for (l = A->begin[j]; l < A->end[j]; ++l)
             sum += A->value[l] * x[A->row[l]];
         y[j] += sum;
+    }
+}
+
+void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, real *restrict rows, const real *y,
+                                  real *restrict columns)
+{
+    int j, l;
+    if (A->begin == NULL) {
+        mbs_stages_matrix_apply(A, 0, A->columns, x, rows);
+        mbs_stages_matrix_apply_transposed(A, 0, A->columns, y, columns);
+        return;
+    }
+    for (j = 0; j < A->columns; ++j) {
+        const real a = x[j];
+        real sum = 0;
+        for (l = A->begin[j]; l < A->end[j]; ++l) {
+            const real value = A->value[l];
+            const int i = A->row[l];
+            rows[i] += value * a;
+            sum += value * y[i];
+        }
+        columns[j] += sum;
     }
 }
 
@@ -99,17 +122,15 @@ real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A)
     return most;
 }
 
-void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld)
+void mbs_stages_matrix_spread(const mbs_stages_matrix *A, int triangle, real *dense, int ld)
 {
-    int j, l;
+    int i, j, l;
+    memset(dense, 0, (size_t)A->rows * (size_t)ld * sizeof *dense);
     for (j = 0; j < A->columns; ++j) {
-        real *to = dense + (size_t)j * (size_t)ld;
-        if (A->begin == NULL) {
-            memcpy(to, A->value + (size_t)j * (size_t)A->rows, (size_t)A->rows * sizeof *to);
-            continue;
-        }
-        memset(to, 0, (size_t)A->rows * sizeof *to);
-        for (l = A->begin[j]; l < A->end[j]; ++l)
-            to[A->row[l]] = A->value[l];
+        real *to = dense + j;
+        for (i = triangle ? j : 0; A->begin == NULL && i < A->rows; ++i)
+            to[(size_t)i * (size_t)ld] = A->value[(size_t)j * (size_t)A->rows + (size_t)i];
+        for (l = A->begin ? A->begin[j] : 0; A->begin && l < A->end[j]; ++l)
+            to[(size_t)A->row[l] * (size_t)ld] = A->value[l];
     }
 }

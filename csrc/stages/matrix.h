@@ -12,9 +12,12 @@ typedef struct {
     real *value;
 } mbs_stages_matrix;
 
-/* y += A x, and y += AT x */
-void mbs_stages_matrix_apply(const mbs_stages_matrix *A, const real *x, real *y);
-void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, const real *x, real *y);
+/* y += A x, and y += AT x, for the columns from .. to - 1 of A */
+void mbs_stages_matrix_apply(const mbs_stages_matrix *A, int from, int to, const real *x, real *y);
+void mbs_stages_matrix_apply_transposed(const mbs_stages_matrix *A, int from, int to, const real *x, real *y);
+
+/* rows += A x, and columns += AT y */
+void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, real *rows, const real *y, real *columns);
 
 /* y += A x, of the lower triangle of a symmetric A */
 void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *y);
@@ -28,7 +31,7 @@ void mbs_stages_matrix_row_maxima(const mbs_stages_matrix *A, real *most);
 /* The largest entry of the diagonal. */
 real mbs_stages_matrix_diagonal(const mbs_stages_matrix *A);
 
-/* Write all entries into a dense matrix with `ld` numbers a column. */
-void mbs_stages_matrix_spread(const mbs_stages_matrix *A, real *dense, int ld);
+/* Write all entries, or the lower `triangle` alone, into a dense matrix with `ld` numbers a row. */
+void mbs_stages_matrix_spread(const mbs_stages_matrix *A, int triangle, real *dense, int ld);
 
 #endif

@@ -199,8 +199,7 @@ static void find_stage_residual(mbs_stages *s, int k)
     memcpy(s->residual_c + t->e, s->rc + t->e, (size_t)(rows - t->e) * sizeof *s->rc);
     if (!r->plain)
         mbs_stages_matrix_apply_symmetric(&t->H, s->dw + t->w, s->residual_w + t->w);
-    mbs_stages_add_stage_transposed(r, k, s->dy, s->residual_w);
-    mbs_stages_add_stage_rows(r, k, s->dw, s->residual_c);
+    mbs_stages_add_stage_both(r, k, s->dw, s->residual_c, s->dy, s->residual_w);
     mbs_stages_apply_curvature(t, s->dw + t->w, s->residual_w + t->w);
     for (i = t->w; i < w; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
@@ -354,19 +353,21 @@ void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, 
 }
 
 /* The same with soft rows. They stay soft in the first step, if that helps. */
-static void estimate_softly(mbs_stages *s)
+static int estimate_softly(mbs_stages *s)
 {
     s->softening = MBS_STAGES_SOFTENED;
     soften_rows(s);
-    if (mbs_stages_factorise(&s->recursion, 1) >= 0 || solve_reduced(s) < 0)
-        s->softening = MBS_STAGES_HARD;
+    if (mbs_stages_factorise(&s->recursion, 1) < 0 && solve_reduced(s) >= 0)
+        return 0;
+    s->softening = MBS_STAGES_HARD;
+    return -1;
 }
 
 /* Multipliers of least squares: they make the derivatives of the Lagrangian smallest. */
 void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
 {
     mbs_stages_recursion *r = &s->recursion;
-    int i;
+    int i, factorised;
     memset(p->y, 0, (size_t)s->rows * sizeof *p->y);
     mbs_stages_find_lagrangian(s, p);
     mbs_stages_stationarity(s, p, 0, p->slope);
@@ -380,13 +381,12 @@ void mbs_stages_estimate_multipliers(mbs_stages *s, mbs_stages_phase *p)
     r->plain = 1;
     r->soft_dynamics = p->elastic;
     p->added = 0;
-    if (mbs_stages_factorise(r, 0) < 0) {
-        memset(p->trial_c, 0, (size_t)s->rows * sizeof *p->trial_c);
-        reduce_right(s, p, p->trial_c);
-        if (solve_reduced(s) < 0 && !p->elastic && s->softening == MBS_STAGES_HARD)
-            estimate_softly(s);
-        if (mbs_stages_largest(s->rows, s->best_y) <= 1000)
-            memcpy(p->y, s->best_y, (size_t)s->rows * sizeof *p->y);
-    }
+    memset(p->trial_c, 0, (size_t)s->rows * sizeof *p->trial_c);
+    reduce_right(s, p, p->trial_c);
+    factorised = mbs_stages_factorise(r, 0) < 0;
+    if (!(factorised && solve_reduced(s) >= 0) && !p->elastic && s->softening == MBS_STAGES_HARD)
+        factorised |= estimate_softly(s) == 0;
+    if (factorised && mbs_stages_largest(s->rows, s->best_y) <= 1000)
+        memcpy(p->y, s->best_y, (size_t)s->rows * sizeof *p->y);
     r->plain = 0;
 }

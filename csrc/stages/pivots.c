@@ -274,202 +274,171 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
     return 0;
 }
 
-/* Numbers of several stages: one of each side by side, so that one instruction takes them all. Below, lanes are read
- * from memory, all of them before one is written, for compilers to find this instruction. */
+/* Numbers of several stages: one of each side by side, so that one instruction takes them all. */
 typedef struct {
     const mbs_stages_pivots *p;
     mbs_stages_together *stages;
-    mbs_stages_factors factors;
-    real *row;
-    real size[MBS_STAGES_TOGETHER], most[MBS_STAGES_TOGETHER];
-} lanes;
+    lanes *lower, *inverse, *upper, *row;
+} elimination;
 
-static real *lane(real *numbers, int i)
+static void clear(int count, const int *restrict place, lanes *restrict row)
 {
-    return numbers + (size_t)i * MBS_STAGES_TOGETHER;
+    const lanes zero = {0};
+    int t;
+    for (t = 0; t < count; ++t)
+        row[place[t]] = zero;
 }
 
-static void clear(real *to)
+/* The square of the norm of numbers at places */
+static void find_size(int count, const int *restrict place, const lanes *restrict row, lanes *size)
 {
-    memset(to, 0, MBS_STAGES_TOGETHER * sizeof *to);
+    lanes sum = {0};
+    int t;
+    for (t = 0; t < count; ++t)
+        LANES_ADD_EACH(sum, row[place[t]], row[place[t]]);
+    *size = sum;
 }
 
-static real larger(real a, real b)
-{
-    return a > b ? a : b;
-}
-
-/* most = max(most, |x|) */
-static void raise_to(const real *x, real *most)
-{
-    const real a = larger(real_abs(x[0]), most[0]), b = larger(real_abs(x[1]), most[1]);
-    const real c = larger(real_abs(x[2]), most[2]), d = larger(real_abs(x[3]), most[3]);
-    most[0] = a;
-    most[1] = b;
-    most[2] = c;
-    most[3] = d;
-}
-
-/* to = factor * x */
-static void multiply(const real *factor, const real *x, real *to)
-{
-    const real a = factor[0] * x[0], b = factor[1] * x[1], c = factor[2] * x[2], d = factor[3] * x[3];
-    to[0] = a;
-    to[1] = b;
-    to[2] = c;
-    to[3] = d;
-}
-
-/* Write the nonzeros of row i, with zeros where factors have more, and note the largest ones. */
-static void spread_row(lanes *a, int i)
+/* Write the nonzeros of row i, with zeros where factors have more. */
+static void spread_row(const elimination *a, int i)
 {
     const mbs_stages_pivots *p = a->p;
+    const int first = p->entry[i], count = p->entry[i + 1] - first;
+    const int *restrict at = p->entry_at + first, *restrict place = p->entry_place + first;
     const real *const *value = a->stages->value;
+    const real *restrict v0 = value[0], *restrict v1 = value[1], *restrict v2 = value[2], *restrict v3 = value[3];
+    lanes *restrict row = a->row;
     int t;
-    for (t = p->lower[i]; t < p->lower[i + 1]; ++t)
-        clear(lane(a->row, p->lower_place[t]));
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        clear(lane(a->row, p->upper_place[t]));
-    clear(lane(a->row, i));
-    clear(a->size);
-    for (t = p->entry[i]; t < p->entry[i + 1]; ++t) {
-        const int at = p->entry_at[t];
-        real *to = lane(a->row, p->entry_place[t]);
-        to[0] = value[0][at];
-        to[1] = value[1][at];
-        to[2] = value[2][at];
-        to[3] = value[3][at];
-        raise_to(to, a->size);
+    clear(p->lower[i + 1] - p->lower[i], p->lower_place + p->lower[i], row);
+    clear(p->upper[i + 1] - p->upper[i], p->upper_place + p->upper[i], row);
+    clear(1, &i, row);
+    for (t = 0; t < count; ++t) {
+        const lanes number = LANES_OF(v0[at[t]], v1[at[t]], v2[at[t]], v3[at[t]]);
+        row[place[t]] = number;
     }
 }
 
-/* to += factor * x */
-static void add_product(const real *factor, const real *x, real *to)
+/* Numbers at places += factors times x, which is none of them */
+static void add_multiples(int count, const int *restrict place, const lanes *restrict factor, const lanes *x,
+                          lanes *restrict to)
 {
-    const real a = to[0] + factor[0] * x[0], b = to[1] + factor[1] * x[1];
-    const real c = to[2] + factor[2] * x[2], d = to[3] + factor[3] * x[3];
-    to[0] = a;
-    to[1] = b;
-    to[2] = c;
-    to[3] = d;
-}
-
-/* Numbers at places += factor * as many others */
-static void add_products(int count, const int *place, const real *factor, const real *x, real *to)
-{
+    const lanes a = *x;
     int t;
-    for (t = 0; t < count; ++t, x += MBS_STAGES_TOGETHER)
-        add_product(factor, x, lane(to, place[t]));
+    for (t = 0; t < count; ++t)
+        LANES_ADD_EACH(to[place[t]], a, factor[t]);
 }
 
-/* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor. */
-static void eliminate_row(const lanes *a, int i)
+/* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor, negative. */
+static void eliminate_row(const elimination *a, int i)
 {
-    static const real minus[MBS_STAGES_TOGETHER] = {-1, -1, -1, -1};
     const mbs_stages_pivots *p = a->p;
     int t;
     for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {
         const int j = p->lower_place[t], first = p->upper[j];
-        const real *factor = lane(a->row, j);
-        add_products(p->upper[j + 1] - first, p->upper_place + first, factor, lane(a->factors.upper, first), a->row);
-        multiply(minus, factor, lane(a->factors.lower, t));
+        lanes factor = a->row[j];
+        add_multiples(p->upper[j + 1] - first, p->upper_place + first, a->upper + first, &factor, a->row);
+        LANES_SCALE(factor, -1);
+        a->lower[t] = factor;
     }
 }
 
 /* Divide row i by its pivots. Where one is as good as 0, or small beside its row, the stage has failed here, unless it
- * has before. */
-static void take_pivots(lanes *a, int i, real zero_pivot)
+ * has before. Squares too large or too small for their precision count as such. */
+static void take_pivots(const elimination *a, int i, const lanes *size, real zero_pivot)
 {
     const mbs_stages_pivots *p = a->p;
-    const real *pivot = lane(a->row, i);
-    real *inverse = lane(a->factors.inverse, i), minus[MBS_STAGES_TOGETHER];
+    const real zero = zero_pivot * zero_pivot, lost = LOST * LOST;
+    const int first = p->upper[i], count = p->upper[i + 1] - first, *restrict place = p->upper_place + first;
+    const lanes *restrict row = a->row, pivot = row[i];
+    lanes *restrict upper = a->upper + first, inverse, minus, most;
     int t, c;
-    clear(a->most);
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        raise_to(lane(a->row, p->upper_place[t]), a->most);
+    find_size(count, place, row, &most);
     for (c = 0; c < MBS_STAGES_TOGETHER; ++c) {
-        const int good = real_abs(pivot[c]) > zero_pivot * a->size[c] && a->most[c] <= LOST * real_abs(pivot[c]);
+        const real own = LANE(pivot, c), square = own * own;
+        const int good = square > zero * LANE(*size, c) && LANE(most, c) <= lost * square;
         if (!good && a->stages->failed[c] < 0)
             a->stages->failed[c] = i;
-        inverse[c] = good ? 1 / pivot[c] : 0;
-        minus[c] = -inverse[c];
+        LANE(inverse, c) = good ? 1 / own : 0;
     }
-    for (t = p->upper[i]; t < p->upper[i + 1]; ++t)
-        multiply(minus, lane(a->row, p->upper_place[t]), lane(a->factors.upper, t));
+    a->inverse[i] = minus = inverse;
+    LANES_SCALE(minus, -1);
+    for (t = 0; t < count; ++t)
+        LANES_MULTIPLY(upper[t], minus, row[place[t]]);
 }
 
 void mbs_stages_factorise_together(const mbs_stages_pivots *p, mbs_stages_together *stages, const mbs_stages_factors *f,
                                    real *work, real zero_pivot)
 {
-    lanes a;
+    elimination a;
+    lanes size;
     int i, c;
     a.p = p;
     a.stages = stages;
-    a.factors = *f;
-    a.row = work;
+    a.lower = (lanes *)f->lower;
+    a.inverse = (lanes *)f->inverse;
+    a.upper = (lanes *)f->upper;
+    a.row = (lanes *)work;
     for (c = stages->count; c < MBS_STAGES_TOGETHER; ++c)
         stages->value[c] = stages->value[0];
     for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
         stages->failed[c] = -1;
     for (i = 0; i < p->n; ++i) {
         spread_row(&a, i);
+        find_size(p->entry[i + 1] - p->entry[i], p->entry_place + p->entry[i], a.row, &size);
         eliminate_row(&a, i);
-        take_pivots(&a, i, zero_pivot);
+        take_pivots(&a, i, &size, zero_pivot);
     }
 }
 
-/* sum += factors times numbers at places; the sum stays in registers. */
-static void add_row(int count, const int *restrict place, const real *restrict factor, const real *restrict x,
-                    real *restrict sum)
+/* sum += factors times numbers at places */
+static void add_products(int count, const int *restrict place, const lanes *restrict factor, const lanes *restrict x,
+                           lanes *restrict sum)
 {
-    real a[MBS_STAGES_TOGETHER];
-    int t, c;
-    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
-        a[c] = sum[c];
-    for (t = 0; t < count; ++t, factor += MBS_STAGES_TOGETHER) {
-        const real *restrict y = x + (size_t)place[t] * MBS_STAGES_TOGETHER;
-        for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
-            a[c] += factor[c] * y[c];
-    }
-    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
-        sum[c] = a[c];
+    lanes a = *sum;
+    int t;
+    for (t = 0; t < count; ++t)
+        LANES_ADD_EACH(a, factor[t], x[place[t]]);
+    *sum = a;
 }
 
 void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_factors *f, const real *const *b, int count,
                                real *x, real *work)
 {
+    const lanes *lower = (const lanes *)f->lower, *inverse = (const lanes *)f->inverse, *upper = (const lanes *)f->upper;
+    lanes *half = (lanes *)work, *found = (lanes *)x;
+    const real *right[MBS_STAGES_TOGETHER];
     int i, c;
+    for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
+        right[c] = b[c < count ? c : 0];
     for (i = 0; i < p->n; ++i) {
-        const int first = p->lower[i];
-        real *to = lane(work, i);
-        for (c = 0; c < MBS_STAGES_TOGETHER; ++c)
-            to[c] = c < count ? b[c][p->row[i]] : 0;
-        add_row(p->lower[i + 1] - first, p->lower_place + first, lane(f->lower, first), work, to);
-        multiply(lane(f->inverse, i), to, to);
+        const int first = p->lower[i], at = p->row[i];
+        const lanes number = LANES_OF(right[0][at], right[1][at], right[2][at], right[3][at]);
+        half[i] = number;
+        add_products(p->lower[i + 1] - first, p->lower_place + first, lower + first, half, &half[i]);
+        LANES_MULTIPLY(half[i], inverse[i], half[i]);
     }
     for (i = p->n - 1; i >= 0; --i) {
         const int first = p->upper[i];
-        real *to = lane(x, p->column[i]);
-        memcpy(to, lane(work, i), MBS_STAGES_TOGETHER * sizeof *to);
-        add_row(p->upper[i + 1] - first, p->upper_column + first, lane(f->upper, first), x, to);
+        found[p->column[i]] = half[i];
+        add_products(p->upper[i + 1] - first, p->upper_column + first, upper + first, found, &found[p->column[i]]);
     }
 }
 
 void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
                                           real *work)
 {
+    const lanes *lower = (const lanes *)f->lower, *inverse = (const lanes *)f->inverse, *upper = (const lanes *)f->upper;
+    lanes *half = (lanes *)work, *found = (lanes *)x, *right = (lanes *)b;
     int i;
     for (i = 0; i < p->n; ++i) {
         const int first = p->upper[i];
-        const real *a = lane(b, p->column[i]);
-        add_products(p->upper[i + 1] - first, p->upper_column + first, a, lane(f->upper, first), b);
-        memcpy(lane(work, i), a, MBS_STAGES_TOGETHER * sizeof *a);
+        half[i] = right[p->column[i]];
+        add_multiples(p->upper[i + 1] - first, p->upper_column + first, upper + first, &half[i], right);
     }
     for (i = p->n - 1; i >= 0; --i) {
         const int first = p->lower[i];
-        real *a = lane(work, i), *to = lane(x, p->row[i]);
-        multiply(lane(f->inverse, i), a, a);
-        add_products(p->lower[i + 1] - first, p->lower_place + first, a, lane(f->lower, first), work);
-        memcpy(to, a, MBS_STAGES_TOGETHER * sizeof *a);
+        LANES_MULTIPLY(half[i], inverse[i], half[i]);
+        found[p->row[i]] = half[i];
+        add_multiples(p->lower[i + 1] - first, p->lower_place + first, lower + first, &half[i], half);
     }
 }

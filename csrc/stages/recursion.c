@@ -17,25 +17,23 @@ void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, voi
         task(data, 0, r->stages, 0);
 }
 
-/* A row of (e, g) of a stage: its place in flat rows, and its derivatives, `stride` apart. */
+/* A row of (e, g) of a stage: its place in flat rows, and its derivatives. */
 typedef struct {
-    int place, stride;
+    int place;
     const real *derivative;
 } stage_row;
 
 /* Rows of e that are not inner ones, deferred ones, rows of g. */
 static stage_row row_of(const mbs_stages_stage *s, int i)
 {
-    const int ne = s->dense.ne, own = s->ne - s->inner.n;
+    const int ne = s->dense.ne, own = s->ne - s->inner.n, width = s->dense.width;
     stage_row row;
     if (i < ne) {
         row.place = s->e + (i < own ? s->inner.n + i : s->inner.row[i - own]);
-        row.stride = ne;
-        row.derivative = s->dense.E + i;
+        row.derivative = s->dense.E + (size_t)i * (size_t)width;
     } else {
         row.place = s->g + (i - ne);
-        row.stride = s->ng;
-        row.derivative = s->dense.G + (i - ne);
+        row.derivative = s->dense.G + (size_t)(i - ne) * (size_t)width;
     }
     return row;
 }
@@ -45,10 +43,10 @@ static int count_rows(const mbs_stages_stage *s)
     return s->dense.ne + s->ng;
 }
 
-/* What a prediction of the state of stage k costs, and what it must meet. */
+/* What a prediction of the state of stage k costs, and what it must meet. Rows of P and C have `width` numbers. */
 typedef struct {
     const real *P, *p, *C, *c;
-    int rows;
+    int rows, width;
 } entrance;
 
 static entrance enter(const mbs_stages_recursion *r, int k)
@@ -60,20 +58,21 @@ static entrance enter(const mbs_stages_recursion *r, int k)
     e.C = s->C;
     e.c = s->c;
     e.rows = r->soft_dynamics ? 0 : s->passed;
+    e.width = mbs_stages_width(s->nx);
     return e;
 }
 
 /* Q = H + diagonal + curvature, lower triangle. Where variables were condensed, H holds the diagonal already. */
 static void start_cost(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q)
 {
-    const size_t n = (size_t)s->dense.n;
+    const size_t n = (size_t)s->dense.n, width = (size_t)s->dense.width;
     size_t i;
     if (r->plain && s->inner.n == 0)
-        memset(Q, 0, n * n * sizeof *Q);
+        memset(Q, 0, n * width * sizeof *Q);
     else
-        memcpy(Q, s->dense.H, n * n * sizeof *Q);
+        memcpy(Q, s->dense.H, n * width * sizeof *Q);
     for (i = 0; i < n; ++i)
-        Q[i * n + i] += s->curvature + (s->inner.n == 0 ? r->diagonal[(size_t)s->w + i] : 0);
+        Q[i * width + i] += s->curvature + (s->inner.n == 0 ? r->diagonal[(size_t)s->w + i] : 0);
 }
 
 static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
@@ -85,42 +84,39 @@ static int count_soft(const mbs_stages_recursion *r, const mbs_stages_stage *s)
 }
 
 /* Q += JT J / compliance, of the rows that give. */
-static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q, real *turned, real *scaled)
+static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage *s, real *Q, real *rows, real *scaled)
 {
-    const int n = s->dense.n, soft = count_soft(r, s);
+    const int width = s->dense.width, soft = count_soft(r, s);
     int i, j, at = 0;
     for (i = 0; i < count_rows(s) && at < soft; ++i) {
         const stage_row row = row_of(s, i);
         const real give = r->compliance[row.place];
+        const size_t to = (size_t)at * (size_t)width;
         if (!(give > 0))
             continue;
-        for (j = 0; j < n; ++j) {
-            const real a = row.derivative[(size_t)j * (size_t)row.stride];
-            turned[(size_t)at * (size_t)n + (size_t)j] = a;
-            scaled[(size_t)j * (size_t)soft + (size_t)at] = a / give;
-        }
+        memcpy(rows + to, row.derivative, (size_t)width * sizeof *rows);
+        for (j = 0; j < width; ++j)
+            scaled[to + (size_t)j] = row.derivative[j] / give;
         ++at;
     }
-    mbs_stages_multiply(n, n, soft, 1, turned, n, scaled, soft, Q, n, 1);
+    mbs_stages_gram(soft, width, width, 1, 1, rows, width, scaled, width, Q, width);
 }
 
 /* Q += FT P F, with the cost P of the next state. */
-static void add_next_cost(const mbs_stages_stage *s, const real *P, real *Q, real *turned, real *product)
+static void add_next_cost(const mbs_stages_stage *s, const entrance *next, real *Q, real *product)
 {
-    const int m = s->next, n = s->dense.n;
-    memset(product, 0, (size_t)m * (size_t)n * sizeof *product);
-    mbs_stages_multiply(m, n, m, 1, P, m, s->dense.F, m, product, m, 0);
-    mbs_stages_transpose(m, n, s->dense.F, m, turned, n);
-    mbs_stages_multiply(n, n, m, 1, turned, n, product, m, Q, n, 1);
+    const int m = s->next, width = s->dense.width;
+    memset(product, 0, (size_t)next->width * (size_t)width * sizeof *product);
+    mbs_stages_gram(m, next->width, width, 0, 1, next->P, next->width, s->dense.F, width, product, width);
+    mbs_stages_gram(m, width, width, 1, 1, s->dense.F, width, product, width, Q, width);
 }
 
 /* Add a row that holds exactly: derivatives, or a unit vector where there are none. */
-static void add_row(mbs_stages_step *p, const real *derivative, int stride, int unit)
+static void add_row(mbs_stages_step *p, const real *derivative, int unit)
 {
     int j;
     for (j = 0; j < p->n; ++j)
-        p->lu[(size_t)j * (size_t)p->capacity + (size_t)p->rows] =
-            derivative ? derivative[(size_t)j * (size_t)stride] : (real)(j == unit);
+        p->lu[(size_t)j * (size_t)p->capacity + (size_t)p->rows] = derivative ? derivative[j] : (real)(j == unit);
     ++p->rows;
 }
 
@@ -130,31 +126,38 @@ static int has_row(const mbs_stages_recursion *r, int k, int i)
     return r->fixed[r->stage[k].w + i] && !(k == 0 && i < r->stage[k].nx);
 }
 
+/* Conditions on the next state, as rows of stage k. */
+static void stack_conditions(const mbs_stages_recursion *r, int k, real *row)
+{
+    const mbs_stages_stage *s = &r->stage[k];
+    const entrance q = enter(r, k + 1);
+    const int width = s->dense.width;
+    int i;
+    for (i = 0; i < q.rows; ++i) {
+        memset(row, 0, (size_t)width * sizeof *row);
+        mbs_stages_add_rows(width, s->next, 1, q.C + (size_t)i * (size_t)q.width, 1, s->dense.F, width, row);
+        add_row(&r->step[k], row, 0);
+    }
+}
+
 /* Rows that hold exactly: of (e, g), of fixed variables, of conditions on the next state. */
 static void stack_rows(const mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *s = &r->stage[k];
     mbs_stages_step *p = &r->step[k];
-    int i, j;
+    int i;
     p->rows = 0;
     for (i = 0; i < count_rows(s); ++i) {
         const stage_row row = row_of(s, i);
         if (!(r->compliance[row.place] > 0))
-            add_row(p, row.derivative, row.stride, 0);
+            add_row(p, row.derivative, 0);
     }
     for (i = 0; i < s->n; ++i)
         if (has_row(r, k, i))
-            add_row(p, mbs_stages_variation(s, i), 1, mbs_stages_outer(s, i));
+            add_row(p, mbs_stages_variation(s, i), mbs_stages_outer(s, i));
     p->own = p->rows;
-    if (s->next > 0) {
-        const entrance q = enter(r, k + 1);
-        for (j = 0; j < s->dense.n; ++j) {
-            real *a = p->lu + (size_t)j * (size_t)p->capacity + (size_t)p->rows;
-            memset(a, 0, (size_t)q.rows * sizeof *a);
-            mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, s->dense.F + (size_t)j * (size_t)s->next, a);
-        }
-        p->rows += q.rows;
-    }
+    if (s->next > 0)
+        stack_conditions(r, k, r->work[0]);
 }
 
 static void condense_stages(void *recursion, int from, int to, int worker)
@@ -183,8 +186,10 @@ static int factorise_stage(mbs_stages_recursion *r, int k)
     p->nv = s->dense.nv;
     start_cost(r, s, Q);
     add_soft_rows(r, s, Q, r->work[0], r->work[1]);
-    if (s->next > 0)
-        add_next_cost(s, enter(r, k + 1).P, Q, r->work[0], r->work[1]);
+    if (s->next > 0) {
+        const entrance next = enter(r, k + 1);
+        add_next_cost(s, &next, Q, r->work[0]);
+    }
     stack_rows(r, k);
     return mbs_stages_reduce(p, Q, r->work, r->zero_pivot, r->zero_curvature);
 }
@@ -201,13 +206,14 @@ static int factorise_root(mbs_stages_recursion *r)
 {
     const mbs_stages_step *q = &r->step[0];
     mbs_stages_step *p = &r->root;
+    const size_t width = (size_t)mbs_stages_width(q->nx);
     int i;
     p->rows = 0;
     for (i = 0; i < q->passed; ++i)
-        add_row(p, q->C + i, q->passed, 0);
+        add_row(p, q->C + (size_t)i * width, 0);
     for (i = 0; i < q->nx; ++i)
         if (r->fixed[r->stage[0].w + i])
-            add_row(p, NULL, 0, i);
+            add_row(p, NULL, i);
     return mbs_stages_reduce(p, q->P, r->work, r->zero_pivot, r->zero_curvature);
 }
 
@@ -263,7 +269,7 @@ static int collect_rows(const mbs_stages_recursion *r, const mbs_stages_scratch 
             constant[exact++] = rows[i];
     }
     if (exact < A->rows - first)
-        mbs_stages_matrix_apply_transposed(A, force, gradient);
+        mbs_stages_matrix_apply_transposed(A, 0, A->columns, force, gradient);
     return exact;
 }
 
@@ -321,6 +327,14 @@ static void collect_stages(void *data, int from, int to, int worker)
     }
 }
 
+/* out = a + B x; B has `count` rows */
+static void add_products(int count, int width, const real *a, const real *B, const real *x, real *out)
+{
+    int i;
+    for (i = 0; i < count; ++i, B += width)
+        out[i] = a[i] + mbs_stages_dot(width, B, x);
+}
+
 /* Add what the next state costs, and what it must meet. */
 static void collect_next(const mbs_stages_recursion *r, int k)
 {
@@ -329,10 +343,9 @@ static void collect_next(const mbs_stages_recursion *r, int k)
     const entrance q = enter(r, k + 1);
     real *price = r->scratch[0].vector[2];
     memcpy(price, q.p, (size_t)s->next * sizeof *price);
-    mbs_stages_apply(s->next, s->next, 1, q.P, s->next, p->ahead, price);
-    mbs_stages_apply_transposed(s->next, s->dense.n, 1, s->dense.F, s->next, price, p->linear);
-    memcpy(p->constant + p->own, q.c, (size_t)q.rows * sizeof *q.c);
-    mbs_stages_apply(q.rows, s->next, 1, q.C, q.rows, p->ahead, p->constant + p->own);
+    mbs_stages_add_rows(q.width, s->next, 1, p->ahead, 1, q.P, q.width, price); /* P is symmetric */
+    mbs_stages_add_rows(s->dense.width, s->next, 1, price, 1, s->dense.F, s->dense.width, p->linear);
+    add_products(q.rows, q.width, q.c, q.C, p->ahead, p->constant + p->own);
 }
 
 static void note_left(mbs_stages_recursion *r, real left)
@@ -378,8 +391,7 @@ static void advance(const mbs_stages_recursion *r, int k, real *x, real *passed,
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_step *p = &r->step[k];
     memcpy(passed, p->constant + p->own, (size_t)enter(r, k + 1).rows * sizeof *passed);
-    memcpy(x, p->ahead, (size_t)s->next * sizeof *x);
-    mbs_stages_apply(s->next, s->dense.n, 1, s->dense.F, s->next, p->linear, x);
+    add_products(s->next, s->dense.width, p->ahead, s->dense.F, p->linear, x);
     if (r->soft_dynamics) {
         mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
         memset(passed, 0, (size_t)r->step[k + 1].passed * sizeof *passed);
@@ -413,7 +425,7 @@ static int spread_rows(const mbs_stages_recursion *r, const mbs_stages_matrix *A
         soft += r->compliance[place + i] > 0;
     memcpy(residual, rc + place, (size_t)A->rows * sizeof *residual);
     if (soft > 0)
-        mbs_stages_matrix_apply(A, z, residual);
+        mbs_stages_matrix_apply(A, 0, A->columns, z, residual);
     for (i = 0; i < first; ++i)
         residual[i] = 0;
     for (i = first; i < A->rows; ++i) {
@@ -441,13 +453,15 @@ static void spread_multipliers(const mbs_stages_recursion *r, int k, const real 
 }
 
 /* Multipliers of the dynamics from stage k, where these hold exactly. */
-static void price_next(const mbs_stages_recursion *r, int k, real *dy)
+static void price_next(const mbs_stages_recursion *r, int k, real *price, real *dy)
 {
     const mbs_stages_stage *s = &r->stage[k];
     const mbs_stages_step *p = &r->step[k], *q = &r->step[k + 1];
-    memcpy(dy + s->d, q->p, (size_t)s->next * sizeof *dy);
-    mbs_stages_apply(s->next, s->next, 1, q->P, s->next, q->linear, dy + s->d);
-    mbs_stages_apply_transposed(q->passed, s->next, 1, q->C, q->passed, p->constant + p->own, dy + s->d);
+    const int width = mbs_stages_width(s->next);
+    memcpy(price, q->p, (size_t)s->next * sizeof *price);
+    mbs_stages_add_rows(width, s->next, 1, q->linear, 1, q->P, width, price); /* P is symmetric */
+    mbs_stages_add_rows(width, q->passed, 1, p->constant + p->own, 1, q->C, width, price);
+    memcpy(dy + s->d, price, (size_t)s->next * sizeof *dy);
 }
 
 /* All variables and multipliers of stage k, from the recursion's, but inner multipliers. */
@@ -464,7 +478,7 @@ static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
         memcpy(z, p->linear, (size_t)s->n * sizeof *z);
     spread_multipliers(r, k, z, t->rc, p->constant, force, t->dy);
     if (s->next > 0 && !r->soft_dynamics)
-        price_next(r, k, t->dy);
+        price_next(r, k, m->vector[2], t->dy);
     if (s->inner.n > 0)
         mbs_stages_expand_gradient(r, m, k, t->rw, z, force, t->dy);
     for (i = s->w; i < s->w + s->n; ++i)
@@ -534,26 +548,29 @@ void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *
 }
 
 /* The state of stage k is subtracted in the rows of d before it. */
-void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out)
+static void add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out)
 {
     const mbs_stages_stage *s = &r->stage[k];
     int i;
     for (i = 0; k > 0 && i < s->nx; ++i)
         out[s->w + i] -= y[r->stage[k - 1].d + i];
-    mbs_stages_matrix_apply_transposed(&s->E, y + s->e, out + s->w);
-    mbs_stages_matrix_apply_transposed(&s->F, y + s->d, out + s->w);
-    mbs_stages_matrix_apply_transposed(&s->G, y + s->g, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->E, 0, s->n, y + s->e, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->F, 0, s->n, y + s->d, out + s->w);
+    mbs_stages_matrix_apply_transposed(&s->G, 0, s->n, y + s->g, out + s->w);
 }
 
-void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out)
+void mbs_stages_add_stage_both(const mbs_stages_recursion *r, int k, const real *w, real *rows, const real *y,
+                               real *gradient)
 {
     const mbs_stages_stage *s = &r->stage[k];
     int i;
-    mbs_stages_matrix_apply(&s->E, w + s->w, out + s->e);
-    mbs_stages_matrix_apply(&s->F, w + s->w, out + s->d);
-    mbs_stages_matrix_apply(&s->G, w + s->w, out + s->g);
+    for (i = 0; k > 0 && i < s->nx; ++i)
+        gradient[s->w + i] -= y[r->stage[k - 1].d + i];
     for (i = 0; i < s->next; ++i)
-        out[s->d + i] -= w[r->stage[k + 1].w + i];
+        rows[s->d + i] -= w[r->stage[k + 1].w + i];
+    mbs_stages_matrix_apply_both(&s->E, w + s->w, rows + s->e, y + s->e, gradient + s->w);
+    mbs_stages_matrix_apply_both(&s->F, w + s->w, rows + s->d, y + s->d, gradient + s->w);
+    mbs_stages_matrix_apply_both(&s->G, w + s->w, rows + s->g, y + s->g, gradient + s->w);
 }
 
 /* What is added to what. */
@@ -569,7 +586,7 @@ static void add_transposed(void *data, int from, int to, int worker)
     int k;
     (void)worker;
     for (k = from; k < to; ++k)
-        mbs_stages_add_stage_transposed(a->r, k, a->y, a->out);
+        add_stage_transposed(a->r, k, a->y, a->out);
 }
 
 void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out)

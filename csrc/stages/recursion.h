@@ -6,21 +6,22 @@
 #include "pivots.h"
 #include "soft.h"
 
-/* A stage as the recursion sees it: dense matrices of outer variables. */
+/* A stage as the recursion sees it: dense matrices of outer variables, row by row. Zeros fill rows up to their width. */
 typedef struct {
-    int n, nv, ne;       /* n = nx + nv */
-    real *E, *F, *G, *H; /* ne, next, ng, n rows; n columns each; the lower triangle of H */
+    int n, nv, ne, width; /* n = nx + nv */
+    real *E, *F, *G, *H;  /* ne, next, ng, n rows; n columns each; the lower triangle of H */
 } mbs_stages_dense;
 
 /* Inner variables of a stage, which the first rows of e give; see condense.c. */
 typedef struct {
     int n; /* 0: none */
-    int width, capacity; /* capacity: the most nonzeros of both factors */
+    int capacity; /* the most nonzeros of both factors */
     int skip; /* first states that no inner equation reads, in whole lanes: V is 0 there */
+    int curved; /* 1: H has nonzeros of inner variables */
     mbs_stages_pivots *pivots; /* of all stages of a kind */
     mbs_stages_factors factors; /* of a group of stages of a kind that follow each other */
     int lane;                   /* of this stage in them; 0: a group begins */
-    real *V;        /* the variation of all variables with the outer ones, `width` numbers a row */
+    real *V;        /* their variation with the outer ones, row by row */
     real *constant; /* of the inner variables, by the last right-hand side */
     int stale;      /* Jacobians are newer than V */
     int own;        /* pivots by the order were too small: complete pivoting, each time anew */
@@ -38,21 +39,21 @@ typedef struct {
     int equal;                   /* equal bounds that have room */
     real curvature;              /* added to the cost of the recursion's variables */
     mbs_stages_matrix E, F, G, H; /* ne, next, ng, n rows; n columns each */
-    mbs_stages_dense dense;       /* the same numbers, or copies where there are patterns or inner variables */
+    mbs_stages_dense dense;       /* the same numbers without inner variables */
     mbs_stages_inner inner;
 } mbs_stages_stage;
 
 /* One step of the recursion: variables (x, v) with rows that hold exactly, reduced to what they cost x, and to rows
- * that x must meet. */
+ * that x must meet. Matrices lie row by row, zeros fill rows up to the width of their columns: of (x, free) `width`. */
 typedef struct {
     int nx, nv, n, capacity; /* the most rows */
-    int rows, pivots, passed, reduced;
+    int rows, pivots, passed, reduced, width;
     int *row;                  /* the row that came to place i */
     int *column;               /* the column of the pivot of place i */
-    int *order;                /* variables: pivots, free ones, x */
-    real *lu;                  /* rows by n, capacity apart; below pivots the factors of elimination */
-    real *U, *T, *Y, *Q;       /* pivots = -(T (free, x) + t); U holds their rows, Q and Y what they cost */
-    real *L;                   /* Cholesky factor of the free ones, and below it the coupling with x */
+    int *order;                /* variables: x, free ones, pivots */
+    real *lu;                  /* rows column by column, capacity apart; below pivots the factors of elimination */
+    real *U, *T, *Y, *Q;       /* pivots = -(T (x, free) + t); U holds their rows, Q and Y what they cost */
+    real *L;                   /* rows of the free ones: their coupling with x, and LT with the inverse of its diagonal */
     real *P, *C;               /* cost and rows of x: x.P x / 2 + p.x, C x + c = 0 */
     real *p, *c, *t, *l, *qp;  /* of the last right-hand side */
     int own;                   /* rows that are not conditions on the next state; they come first */
@@ -65,7 +66,7 @@ typedef struct {
 /* Memory of one worker. */
 typedef struct {
     real *vector[8];               /* rows and variables of the largest stage */
-    real *block, *right, *product; /* of inner variables: a block, rows of right-hand sides, a cost */
+    real *block, *right;           /* of inner variables: a block, rows of right-hand sides */
     real *together[3];             /* numbers of inner variables of several stages, in lanes */
     int *spots;
 } mbs_stages_scratch;
@@ -108,9 +109,11 @@ void mbs_stages_sweep(mbs_stages_recursion *r, const real *rw, const real *rc, r
  * sides `zero` are 0. A sweep ahead alone; it needs hard dynamics. */
 void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy);
 
-/* out += JT y; the same for variables of stage k alone; out += J w for its rows */
-void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *out);
-void mbs_stages_add_stage_transposed(const mbs_stages_recursion *r, int k, const real *y, real *out);
-void mbs_stages_add_stage_rows(const mbs_stages_recursion *r, int k, const real *w, real *out);
+/* gradient += JT y */
+void mbs_stages_add_transposed(const mbs_stages_recursion *r, const real *y, real *gradient);
+
+/* The same for variables of stage k alone; and rows += J w for its rows. */
+void mbs_stages_add_stage_both(const mbs_stages_recursion *r, int k, const real *w, real *rows, const real *y,
+                               real *gradient);
 
 #endif

@@ -4,9 +4,9 @@
 
 #include "blocks.h"
 
-/* The cost of a prediction, from the cost of the state. */
+/* The cost of a prediction, from the cost of the state. Rows of P have `width` numbers, the last ones 0. */
 typedef struct {
-    int n;
+    int n, width;
     real *rows, *sum; /* row i of the cost before deviation i; its diagonal entry and the price of the deviation */
     real *own;         /* entry i of the linear part before deviation i */
     real *P, *p;

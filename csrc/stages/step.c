@@ -2,9 +2,9 @@
  *
  * Rows are eliminated by pivoting, first in the columns of v: by columns where a pivot is large in its row, then
  * completely. A row without pivot there is a condition on x; those are made independent in the same way, and the rest
- * has no pivot at all. With z = (pivots, free, x),
+ * has no pivot at all. With z = (x, free, pivots),
  *
- *     pivots = -(T r + t),  r = (free, x),   Q_rr - TT Q_pr - Q_rp T + TT Q_pp T = [L; K] [LT KT] + [0 0; 0 P].
+ *     pivots = -(T r + t),  r = (x, free),   Q_rr - TT Q_pr - Q_rp T + TT Q_pp T = [KT; L] [K LT] + [P 0; 0 0].
  *
  * The cost of x and the conditions on x are all that an earlier stage needs to know (Vanroye, De Schutter, Decre: A
  * generalization of the Riccati recursion for equality-constrained linear quadratic optimal control, 2023). */
@@ -118,121 +118,128 @@ static int eliminate(mbs_stages_step *p, real *weight, char *used, int from, int
     return done;
 }
 
-/* Order variables: pivots, free ones, x. */
+/* Order variables: x, free ones, pivots. */
 static void order_variables(mbs_stages_step *p, const char *used)
 {
     int i, at = 0;
+    for (i = 0; i < p->n; ++i)
+        if (i < p->nx || !used[i])
+            p->order[at++] = i;
     for (i = 0; i < p->pivots; ++i)
         p->order[at++] = p->column[i];
-    for (i = p->nx; i < p->n; ++i)
-        if (!used[i])
-            p->order[at++] = i;
-    for (i = 0; i < p->nx; ++i)
-        p->order[at++] = i;
     p->reduced = p->n - p->pivots;
+    p->width = mbs_stages_width(p->reduced);
 }
 
-/* Rows of pivots: U, and T = U^-1 [free x]; TT, row after row of T, stays in `turned`. */
-static void solve_pivots(mbs_stages_step *p, real *turned, real *row)
+/* Rows of pivots: U, and T = U^-1 [x free]. */
+static void solve_pivots(mbs_stages_step *p)
 {
-    const int m = p->pivots, n = p->reduced;
+    const int m = p->pivots, n = p->reduced, *at = p->order;
+    const size_t width = (size_t)p->width;
     int i, j;
-    for (j = 0; j < p->n; ++j) {
-        const real *from = p->lu + (size_t)p->order[j] * (size_t)p->capacity;
-        real *to = j < m ? p->U + (size_t)j * (size_t)m : p->T + (size_t)(j - m) * (size_t)m;
-        memcpy(to, from, (size_t)m * sizeof *to);
-    }
-    mbs_stages_transpose(m, n, p->T, m, turned, n);
+    memset(p->T, 0, (size_t)m * width * sizeof *p->T);
     for (i = m - 1; i >= 0; --i) {
-        real *t = turned + (size_t)i * (size_t)n;
-        for (j = i + 1; j < m; ++j)
-            row[j] = p->U[(size_t)j * (size_t)m + (size_t)i];
-        mbs_stages_apply(n, m - i - 1, -1, t + n, n, row + i + 1, t);
+        real *u = p->U + (size_t)i * (size_t)m, *t = p->T + (size_t)i * width;
+        for (j = 0; j < m; ++j)
+            u[j] = p->lu[(size_t)at[n + j] * (size_t)p->capacity + (size_t)i];
         for (j = 0; j < n; ++j)
-            t[j] /= p->U[(size_t)i * (size_t)m + (size_t)i];
+            t[j] = p->lu[(size_t)at[j] * (size_t)p->capacity + (size_t)i];
+        mbs_stages_add_rows(p->width, m - i - 1, -1, u + i + 1, 1, t + width, p->width, t);
+        for (j = 0; j < n; ++j)
+            t[j] /= u[i];
     }
-    mbs_stages_transpose(n, m, turned, n, p->T, m);
 }
 
 /* Rows that x must meet; where an earlier one of them has its pivot, `lu` holds a factor instead of 0. */
 static void copy_passed(mbs_stages_step *p)
 {
+    const size_t width = (size_t)mbs_stages_width(p->nx);
     int i, j, l;
     for (i = 0; i < p->passed; ++i) {
+        real *c = p->C + (size_t)i * width;
+        memset(c, 0, width * sizeof *c);
         for (j = 0; j < p->nx; ++j)
-            p->C[(size_t)j * (size_t)p->passed + (size_t)i] =
-                p->lu[(size_t)j * (size_t)p->capacity + (size_t)(p->pivots + i)];
+            c[j] = p->lu[(size_t)j * (size_t)p->capacity + (size_t)(p->pivots + i)];
         for (l = 0; l < i; ++l)
-            p->C[(size_t)p->column[p->pivots + l] * (size_t)p->passed + (size_t)i] = 0;
+            c[p->column[p->pivots + l]] = 0;
     }
 }
 
-static real entry(const real *lower, int n, int i, int j)
-{
-    return i >= j ? lower[(size_t)j * (size_t)n + (size_t)i] : lower[(size_t)i * (size_t)n + (size_t)j];
-}
-
-/* Entries `at` of a column. */
-static void gather(int n, const int *at, const real *restrict column, real *restrict to)
-{
-    int i;
-    for (i = 0; i < n; ++i)
-        to[i] = column[at[i]];
-}
-
-/* Blocks of the cost in the order of variables: pp into p->Q, pr into p->Y, the lower triangle of rr into `rr`. */
+/* Blocks of the cost in the order of variables: pp into p->Q, pr into p->Y, rr into `rr`. */
 static void gather_cost(mbs_stages_step *p, real *quadratic, real *rr)
 {
-    const int m = p->pivots, n = p->reduced, *at = p->order;
-    const size_t all = (size_t)p->n;
+    const int m = p->pivots, n = p->reduced, all = mbs_stages_width(p->n), *at = p->order;
+    const size_t width = (size_t)p->width;
     int i, j;
-    for (j = 0; j < p->n; ++j)
-        for (i = 0; i < j; ++i)
-            quadratic[(size_t)j * all + (size_t)i] = quadratic[(size_t)i * all + (size_t)j];
-    for (j = 0; j < m; ++j)
-        gather(m, at, quadratic + (size_t)at[j] * all, p->Q + (size_t)j * (size_t)m);
-    for (j = 0; j < n; ++j) {
-        const real *column = quadratic + (size_t)at[m + j] * all;
-        gather(m, at, column, p->Y + (size_t)j * (size_t)m);
-        gather(n - j, at + m + j, column, rr + (size_t)j * (size_t)n + (size_t)j);
+    mbs_stages_mirror(p->n, quadratic, all);
+    memset(p->Y, 0, (size_t)m * width * sizeof *p->Y);
+    memset(rr, 0, width * width * sizeof *rr);
+    for (i = 0; i < p->n; ++i) {
+        const real *row = quadratic + (size_t)at[i] * (size_t)all;
+        real *to = i < n ? rr + (size_t)i * width : p->Y + (size_t)(i - n) * width;
+        for (j = 0; j < n; ++j)
+            to[j] = row[at[j]];
+        for (j = n; i >= n && j < p->n; ++j)
+            p->Q[(size_t)(i - n) * (size_t)m + (size_t)(j - n)] = row[at[j]];
     }
 }
 
-/* rr -= TT Y' + Y'T T with Y' = Q_pr - Q_pp T / 2; then Y = Q_pr - Q_pp T. `turned` holds TT. */
-static void substitute_pivots(mbs_stages_step *p, real *rr, real *half, real *turned)
+/* rr -= TT Y' + Y'T T with Y' = Q_pr - Q_pp T / 2; then Y = Q_pr - Q_pp T. */
+static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
 {
-    const int m = p->pivots, n = p->reduced;
-    const size_t count = (size_t)m * (size_t)n;
+    const int m = p->pivots, width = p->width;
+    const size_t count = (size_t)m * (size_t)width;
     size_t i;
+    int j;
     memcpy(half, p->Y, count * sizeof *half);
-    mbs_stages_multiply(m, n, m, (real)-0.5, p->Q, m, p->T, m, half, m, 0);
-    mbs_stages_multiply(n, n, m, -1, turned, n, half, m, rr, n, 1);
-    mbs_stages_transpose(m, n, half, m, turned, n);
-    mbs_stages_multiply(n, n, m, -1, turned, n, p->T, m, rr, n, 1);
+    for (j = 0; j < m; ++j)
+        mbs_stages_add_rows(width, m, (real)-0.5, p->Q + (size_t)j * (size_t)m, 1, p->T, width,
+                            half + (size_t)j * (size_t)width);
+    mbs_stages_gram(m, width, width, 1, -1, p->T, width, half, width, rr, width);
+    mbs_stages_gram(m, width, width, 1, -1, half, width, p->T, width, rr, width);
     for (i = 0; i < count; ++i)
         p->Y[i] = 2 * half[i] - p->Y[i];
 }
 
-/* Factorise the free variables, and take them out of the cost of x. */
-static int reduce_free(mbs_stages_step *p, real *rr, real *turned, real zero_curvature)
+/* Factorise the free variables: rows (K LT), with the inverse of L's diagonal, and 0 before it. */
+static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvature)
 {
-    const int n = p->reduced, free_ones = n - p->nx;
-    int i, j;
-    if (mbs_stages_cholesky(n, free_ones, rr, n, zero_curvature) >= 0)
-        return -1;
-    memcpy(p->L, rr, (size_t)n * (size_t)free_ones * sizeof *rr);
-    mbs_stages_transpose(p->nx, free_ones, rr + free_ones, n, turned, free_ones);
-    rr += (size_t)free_ones * (size_t)n + (size_t)free_ones;
-    mbs_stages_multiply(p->nx, p->nx, free_ones, -1, p->L + free_ones, n, turned, free_ones, rr, n, 1);
-    for (j = 0; j < p->nx; ++j)
-        for (i = 0; i < p->nx; ++i)
-            p->P[(size_t)j * (size_t)p->nx + (size_t)i] = entry(rr, n, i, j);
+    const int nx = p->nx, free_ones = p->reduced - nx, width = p->width;
+    int i;
+    memcpy(p->L, rr + (size_t)nx * (size_t)width, (size_t)free_ones * (size_t)width * sizeof *rr);
+    mbs_stages_mirror(free_ones, p->L + nx, width);
+    for (i = 0; i < free_ones; ++i) {
+        real *row = p->L + (size_t)i * (size_t)width, pivot = row[nx + i], scale;
+        mbs_stages_add_rows(width, i, -1, p->L + nx + i, width, p->L, width, row);
+        if (!(row[nx + i] > zero_curvature * real_abs(pivot)))
+            return -1;
+        scale = 1 / real_sqrt(row[nx + i]);
+        mbs_stages_scale_row(width, scale, row, row);
+        memset(row + nx, 0, (size_t)i * sizeof *row);
+        row[nx + i] = scale;
+    }
     return 0;
+}
+
+/* Take the free variables out of the cost of x: P = rr - KT K. Rows of them in `rr` are overwritten. */
+static void reduce_cost(mbs_stages_step *p, real *rr)
+{
+    const int nx = p->nx;
+    const size_t width = (size_t)mbs_stages_width(nx);
+    int i, j;
+    mbs_stages_gram(p->reduced - nx, (int)width, (int)width, 1, -1, p->L, p->width, p->L, p->width, rr, p->width);
+    for (i = 0; i < nx; ++i) {
+        const real *from = rr + (size_t)i * (size_t)p->width;
+        real *to = p->P + (size_t)i * width;
+        for (j = 0; j <= i; ++j)
+            to[j] = p->P[(size_t)j * width + (size_t)i] = from[j];
+        memset(to + nx, 0, (width - (size_t)nx) * sizeof *to);
+    }
 }
 
 int mbs_stages_reduce(mbs_stages_step *p, real *quadratic, real *const *work, real zero_pivot, real zero_curvature)
 {
-    real *weight = work[0];
+    real *weight = work[0], *rr = quadratic;
     char *used = (char *)work[1];
     int i;
     memset(used, 0, (size_t)p->n);
@@ -245,11 +252,17 @@ int mbs_stages_reduce(mbs_stages_step *p, real *quadratic, real *const *work, re
     for (i = p->nx; i < p->n; ++i)
         used[i] = 1;
     p->passed = eliminate(p, weight, used, 0, p->nx, p->pivots, zero_pivot) - p->pivots;
-    solve_pivots(p, work[2], work[0]);
     copy_passed(p);
-    gather_cost(p, quadratic, work[0]);
-    substitute_pivots(p, work[0], work[1], work[2]);
-    return reduce_free(p, work[0], work[1], zero_curvature);
+    if (p->pivots > 0) {
+        rr = work[0];
+        solve_pivots(p);
+        gather_cost(p, quadratic, rr);
+        substitute_pivots(p, rr, work[1]);
+    }
+    if (factorise_free(p, rr, zero_curvature))
+        return -1;
+    reduce_cost(p, rr);
+    return 0;
 }
 
 /* Constants of the rows in their new places, eliminated as the rows were. */
@@ -269,9 +282,36 @@ static void eliminate_constants(mbs_stages_step *p, real *constant, real *m)
         p->left = real_abs(m[i]) > p->left ? real_abs(m[i]) : p->left;
 }
 
+/* x of U x = x, or of UT x = x; U lies row by row. */
+static void solve_upper(const mbs_stages_step *p, real *x)
+{
+    mbs_stages_lower_transposed(p->pivots, p->U, p->pivots, x);
+}
+
+static void solve_upper_transposed(const mbs_stages_step *p, real *x)
+{
+    mbs_stages_lower(p->pivots, p->U, p->pivots, x);
+}
+
+/* The derivatives of the cost by r, without pivots. */
+static void reduce_linear(mbs_stages_step *p, const real *linear, real *q)
+{
+    const int m = p->pivots, n = p->reduced, width = p->width, *at = p->order;
+    int i;
+    for (i = 0; i < n; ++i)
+        q[i] = linear[at[i]];
+    for (; i < width; ++i)
+        q[i] = 0;
+    for (i = 0; i < m; ++i)
+        p->qp[i] = linear[at[n + i]];
+    mbs_stages_add_rows(width, m, -1, p->qp, 1, p->T, width, q);
+    mbs_stages_add_rows(width, m, -1, p->t, 1, p->Y, width, q);
+    mbs_stages_apply_transposed(m, m, -1, p->Q, m, p->t, p->qp);
+}
+
 void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant, real *vector)
 {
-    const int m = p->pivots, n = p->reduced, free_ones = n - p->nx, *at = p->order;
+    const int m = p->pivots, free_ones = p->reduced - p->nx, width = p->width;
     real *q = vector;
     int i;
     eliminate_constants(p, constant, vector);
@@ -279,20 +319,13 @@ void mbs_stages_step_back(mbs_stages_step *p, const real *linear, real *constant
         p->t[i] = vector[i];
     for (i = 0; i < p->passed; ++i)
         p->c[i] = vector[m + i];
-    mbs_stages_upper(m, p->U, m, p->t);
-    for (i = 0; i < n; ++i)
-        q[i] = linear[at[m + i]];
-    for (i = 0; i < m; ++i)
-        p->qp[i] = linear[at[i]];
-    mbs_stages_apply_transposed(m, n, -1, p->T, m, p->qp, q);
-    mbs_stages_apply_transposed(m, n, -1, p->Y, m, p->t, q);
-    mbs_stages_apply(m, m, -1, p->Q, m, p->t, p->qp);
-    for (i = 0; i < free_ones; ++i)
-        p->l[i] = q[i];
-    mbs_stages_lower(free_ones, p->L, n, p->l);
-    for (i = 0; i < p->nx; ++i)
-        p->p[i] = q[free_ones + i];
-    mbs_stages_apply(p->nx, free_ones, -1, p->L + free_ones, n, p->l, p->p);
+    solve_upper(p, p->t);
+    reduce_linear(p, linear, q);
+    for (i = 0; i < free_ones; ++i) {
+        const real *row = p->L + (size_t)i * (size_t)width, l = p->l[i] = q[p->nx + i] * row[p->nx + i];
+        mbs_stages_add_row(width, -l, row, q);
+    }
+    memcpy(p->p, q, (size_t)p->nx * sizeof *q);
 }
 
 /* Multipliers of all rows, from the gradient of the cost by the pivots and the multipliers of rows passed on. */
@@ -301,9 +334,8 @@ static void find_multipliers(const mbs_stages_step *p, const real *r, const real
     const int done = p->pivots + p->passed;
     int i, j;
     for (i = 0; i < p->pivots; ++i)
-        m[i] = -p->qp[i];
-    mbs_stages_apply(p->pivots, p->reduced, -1, p->Y, p->pivots, r, m);
-    mbs_stages_upper_transposed(p->pivots, p->U, p->pivots, m);
+        m[i] = -p->qp[i] - mbs_stages_dot(p->width, p->Y + (size_t)i * (size_t)p->width, r);
+    solve_upper_transposed(p, m);
     for (i = 0; i < p->passed; ++i)
         m[p->pivots + i] = passed[i];
     for (i = done; i < p->rows; ++i)
@@ -320,21 +352,20 @@ static void find_multipliers(const mbs_stages_step *p, const real *r, const real
 void mbs_stages_step_ahead(const mbs_stages_step *p, const real *x, const real *passed, real *z, real *y,
                            real *vector)
 {
-    const int m = p->pivots, n = p->reduced, free_ones = n - p->nx, *at = p->order;
-    real *r = vector, *pivot = vector + n;
+    const int nx = p->nx, n = p->reduced, width = p->width, *at = p->order;
+    real *r = vector, *pivot = vector + width;
     int i;
-    for (i = 0; i < free_ones; ++i)
-        r[i] = -p->l[i];
-    for (i = 0; i < p->nx; ++i)
-        r[free_ones + i] = x[i];
-    mbs_stages_apply_transposed(p->nx, free_ones, -1, p->L + free_ones, n, x, r);
-    mbs_stages_lower_transposed(free_ones, p->L, n, r);
-    for (i = 0; i < m; ++i)
-        pivot[i] = -p->t[i];
-    mbs_stages_apply(m, n, -1, p->T, m, r, pivot);
-    for (i = 0; i < m; ++i)
-        z[at[i]] = pivot[i];
+    memcpy(r, x, (size_t)nx * sizeof *r);
+    memset(r + nx, 0, (size_t)(width - nx) * sizeof *r);
+    for (i = n - nx - 1; i >= 0; --i) {
+        const real *row = p->L + (size_t)i * (size_t)width;
+        r[nx + i] = -(p->l[i] + mbs_stages_dot(width, row, r)) * row[nx + i];
+    }
+    for (i = 0; i < p->pivots; ++i)
+        pivot[i] = -p->t[i] - mbs_stages_dot(width, p->T + (size_t)i * (size_t)width, r);
     for (i = 0; i < n; ++i)
-        z[at[m + i]] = r[i];
-    find_multipliers(p, r, passed, y, vector + n);
+        z[at[i]] = r[i];
+    for (i = 0; i < p->pivots; ++i)
+        z[at[n + i]] = pivot[i];
+    find_multipliers(p, r, passed, y, pivot);
 }

@@ -4,8 +4,8 @@
 
 #include "recursion.h"
 
-/* Reduce a step. `quadratic` holds the lower triangle of its cost, n by n, and gets the upper one; step->lu holds its
- * rows. Returns 0, or -1 if the cost is not positive definite in the free variables. Works in work[0 .. 2]. */
+/* Reduce a step. `quadratic` holds the lower triangle of its cost row by row (overwritten); step->lu holds its rows.
+ * Returns 0, or -1 if the cost is not positive definite in the free variables. Works in work[0 .. 1]. */
 int mbs_stages_reduce(mbs_stages_step *p, real *quadratic, real *const *work, real zero_pivot, real zero_curvature);
 
 /* Take the right-hand sides: `linear` of the cost, `constant` of the rows (overwritten). */
