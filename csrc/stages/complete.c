@@ -27,9 +27,9 @@ static void weigh_rows(mbs_stages_complete *c)
     }
 }
 
-static int find_pivot(const mbs_stages_complete *c, real zero_pivot, int *row, int *column)
+static int find_pivot(const mbs_stages_complete *c, const mbs_stages_least_pivots *least, int *row, int *column)
 {
-    real most = zero_pivot;
+    real most = c->n - c->rank > least->room ? least->zero : least->small;
     int i, j, found = 0;
     for (i = c->rank; i < c->n; ++i) {
         const real *a = c->a + (size_t)i * (size_t)c->n;
@@ -65,12 +65,13 @@ static void exchange(mbs_stages_complete *c, int row, int column)
     c->work[at] = c->work[row], c->work[row] = weight;
 }
 
-void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first, real zero_pivot)
+void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first,
+                                     const mbs_stages_least_pivots *least)
 {
     int i, j, row, column;
     read_block(c, A, first);
     weigh_rows(c);
-    for (c->rank = 0; c->rank < c->n && find_pivot(c, zero_pivot, &row, &column); ++c->rank) {
+    for (c->rank = 0; c->rank < c->n && find_pivot(c, least, &row, &column); ++c->rank) {
         const real *pivot = c->a + (size_t)c->rank * (size_t)c->n;
         exchange(c, row, column);
         for (i = c->rank + 1; i < c->n; ++i) {

@@ -13,8 +13,16 @@ typedef struct {
     real *work; /* n */
 } mbs_stages_complete;
 
+/* Pivots, beside the largest entry of their row: those up to `zero` are 0; those up to `small` are used only while more
+ * than `room` rows would be left without a pivot. */
+typedef struct {
+    real zero, small;
+    int room;
+} mbs_stages_least_pivots;
+
 /* Factorise the first n rows of A, in the n columns from `first` on. */
-void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first, real zero_pivot);
+void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first,
+                                     const mbs_stages_least_pivots *least);
 
 /* Unknowns without a pivot are 0, and so are multipliers of rows without one. Returns the largest residual of these
  * rows. b by rows, x by columns. */

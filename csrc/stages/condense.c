@@ -116,7 +116,7 @@ void mbs_stages_forget_orders(mbs_stages_recursion *r)
         if (y->n == 0)
             continue;
         y->pivots->ready = y->pivots->stage = 0;
-        y->own = y->missing = y->poor = 0;
+        y->own = y->missing = y->poor = y->careful = 0;
         y->stale = 1;
     }
 }
@@ -137,8 +137,36 @@ static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, c
                                                 const mbs_stages_stage *s)
 {
     mbs_stages_complete c = complete(m, s);
-    mbs_stages_factorise_completely(&c, &s->E, s->nx, r->zero_pivot);
+    mbs_stages_least_pivots least;
+    least.zero = r->zero_pivot;
+    least.small = s->inner.careful ? r->small_pivot : r->zero_pivot;
+    least.room = s->inner.spare;
+    mbs_stages_factorise_completely(&c, &s->E, s->nx, &least);
     return c;
+}
+
+/* Whether inner variables grow so much with outer ones that what these cost is lost beside it. */
+static int grows(const mbs_stages_stage *s, real most)
+{
+    const size_t count = (size_t)s->inner.n * (size_t)s->dense.width;
+    size_t i;
+    for (i = 0; i < count; ++i)
+        if (real_abs(s->inner.V[i]) > most)
+            return 1;
+    return 0;
+}
+
+int mbs_stages_mind_growth(mbs_stages_recursion *r, int from)
+{
+    int k, count = 0;
+    for (k = from; k < r->stages; ++k) {
+        mbs_stages_inner *y = &r->stage[k].inner;
+        if (y->n == 0 || y->careful || !grows(&r->stage[k], r->growth))
+            continue;
+        y->careful = y->stale = 1;
+        ++count;
+    }
+    return count;
 }
 
 /* Variables and rows without pivots go to the recursion, as many as it has room for. */
@@ -254,7 +282,7 @@ static void factorise_inner(const mbs_stages_recursion *r, const mbs_stages_scra
     mbs_stages_factorise_together(p, &several, &first->factors, m->together[0], r->zero_pivot);
     for (l = k; l < end; ++l) {
         r->stage[l].inner.factors = first->factors;
-        r->stage[l].inner.own = several.failed[l - k] >= 0;
+        r->stage[l].inner.own = several.failed[l - k] >= 0 || r->stage[l].inner.careful;
     }
 }
 

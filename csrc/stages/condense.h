@@ -10,6 +10,10 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r);
 /* Forget all orders, so that a solve does not depend on the solves before it. */
 void mbs_stages_forget_orders(mbs_stages_recursion *r);
 
+/* Let pivots of stages from `from` on be large where inner variables grow too much with the others; returns of how many
+ * stages that is news. */
+int mbs_stages_mind_growth(mbs_stages_recursion *r, int from);
+
 /* Write the dense matrices of stages from .. to - 1, by the diagonal that is there. Here and below, other stages may be
  * worked on at the same time, in other memory `m`. */
 void mbs_stages_condense(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int from, int to);

@@ -426,6 +426,8 @@ static void lay_solver(arena *a, mbs_stages *s)
         *of_slacks[i] = numbers(a, s->slacks, 1);
     s->least.elastic = 1;
     s->recursion.zero_pivot = MBS_STAGES_ZERO;
+    s->recursion.small_pivot = MBS_STAGES_SMALL;
+    s->recursion.growth = MBS_STAGES_GROWTH;
     s->recursion.zero_curvature = 10 * MBS_STAGES_EPSILON;
     s->recursion.fixed = s->fixed;
     s->recursion.stages = s->problem->stages;

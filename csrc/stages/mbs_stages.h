@@ -146,7 +146,7 @@ typedef struct {
     int iterations, restorations /* iterations within restoration */, evaluations /* of values */;
     int factorisations, refinements;
     int dependent; /* rows without a pivot in the last factorisation */
-    int singular;  /* stages in it whose inner rows do not give their inner variables */
+    int singular;  /* stages in it whose inner rows do not give their inner variables, or hardly do */
     mbs_stages_real cost;
     mbs_stages_real stationarity, violation, complementarity; /* largest, unscaled */
     mbs_stages_real barrier;                                  /* the last barrier parameter */

@@ -124,6 +124,7 @@ static void soften_rows(mbs_stages *s)
  * lacks curvature. */
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular, int inner)
 {
+    int k;
     find_sigma(s, p);
     add_curvature(s, p, first, regular, inner);
     find_diagonal(s, p);
@@ -133,7 +134,8 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
         soften_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
-    return mbs_stages_factorise(&s->recursion, regular > 0 && !inner);
+    k = mbs_stages_factorise(&s->recursion, regular > 0 && !inner);
+    return k >= 0 && mbs_stages_mind_growth(&s->recursion, k) ? mbs_stages_factorise(&s->recursion, 0) : k;
 }
 
 static real first_curvature(real before)
@@ -151,7 +153,7 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
     const real before = p->regular;
     int first = s->problem->stages, k;
     real regular = 0;
-    int inner = p->cautious || s->result.singular > 0;
+    int inner = s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
         if (regular == 0)
@@ -330,6 +332,8 @@ static int solve_again(mbs_stages *s, mbs_stages_phase *p, const real *c)
 static void solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
 {
     int passes = solve_reduced(s);
+    if ((passes < 0 || passes >= MANY) && mbs_stages_mind_growth(&s->recursion, 0))
+        passes = solve_again(s, p, c);
     if (p->elastic)
         return;
     if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY)) {

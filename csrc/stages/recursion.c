@@ -181,7 +181,7 @@ static int factorise_stage(mbs_stages_recursion *r, int k)
     real *Q = r->work[3];
     if (k < r->condensed)
         condense_next(r, k);
-    s->inner.poor = s->inner.own && s->inner.missing == 0;
+    s->inner.poor = s->inner.own && s->inner.missing == 0 && !s->inner.careful;
     p->n = s->dense.n;
     p->nv = s->dense.nv;
     start_cost(r, s, Q);

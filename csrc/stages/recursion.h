@@ -25,6 +25,7 @@ typedef struct {
     real *constant; /* of the inner variables, by the last right-hand side */
     int stale;      /* Jacobians are newer than V */
     int own;        /* pivots by the order were too small: complete pivoting, each time anew */
+    int careful;    /* small pivots are left to the recursion */
     int missing;    /* inner variables without pivot */
     int poor;       /* the last factorisation that came to this stage found pivots by the order too small, and others */
     real left;      /* largest residual of rows without pivot, by the last right-hand side */
@@ -87,7 +88,7 @@ typedef struct {
     int condensed; /* stages from here on are condensed, by the derivatives and the diagonal that are there */
     int dependent, soft_dynamics;
     int singular; /* stages whose inner equations do not determine the inner variables */
-    real zero_pivot, zero_curvature;
+    real zero_pivot, small_pivot, zero_curvature, growth;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */
     real *work[4];   /* blocks of the largest step */
     char *marks;     /* of a block of inner variables */

@@ -13,6 +13,8 @@
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
 #define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
 #define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
+#define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
+#define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
@@ -21,6 +23,8 @@
 #define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-8
 #define MBS_STAGES_ZERO 1.5e-8
+#define MBS_STAGES_GROWTH 5e4
+#define MBS_STAGES_SMALL 1e-4
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
@@ -73,8 +77,6 @@ typedef struct {
     real theta_most, theta_least;
     real mu, tau;
     real regular, added;      /* curvature that was added last where it lacked; in this step */
-    int shortened;            /* steps in a row that had added curvature, and were cut short */
-    int cautious;             /* inner variables get curvature too */
     int tiny, tiny_before;    /* steps below the last digit */
     int rejected;             /* iterations whose first trial the filter alone refused, in a row */
     int resets;

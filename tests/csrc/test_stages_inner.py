@@ -138,6 +138,18 @@ def test_more_missing_variables_than_the_recursion_has_room_for(library: Library
         assert max(problem.residuals(*answer.point)) < 1e-7
 
 
+def test_more_small_pivots_than_the_recursion_has_room_for(library: Library) -> None:
+    """Twelve columns of the block are small; those that find no room are condensed by their small pivots."""
+    rng = np.random.default_rng(4)
+    problem = random_problem(rng, [(2, 17, 14, 0)] * 3 + [(2, 0, 0, 0)])
+    w = Solver(library, problem).solve().w
+    problem.E[1][:, 2:14] *= 1e-7
+    meet(problem, 1, w)
+    answer = Solver(library, condensed(problem, [14, 14, 14, 0])).solve()
+    assert (answer.status, answer.result.singular, answer.result.dependent) == ("solved", 1, 0)
+    assert close(answer.w, Solver(library, problem).solve().w, 1e-5)
+
+
 def test_redundant_inner_rows_do_no_harm(library: Library) -> None:
     """Each stage repeats an inner row, and an inner variable is in no row: the whole problem has the same optimum."""
     rng = np.random.default_rng(6)
@@ -166,6 +178,26 @@ def test_stages_may_need_other_pivots(library: Library) -> None:
         answer = Solver(library, condensed(problem, [4] * 12 + [0])).solve()
         agree(answer, Solver(library, problem).solve(), 1e-8)
         assert answer.result.singular == 0
+
+
+@pytest.mark.parametrize("tiny", [1e-5, 1e-6, 1e-7, 3e-8, 1e-8, 1e-9, 1e-12])
+@pytest.mark.parametrize("free", [1, 3])
+@pytest.mark.parametrize("repeated", [False, True])
+def test_inner_rows_that_hardly_give_a_variable(library: Library, tiny: float, free: int, repeated: bool) -> None:
+    """One that outer variables move by millions of units, which squared leave no digit of what the others cost."""
+    rng = np.random.default_rng(8)
+    problem = random_problem(rng, [(3, 4 + free, 4, 0)] * 6 + [(3, 0, 0, 0)], bounds=0.3)
+    w = Solver(library, problem).solve().w
+    for k in (1, 2, 4):
+        E = problem.E[k]
+        E[:, 6] = tiny * E[:, 6] + (E[:, 5] if repeated else 0.0)
+        meet(problem, k, w)
+    whole, answer = Solver(library, problem).solve(), Solver(library, condensed(problem, [4] * 6 + [0])).solve()
+    assert (whole.status, answer.status) == ("solved", "solved")
+    assert answer.result.iterations <= whole.result.iterations + 3
+    assert close(answer.w, whole.w, 1e-7)
+    assert close(answer.y, whole.y, 1e-7)
+    assert max(problem.residuals(*answer.point)) < 1e-8
 
 
 @pytest.mark.parametrize("size", [1e-8, 1e8])

@@ -17,6 +17,7 @@ import pytest
 from mbsgen.style import picture_format
 from mbsrun import cli
 from mbsrun.commands import lab as lab_commands
+from mbsrun.external import Mechanism
 from mbsrun.lab import (
     chains,
     derivatives,
@@ -34,10 +35,13 @@ from mbsrun.lab import (
 from mbsrun.lab.case import Case, Finding, Loss, Trial, Workspace, check, demand, find_worst, judge, show_failure
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.digits import specimen
-from mbsrun.lab.mechanisms import describe_lock, describe_spatial, draw, write
+from mbsrun.lab.mechanisms import LOCKS, describe_lock, describe_spatial, draw, write
 from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 from mbsrun.measuring.sections import read_folders
-from mbsrun.ocp.solution import Failure, Run
+from mbsrun.models import find_folder
+from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.solution import Failure, Run, Solution
+from mbsrun.ocp.solve import solve
 from tests.picture_kinds import find_kind
 
 Measure = Callable[[Workspace], list[Finding]]
@@ -115,6 +119,21 @@ def test_a_method_that_fails_stands_beside(name: str, trial: str, workspace: Wor
     findings = measure(workspace)
     assert any(x.is_contrast for x in findings)
     assert [x for x in findings if not x.is_met] == []
+
+
+@pytest.mark.parametrize("intervals", [5, 20, 40])
+@pytest.mark.parametrize("representation", [Representation.IMPL, Representation.SEMI])
+def test_a_start_at_a_lock_has_the_optimum_of_ipopt(
+    representation: Representation, intervals: int, workspace: Workspace
+) -> None:
+    """Rates of some joints are hardly determined by the others there, and digits are lost if they are condensed."""
+    plant = Mechanism(find_folder(write(workspace.folder, describe_lock(LOCKS["Cardan"])), optimisation.EXTENT))
+    problem = optimisation.state_locked_start(intervals, representation)
+    found, other = (solve(replace(problem, solver=problem.solver.with_method(x)), plant) for x in ("mbs", "ipopt"))
+    assert isinstance(found, Solution)
+    assert isinstance(other, Solution)
+    assert found.cost.total == pytest.approx(other.cost.total, rel=1e-9)
+    assert found.run.iterations <= other.run.iterations + 3
 
 
 def test_determinants_are_multiplied_out() -> None:
