@@ -145,7 +145,7 @@ static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, c
     return c;
 }
 
-/* Whether inner variables grow so much with outer ones that what these cost is lost beside it. */
+/* Whether inner variables grow by more than `most` with outer ones. */
 static int grows(const mbs_stages_stage *s, real most)
 {
     const size_t count = (size_t)s->inner.n * (size_t)s->dense.width;

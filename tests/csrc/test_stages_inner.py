@@ -139,7 +139,7 @@ def test_more_missing_variables_than_the_recursion_has_room_for(library: Library
 
 
 def test_more_small_pivots_than_the_recursion_has_room_for(library: Library) -> None:
-    """Twelve columns of the block are small; those that find no room are condensed by their small pivots."""
+    """Twelve columns of the block are small; where the room ends, small pivots are used."""
     rng = np.random.default_rng(4)
     problem = random_problem(rng, [(2, 17, 14, 0)] * 3 + [(2, 0, 0, 0)])
     w = Solver(library, problem).solve().w
@@ -184,7 +184,7 @@ def test_stages_may_need_other_pivots(library: Library) -> None:
 @pytest.mark.parametrize("free", [1, 3])
 @pytest.mark.parametrize("repeated", [False, True])
 def test_inner_rows_that_hardly_give_a_variable(library: Library, tiny: float, free: int, repeated: bool) -> None:
-    """One that outer variables move by millions of units, which squared leave no digit of what the others cost."""
+    """Outer variables move it millions of units, and the square of this number takes all digits from other costs."""
     rng = np.random.default_rng(8)
     problem = random_problem(rng, [(3, 4 + free, 4, 0)] * 6 + [(3, 0, 0, 0)], bounds=0.3)
     w = Solver(library, problem).solve().w
