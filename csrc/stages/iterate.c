@@ -23,6 +23,7 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     p->theta_least = (real)1e-4 * size;
     p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
+    p->shortened = p->cautious = 0;
     p->regular = p->added = p->alpha = 0;
     mbs_stages_search_anew(p);
     mbs_stages_filter_clear(&p->filter);

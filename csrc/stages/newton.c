@@ -153,7 +153,7 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
     const real before = p->regular;
     int first = s->problem->stages, k;
     real regular = 0;
-    int inner = s->result.singular > 0;
+    int inner = p->cautious || s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
         if (regular == 0)

@@ -26,6 +26,8 @@
 #define GAIN ((real)0.99) /* of the violation by a correction */
 #define SHORT 10          /* steps in a row that rouse the watchdog */
 #define TRIALS 3          /* of the watchdog */
+#define CUT ((real)0.02)  /* step lengths that show too little curvature */
+#define AGAIN 2           /* as many of them in a row */
 #define SOFTLY 10         /* steps that lower the errors alone, in a row */
 #define SOFT_GAIN ((real)0.9999)
 #define FOLLOWED 8        /* corrections of inner variables, at most */
@@ -189,6 +191,13 @@ static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, re
     return -1;
 }
 
+/* Steps with added curvature that are cut short again and again show that inner variables need curvature too. */
+static void mind_length(mbs_stages_phase *p, real alpha)
+{
+    p->shortened = p->added > 0 && alpha < CUT ? p->shortened + 1 : 0;
+    p->cautious |= p->shortened == AGAIN;
+}
+
 /* Take the trial: x and y by alpha, z by its own longest step. */
 static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha)
 {
@@ -208,6 +217,7 @@ static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alp
     p->theta_before = p->theta;
     p->theta = t->theta;
     p->alpha = alpha;
+    mind_length(p, alpha);
 }
 
 static void augment(mbs_stages_phase *p, const search *t, real alpha)

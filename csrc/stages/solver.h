@@ -77,6 +77,8 @@ typedef struct {
     real theta_most, theta_least;
     real mu, tau;
     real regular, added;      /* curvature that was added last where it lacked; in this step */
+    int shortened;            /* steps in a row that had added curvature, and were cut short */
+    int cautious;             /* inner variables get curvature too */
     int tiny, tiny_before;    /* steps below the last digit */
     int rejected;             /* iterations whose first trial the filter alone refused, in a row */
     int resets;

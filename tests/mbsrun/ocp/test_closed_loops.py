@@ -290,7 +290,7 @@ def test_multipliers_pass_where_no_choice_of_coordinates_is_independent() -> Non
     assert np.abs(theta) == pytest.approx(np.abs(expected.trajectory.q[:, 0]), abs=1e-4)
 
 
-@pytest.mark.parametrize(("intervals", "status"), [(10, JUMPED), (20, "Maximum_Iterations_Exceeded")])
+@pytest.mark.parametrize(("intervals", "status"), [(12, JUMPED), (20, "Maximum_Iterations_Exceeded")])
 def test_a_reduced_form_that_jumps_is_no_solution(intervals: int, status: str) -> None:
     """Past the horizontal, a coarse grid leads from the lower half of the circle to the upper one at once."""
     problem = replace(_swing(intervals), loops=Loops.REDUCED, solver=SolverOptions(max_iterations=120, method="ipopt"))
