@@ -45,8 +45,8 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
         "replaces our kernels in our program; in brackets, CasADi differentiates the whole, as C. Ours",
         "has its own linear solver, the peers MUMPS.",
         "",
-        f"Measured on {kernels['machine']}. All figures: [kernels](benchmarks.md), [size](growth.md),",
-        "[optimal control](ocp.md).",
+        f"Measured on {kernels['machine']}; optimal control on {ocp['about'].partition(';')[0]}.",
+        "All figures: [kernels](benchmarks.md), [size](growth.md), [optimal control](ocp.md).",
     ]
     return "\n".join(lines) + "\n"
 

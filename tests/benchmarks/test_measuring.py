@@ -300,6 +300,7 @@ def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> Non
         "benchmarks.json": {"machine": "a machine", "models": {"ur5": kernels}},
         "growth.json": {"rows": []},
         "ocp.json": {
+            "about": "another machine; 3 rounds",
             "rows": [
                 *(solve("mbsgen", 2.0), solve("mbsgen, by stages", 1.0)),
                 *(solve(POINTS, 3.0), solve("CasADi, compiled, tuned", 8.0)),
@@ -316,6 +317,7 @@ def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> Non
     page = (out / "summary.md").read_text(encoding="utf-8")
     assert "| UR5, 6 joints | – (–) | 1.50 (3.00) | – (–) | – (–) |" in page
     assert "| evaluation 1.50 (4.00) | by IPOPT 1.50 (4.00) | by stages 3.00 (8.00) |" in page
+    assert "Measured on a machine; optimal control on another machine." in page
     assert (out / "growth.json").exists()
     assert (out / "loops.md").read_text(encoding="utf-8") == "loops"
     (tmp_path / "growth.md").unlink()
