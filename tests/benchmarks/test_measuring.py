@@ -304,7 +304,7 @@ def test_the_summary_compares_the_quickest_of_either_side(tmp_path: Path) -> Non
             "rows": [
                 *(solve("mbsgen", 2.0), solve("mbsgen, by stages", 1.0)),
                 *(solve(POINTS, 3.0), solve("CasADi, compiled, tuned", 8.0)),
-            ]
+            ],
         },
     }
     for file in FILES:

@@ -17,7 +17,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.assembly import find_other_assembly
-from mbsrun.ocp.backends.casadi import Functions
+from mbsrun.ocp.backends.casadi import Functions, evaluate
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import Found, describe, describe_point, name_parts, see_solver
@@ -37,10 +37,12 @@ from mbsrun.ocp.status import (
     BAD_GUESS,
     ELSEWHERE,
     INFEASIBLE,
+    INVALID,
     JUMPED,
     OPEN,
     SOLVED,
     UNREACHABLE,
+    NoNumbersError,
     explain,
 )
 from mbsrun.ocp.structure import structure
@@ -110,7 +112,11 @@ class Solver:
             if lost := self._find_singular(problem, run, found):
                 return Failure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
             return Failure(problem, run, finding, remedy)
-        solution = self._solution(problem, run, found)
+        try:
+            solution = self._solution(problem, run, found)
+        except NoNumbersError as lack:
+            finding, remedy = explain(INVALID, run.iterations)
+            return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
         gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
         if gap > most:
             finding, remedy = explain(OPEN, run.iterations)
@@ -126,7 +132,10 @@ class Solver:
         own = self.transcription
         if run.status not in INFEASIBLE or not run.iterations or not np.isfinite(x).all():
             return describe(clash, own, self.plant.manifest)
-        g = self.program.casadi.constraint(x, own.parameters(problem)).full().ravel()
+        try:
+            g = evaluate(self.program.casadi.constraint, x, own.parameters(problem)).full().ravel()
+        except NoNumbersError:
+            return describe(clash, own, self.plant.manifest)
         names = see_solver(name_parts(own, self.plant.manifest), own.program)
         return describe_point(Found(x, own.variable_bounds(problem), g, own.constraint_bounds(problem)), names)
 
@@ -134,7 +143,10 @@ class Solver:
         """Return that the reduced form does not determine the motion at which a search ended; else nothing."""
         if problem.loops is not Loops.REDUCED or not np.isfinite(x).all():
             return ""
-        return find_singular(self._solution(problem, run, x), self.plant)
+        try:
+            return find_singular(self._solution(problem, run, x), self.plant)
+        except NoNumbersError:
+            return ""
 
     def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
         """Run the solver from x; return the run, the variables, and the rows that stay violated."""
@@ -147,6 +159,7 @@ class Solver:
         return replace(run, method=methods.choose(choose_method(problem, self.plant))), found, clash
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
+        """Read the motion that a search ended at. Raises NoNumbersError where there is none."""
         transcription = self.transcription
         functions, parameters = self.program.casadi, transcription.parameters(problem)
         return make_solution(
@@ -157,8 +170,8 @@ class Solver:
             measure_size(functions),
             Values(
                 x=x,
-                g=functions.constraint(x, parameters).full().ravel(),
-                terms=functions.terms(x, parameters).full().ravel(),
+                g=evaluate(functions.constraint, x, parameters).full().ravel(),
+                terms=evaluate(functions.terms, x, parameters).full().ravel(),
                 completed=functions.complete(x),
             ),
         )

@@ -11,6 +11,7 @@ UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
+INVALID = "Invalid_Number_Detected"  # the solver's word, or ours where it found a point at which kernels fail
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
 ELSEWHERE = "Loops_Elsewhere"  # the same, but the mechanism may be assembled otherwise than the guess
@@ -26,7 +27,7 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
             "the search was not over after {iterations} iterations",
             "raise solver.max_iterations, or check bounds and horizon",
         ),
-        "Invalid_Number_Detected": (
+        INVALID: (
             "a kernel failed, or returned a number that is not finite",
             "check the start and the bounds for poses that the model cannot take",
         ),
@@ -69,6 +70,10 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
     }
 )
+
+
+class NoNumbersError(ValueError):
+    """The functions of a program have no numbers at a point: a kernel fails, or Newton's method does not end."""
 
 
 def explain(status: str, iterations: int) -> tuple[str, str]:

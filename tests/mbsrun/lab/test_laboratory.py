@@ -39,9 +39,11 @@ from mbsrun.lab.mechanisms import LOCKS, describe_lock, describe_spatial, draw, 
 from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 from mbsrun.measuring.sections import read_folders
 from mbsrun.models import find_folder
+from mbsrun.ocp.methods import Answer
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.solution import Failure, Run, Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.status import INFEASIBLE
 from tests.picture_kinds import find_kind
 
 Measure = Callable[[Workspace], list[Finding]]
@@ -134,6 +136,18 @@ def test_a_start_at_a_lock_has_the_optimum_of_ipopt(
     assert isinstance(other, Solution)
     assert found.cost.total == pytest.approx(other.cost.total, rel=1e-9)
     assert found.run.iterations <= other.run.iterations + 3
+
+
+@pytest.mark.parametrize("status", ["Solve_Succeeded", "Infeasible_Problem_Detected"])
+def test_an_end_at_which_a_kernel_fails_is_a_failure(
+    status: str, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Accelerations at a lock have no numbers, whatever a method says; no exception leaves the solver."""
+    plant = Mechanism(find_folder(write(workspace.folder, describe_lock(LOCKS["Cardan"])), optimisation.EXTENT))
+    monkeypatch.setattr(Solver, "_solver", lambda *_: lambda start: Answer(start.x, status, 3))
+    found = solve(optimisation.state_locked_start(20, Representation.EXP1_O), plant)
+    assert isinstance(found, Failure)
+    assert found.run.status == (status if status in INFEASIBLE else "Invalid_Number_Detected")
 
 
 def test_determinants_are_multiplied_out() -> None:

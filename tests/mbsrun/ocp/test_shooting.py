@@ -17,12 +17,17 @@ from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.integrators import SECOND_ORDER
+from mbsrun.ocp.methods import Answer, Start
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import PhasedFailure
+from mbsrun.ocp.phases.solve import PhasedSolver, solve_phases
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
 from mbsrun.ocp.resimulation import Constant, integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.transcription import transcribe
+from tests.mbsrun.ocp.phases.motions import split
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
 from tests.mbsrun.ocp.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
@@ -351,6 +356,29 @@ def test_equations_without_a_solution_are_a_failure(capfd: pytest.CaptureFixture
     assert isinstance(outcome, Failure)
     assert outcome.run.status == "Invalid_Number_Detected"
     assert capfd.readouterr().err == ""
+
+
+def stay(start: Start) -> Answer:
+    """Call the guess a solution."""
+    return Answer(start.x, "Solve_Succeeded", 3)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("phases", [False, True])
+def test_a_solution_whose_equations_have_none_is_a_failure(phases: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A method that takes condensed unknowns for its own may end where Newton's method does not find them again."""
+    q, qd, qdd, u = (ca.SX.sym(name) for name in ("q", "qd", "qdd", "u"))
+    broken = double_integrator().with_functions({"impl": residual_function(q, qd, qdd, u, qdd**2 + 1 - u + 0 * q)})
+    if phases:
+        monkeypatch.setattr(PhasedSolver, "_find_method", lambda _: stay)
+        ended = solve_phases(split(shot(push(8))), Plants((broken, broken)))
+    else:
+        monkeypatch.setattr(Solver, "_solver", lambda *_: stay)
+        ended = solve(shot(push(8)), broken)
+    assert isinstance(ended, PhasedFailure if phases else Failure)
+    assert ended.run.status == "Invalid_Number_Detected"
+    assert ended.run.iterations == 3
+    assert "at the end: the equations that are condensed have no solution" in ended.finding
 
 
 def test_an_end_out_of_reach_is_a_failure(plant: Peer) -> None:

@@ -21,6 +21,7 @@ from mbsrun.ocp.backends.places import Placed, place
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Matrix, Program
+from mbsrun.ocp.status import NoNumbersError
 
 
 class Functions(Protocol):
@@ -87,6 +88,17 @@ class _Values:
     def transposed(self) -> _Values:
         """Swap rows and columns."""
         return _Values(self.scatter.transposed(), self.values)
+
+
+def evaluate(function: ca.Function, x: Array, p: Array) -> ca.DM:
+    """Call a function of these at a point. Raises NoNumbersError where a kernel fails, or a number is not finite."""
+    try:
+        found = function(x, p)
+    except RuntimeError as error:
+        raise NoNumbersError("a kernel fails") from error
+    if not found.is_regular():
+        raise NoNumbersError("a row or a cost is not a finite number")
+    return found
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from mbsrun.ocp.elimination import Bind, Entries, Inner, eliminate
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Program
+from mbsrun.ocp.status import NoNumbersError
 
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
@@ -56,12 +57,12 @@ class Condensed:
         return self.rest.parameters
 
     def complete(self, x: Array) -> Array:
-        """Return all variables of the program. Raises ValueError where the equations have no solution."""
+        """Return all variables of the program. Raises NoNumbersError where the equations have no solution."""
         found = np.empty(self.rest.variables)
         found[self.program.kept] = x
         found[self.inner.unknowns] = self.inner.solve(np.asarray(x))
         if not np.isfinite(found).all():
-            raise ValueError("the equations that are condensed have no solution")
+            raise NoNumbersError("the equations that are condensed have no solution")
         return found
 
     @cached_property

@@ -20,6 +20,7 @@ from mbsrun.ocp.elimination import eliminate
 from mbsrun.ocp.functions import Array, Evaluation
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Matrix, Program
+from mbsrun.ocp.status import NoNumbersError
 
 
 class Functions(Protocol):
@@ -44,7 +45,7 @@ class Functions(Protocol):
         """Return the upper triangle of the Hessian of lam_f f + lam_g' g."""
 
     def complete(self, x: Array) -> Array:
-        """Return all variables of the program. Raises ValueError where inner equations have no solution."""
+        """Return all variables of the program. Raises NoNumbersError where inner equations have no solution."""
 
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
@@ -245,7 +246,7 @@ class NumpyCondensed:
         """Return all variables of the program. Raises ValueError where inner equations have no solution."""
         v = self._complete(x)
         if not np.isfinite(v).all():
-            raise ValueError("the equations that are condensed have no solution")
+            raise NoNumbersError("the equations that are condensed have no solution")
         return v
 
     def terms(self, x: Array, p: Array) -> Array:

@@ -20,7 +20,7 @@ from mbsrun.ocp.program import Program
 from mbsrun.ocp.stages import binding
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.tables import StageProgram
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.status import ACCEPTABLE, INVALID, SOLVED, NoNumbersError
 
 STAGES_OPTIONS: Mapping[str, Option] = {
     "acceptable_iterations": COUNT,
@@ -44,7 +44,7 @@ STATUSES = {
     "MBS_STAGES_TIME_LIMIT": "Maximum_WallTime_Exceeded",
     "MBS_STAGES_OUT_OF_DIGITS": "Search_Direction_Becomes_Too_Small",
     "MBS_STAGES_UNBOUNDED": "Diverging_Iterates",
-    "MBS_STAGES_CALLBACK_FAILED": "Invalid_Number_Detected",
+    "MBS_STAGES_CALLBACK_FAILED": INVALID,
 }
 
 
@@ -130,7 +130,7 @@ def _complete(program: Prepared, x: Array) -> Array:
     """Return all variables; inner ones are 0 where their equations have no solution."""
     try:
         return program.numpy.complete(x)
-    except ValueError:
+    except NoNumbersError:
         whole = np.zeros(program.data.variables)
         whole[program.data.kept] = x
         return whole

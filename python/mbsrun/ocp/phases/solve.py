@@ -15,6 +15,7 @@ import numpy as np
 
 from mbsrun.ocp import methods
 from mbsrun.ocp.assembly import find_other_assembly
+from mbsrun.ocp.backends.casadi import evaluate
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
@@ -59,7 +60,19 @@ from mbsrun.ocp.solve import (
 )
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete, guess_largest
-from mbsrun.ocp.status import ACCEPTABLE, BAD_BOUNDS, BAD_GUESS, ELSEWHERE, JUMPED, OPEN, SOLVED, UNREACHABLE, explain
+from mbsrun.ocp.status import (
+    ACCEPTABLE,
+    BAD_BOUNDS,
+    BAD_GUESS,
+    ELSEWHERE,
+    INVALID,
+    JUMPED,
+    OPEN,
+    SOLVED,
+    UNREACHABLE,
+    NoNumbersError,
+    explain,
+)
 from mbsrun.ocp.touching import list_relaxed
 
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
@@ -128,7 +141,11 @@ class PhasedSolver:
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         own = self.transcription
         defined = tuple(Defined(own.see(part.variables), own.see_rows(part.rows)) for part in own.defined)
-        x = solve_links(x, defined, self._evaluate, self._differentiate)
+        try:
+            x = solve_links(x, defined, self._evaluate, self._differentiate)
+        except NoNumbersError as lack:
+            finding = f"the guess has no numbers: {lack}"
+            return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         run, found, _ = search(x, lambda x: self._call(self._find_method(), x, watch))
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
@@ -137,7 +154,11 @@ class PhasedSolver:
             if lost := self._find_singular(run, found):
                 return PhasedFailure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
             return PhasedFailure(problem, run, finding, remedy)
-        solution = self._read(*self._balance_impacts(run, found))
+        try:
+            solution = self._read(*self._balance_impacts(run, found))
+        except NoNumbersError as lack:
+            finding, remedy = explain(INVALID, run.iterations)
+            return PhasedFailure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
         for part in solution.phases:
             gap, most = part.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
             if gap > most:
@@ -156,7 +177,11 @@ class PhasedSolver:
         """Name the first phase whose reduced form does not determine the motion at which a search ended."""
         if not np.isfinite(x).all() or all(p.problem.loops is not Loops.REDUCED for p in self.problem.phases):
             return ""
-        for part, plant in zip(self._read(run, x).phases, self.plants.phases, strict=True):
+        try:
+            phases = self._read(run, x).phases
+        except NoNumbersError:
+            return ""
+        for part, plant in zip(phases, self.plants.phases, strict=True):
             if lost := find_singular(part, plant):
                 return f"phase {part.problem.name}: {lost}"
         return ""
@@ -194,10 +219,10 @@ class PhasedSolver:
 
     def _evaluate(self, x: Array) -> Array:
         parameters = self.transcription.parameters(self.problem)
-        return np.asarray(self.program.casadi.constraint(x, parameters).full().ravel())
+        return np.asarray(evaluate(self.program.casadi.constraint, x, parameters).full().ravel())
 
     def _differentiate(self, x: Array) -> Matrix:
-        return self.program.casadi.jacobian(x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
+        return evaluate(self.program.casadi.jacobian, x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
 
     def _find_method(self) -> methods.Solver:
         """Return the method, which solvers of relaxed problems share."""
@@ -234,7 +259,10 @@ class PhasedSolver:
             inner |= {offset.rows + row for row in names.inner}
         rows |= {row: text for found, text in own.texts for row in found.tolist()}
         bounds, row_bounds = own.variable_bounds(problem), own.constraint_bounds(problem)
-        found = Found(x, bounds, self._evaluate(x), row_bounds)
+        try:
+            found = Found(x, bounds, self._evaluate(x), row_bounds)
+        except NoNumbersError:
+            return ""
         return describe_point(found, see_solver(Names(variables, rows, frozenset(inner)), own.program))
 
     # --- the solution ---
@@ -242,7 +270,7 @@ class PhasedSolver:
     def _read(self, run: Run, x: Array) -> PhasedSolution:
         problem, own, functions = self.problem, self.transcription, self.program.casadi
         parameters = own.parameters(problem)
-        g, terms = self._evaluate(x), functions.terms(x, parameters).full().ravel()
+        g, terms = self._evaluate(x), evaluate(functions.terms, x, parameters).full().ravel()
         every = functions.complete(x)
         solutions = []
         for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
