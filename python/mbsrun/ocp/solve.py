@@ -162,6 +162,7 @@ class Solver:
         """Read the motion that a search ended at. Raises NoNumbersError where there is none."""
         transcription = self.transcription
         functions, parameters = self.program.casadi, transcription.parameters(problem)
+        completed = functions.complete(x)
         return make_solution(
             problem,
             self.plant.manifest,
@@ -172,7 +173,7 @@ class Solver:
                 x=x,
                 g=evaluate(functions.constraint, x, parameters).full().ravel(),
                 terms=evaluate(functions.terms, x, parameters).full().ravel(),
-                completed=functions.complete(x),
+                completed=completed,
             ),
         )
 

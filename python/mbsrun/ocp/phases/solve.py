@@ -190,11 +190,13 @@ class PhasedSolver:
         """Solve all equations to rounding where impulses do not balance the momentum to it; the run counts the time."""
         own, problem = self.transcription, self.problem
         impacts = [rows.impact for rows in own.links if rows.impact is not None]
+        if not impacts:
+            return run, x
         ranges = own.constraint_bounds(problem), own.variable_bounds(problem)
         g, first = self._evaluate(x), int(own.see_rows(np.array(own.offsets[-1].rows)))
         equal = ranges[0][0][first:] == ranges[0][1][first:]
         largest = max((np.abs(x[own.see(impact.changes)]).max() for impact in impacts), default=0.0)
-        if not impacts or np.abs((g - ranges[0][0])[first:][equal]).max() <= BALANCED * max(1.0, largest):
+        if np.abs((g - ranges[0][0])[first:][equal]).max() <= BALANCED * max(1.0, largest):
             return run, x
         begin, cpu_begin = time.perf_counter(), time.process_time()
         equations = Equations(self._evaluate, self._differentiate, *ranges)
@@ -270,8 +272,8 @@ class PhasedSolver:
     def _read(self, run: Run, x: Array) -> PhasedSolution:
         problem, own, functions = self.problem, self.transcription, self.program.casadi
         parameters = own.parameters(problem)
-        g, terms = self._evaluate(x), evaluate(functions.terms, x, parameters).full().ravel()
         every = functions.complete(x)
+        g, terms = self._evaluate(x), evaluate(functions.terms, x, parameters).full().ravel()
         solutions = []
         for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
             first, last = own.offsets[k], own.offsets[k + 1]
