@@ -29,16 +29,16 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_filter_clear(&p->filter);
 }
 
-/* Whether a whole step without added curvature brought the rows nearer, as near as the root of the barrier parameter, and
- * left the products of distances and multipliers near it. Then its problem need not be solved to the end. Other errors
- * count only as long as they may choose among minima. */
+/* Whether a whole step without added curvature brought the rows nearer, as near as the fourth root of the barrier
+ * parameter, and left the products of distances and multipliers near it. Then its problem need not be solved to the
+ * end. Other errors count only as long as they may choose among minima. */
 static int is_followed(mbs_stages *s, mbs_stages_phase *p)
 {
     if (p->elastic || p->soft > 0 || p->watchdog.active || p->mu > EARLY)
         return 0;
     if (p->added > 0 || p->alpha < LONG || (p->theta > p->theta_before && p->theta > s->options.tolerance))
         return 0;
-    if (mbs_stages_largest(s->rows, p->c) > real_sqrt(p->mu))
+    if (mbs_stages_largest(s->rows, p->c) > real_sqrt(real_sqrt(p->mu)))
         return 0;
     if (mbs_stages_measure_errors(s, p, 0).complementarity > KAPPA_EPSILON * p->mu)
         return 0;

@@ -266,13 +266,13 @@ def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
 def test_the_barrier_parameter_falls_where_whole_steps_bring_rows_near(library: Library) -> None:
     """The bounds of the chain are far, and products of distances and multipliers follow the parameter.
 
-    It falls before its problem is solved to 30 times the parameter, but not where rows are off by more than its root.
+    It falls before its problem is solved to 30 times the parameter, but not where rows are off by more than its fourth root.
     """
     solver = Solver(library, next(p for p in nonlinear() if p.name == "hanging chain"))
     assert solver.solve().status == "solved"
     falls = [before for before, after in pairwise(solver.path) if after[5] < before[5]]
     assert any(max(violation, stationarity) > 30 * mu for _, _, _, violation, stationarity, mu, _, _ in falls)
-    assert all(violation <= max(30 * mu, mu**0.5) for _, _, _, violation, _, mu, _, _ in falls)
+    assert all(violation <= max(30 * mu, mu**0.25) for _, _, _, violation, _, mu, _, _ in falls)
 
 
 def pendulum() -> Problem:
