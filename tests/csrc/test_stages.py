@@ -266,7 +266,7 @@ def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
 def test_the_barrier_parameter_falls_where_whole_steps_bring_rows_near(library: Library) -> None:
     """The bounds of the chain are far, and products of distances and multipliers follow the parameter.
 
-    It falls before its problem is solved to 30 times the parameter, but not where rows are farther than its fourth root.
+    It falls before its problem is solved to 30 times the parameter, but only where rows are as near as its fourth root.
     """
     solver = Solver(library, next(p for p in nonlinear() if p.name == "hanging chain"))
     assert solver.solve().status == "solved"
