@@ -135,7 +135,10 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
     k = mbs_stages_factorise(&s->recursion, regular > 0 && !inner);
-    return k >= 0 && mbs_stages_mind_growth(&s->recursion, k) ? mbs_stages_factorise(&s->recursion, 0) : k;
+    if (k < 0 || !mbs_stages_mind_growth(&s->recursion, k))
+        return k;
+    ++s->result.factorisations;
+    return mbs_stages_factorise(&s->recursion, 0);
 }
 
 static real first_curvature(real before)

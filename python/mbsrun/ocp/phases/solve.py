@@ -195,7 +195,7 @@ class PhasedSolver:
         ranges = own.constraint_bounds(problem), own.variable_bounds(problem)
         g, first = self._evaluate(x), int(own.see_rows(np.array(own.offsets[-1].rows)))
         equal = ranges[0][0][first:] == ranges[0][1][first:]
-        largest = max((np.abs(x[own.see(impact.changes)]).max() for impact in impacts), default=0.0)
+        largest = max(np.abs(x[own.see(impact.changes)]).max() for impact in impacts)
         if np.abs((g - ranges[0][0])[first:][equal]).max() <= BALANCED * max(1.0, largest):
             return run, x
         begin, cpu_begin = time.perf_counter(), time.process_time()
