@@ -171,6 +171,7 @@ MBSRUN = Package(
         "measuring.overview measuring.surveys",
         "measuring",
         "lab.case lab.mechanisms",
+        "lab.ends",
         "lab.digits lab.integration lab.optimisation lab.runs",
         "lab.interpretation",
         "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.locks lab.loops "
