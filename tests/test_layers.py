@@ -91,6 +91,7 @@ MBSRUN = Package(
         "kernel",
         "external",
         "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
+        "appearance",
         "skeleton ocp.no_mechanism quaternions",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quantities jets differentiation",
         "animation",

@@ -6,10 +6,12 @@ Nothing here asks the network: the wheels are built by the installed hatchling, 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -40,6 +42,20 @@ def files_below(folder: Path) -> set[str]:
         for file in folder.rglob("*")
         if file.is_file() and "__pycache__" not in file.parts
     }
+
+
+def test_parts_of_the_package_are_installed_from_its_folder() -> None:
+    """No index has this package, so `NAME[part]` finds nothing; `.[part]` names a part of it."""
+    parts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    texts = {
+        file: file.read_text("utf-8")
+        for folder in ("docs", "generator", "python", "studies", "website", "benchmarks", "README.md")
+        for file in ([ROOT / folder] if (ROOT / folder).is_file() else (ROOT / folder).rglob("*"))
+        if file.suffix in (".py", ".md", ".ipynb")
+    }
+    named = {part for text in texts.values() for part in re.findall(r"install (?:-e )?'?\.\[(\w+)\]", text)}
+    assert not [file for file, text in texts.items() if re.search(r"\bmbsgen\[\w+\]", text)]
+    assert {"compiler", "mesh", "notebook", "study"} <= named <= set(parts)
 
 
 @pytest.fixture(scope="module")

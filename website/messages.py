@@ -166,7 +166,7 @@ CLASSES = (
         "compilers",
         "C compilers that are missing or unfit",
         "mbsgen writes C without a compiler; simulation and optimal control compile it. Where the PATH has none, "
-        "`pip install 'mbsgen[compiler]'` brings one. Flags that change arithmetic are refused. The exit code is 2.",
+        "`pip install '.[compiler]'` brings one. Flags that change arithmetic are refused. The exit code is 2.",
         (
             Case(
                 "A compiler that cannot be run",

@@ -1,17 +1,18 @@
 """The appearance of a model: Model, Tree -> masses, shapes, axes of joints, springs, contacts, as numbers for pictures.
 
-Points and axes are in the frames of the manifest, at the model's numbers. They are placed by the reduction of the model
-itself: a frame is added at each body and each end, and found again among the sensors of the Tree.
+Points and axes are in the frames of the manifest, at the model's numbers; numbers that depend on run-time or
+differentiated parameters also have formulas. They are placed by the reduction of the model itself: a frame is added at
+each body and each end, and found again among the sensors of the Tree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sympy import ImmutableMatrix, eye
+from sympy import Expr, ImmutableMatrix, eye
 
 from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
@@ -23,6 +24,7 @@ from mbsgen.manifest import (
     Drawing,
     Element,
     Foot,
+    Formula,
     Grip,
     Mass,
     Point,
@@ -80,6 +82,11 @@ def describe_appearance(model: Model, tree: Tree) -> Appearance:
         ),
     )
     return add_forces(found, model, tree.coordinates, texts, seats)
+
+
+def write_formulas(model: Model, points: Mapping[tuple[str | int, ...], Sequence[Expr]]) -> tuple[Formula, ...]:
+    """Write the components of points, by their places in a manifest, that depend on parameters of a model."""
+    return Texts(model, _read_parameters(model)).write_changing(points)
 
 
 @dataclass(frozen=True)

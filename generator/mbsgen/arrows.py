@@ -7,7 +7,7 @@ such as `forces.strut.stiffness`, is written with _ for its dots.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -55,20 +55,24 @@ from mbsgen.manifest import Appearance, Element, Formula, Given, Point, Reading,
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.following import find_rules, list_joints
 from mbsgen.model.model import (
+    BASE,
     HERE,
     LENGTH,
     LENGTH_RATE,
     ORIGIN,
     ZERO,
     Block,
+    Body,
     Contact,
     ForceElement,
     Model,
     Placement,
     Sphere,
     Triple,
+    Visual,
     Wrench,
 )
+from mbsgen.model.placements import centre_inertia
 from mbsgen.model.quantities import Quantity, list_quantities
 from mbsgen.model.symbols import symbolic, to_double
 from mbsgen.model.tree import Kind
@@ -76,6 +80,7 @@ from mbsgen.model.tree import Reading as Kinematics
 
 _CALLS = {sin: "sin", cos: "cos", exp: "exp", log: "log", tanh: "tanh", asin: "asin", acos: "acos", atan: "atan"}
 _CALLS |= {atan2: "atan2", Abs: "abs"}
+_Place = tuple[str | int, ...]  # keys and indices in an appearance
 OWN = frozenset((LENGTH, LENGTH_RATE))  # names of numbers of a force element itself
 
 
@@ -147,9 +152,56 @@ class _Writing:
         for k, name in enumerate(self._readings):
             moved = self._moved.get(name, [])
             self._formulas += [Formula(place=("readings", k, *x.place), text=x.text) for x in moved]
+        if self._texts.are_changing:
+            self._add_bodies(found)
         changes = {"elements": tuple(elements), "contacts": tuple(contacts), "given": tuple(given)}
         changes |= {"formulas": tuple(self._formulas), "readings": tuple(self._readings.values())}
         return found.model_copy(update=changes)
+
+    def _add_bodies(self, found: Appearance) -> None:
+        """Add the numbers of seats, masses and shapes of bodies that depend on parameters."""
+        masses = {x.name: k for k, x in enumerate(found.masses)}
+        drawing = 0
+        for k, body in enumerate(self._model.bodies):
+            seat = self._seats.find(body.name)
+            with suppress(ExpressionError):
+                points = [*self._write_point(("bodies", k), body.name, HERE)]
+                self._formulas += [*points, *self._write_entries(("bodies", k, "axes"), seat.axes_symbols.T)]
+            if body.name in masses:
+                with suppress(ExpressionError):
+                    self._formulas += self._write_mass(("masses", masses[body.name]), body, seat)
+            for visual in body.visuals:
+                with suppress(ExpressionError):
+                    self._formulas += self._write_visual(("drawings", drawing), body.name, visual)
+                drawing += 1
+
+    def _write_mass(self, place: _Place, body: Body, seat: Seat) -> list[Formula]:
+        """Write mass, centre of mass and inertia of a body in the frame that moves with it."""
+        formulas = [*self._write_numbers(place, {"mass": body.mass})]
+        centre = seat.place_symbols + seat.axes_symbols * self._symbolize(body.com)
+        formulas += self._write_entries((*place, "com"), centre)
+        own = ImmutableMatrix([[self._texts.symbolize(x) for x in row] for row in centre_inertia(body).rows])
+        turned = seat.axes_symbols * own * seat.axes_symbols.T
+        entries = [turned[r, c] for r, c in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        return [*formulas, *self._write_entries((*place, "inertia"), entries)]
+
+    def _write_visual(self, place: _Place, body: str, visual: Visual) -> list[Formula]:
+        """Write size, point and axes of a shape in the frame that moves with its body."""
+        seat, own = self._seats.find(body), self._seats.find(BASE, visual.placement)
+        formulas = [*self._write_numbers((*place, "size"), dict(enumerate(visual.size)))]
+        at = seat.place_symbols + seat.axes_symbols * own.place_symbols
+        formulas += self._write_entries((*place, "at"), at)
+        return [*formulas, *self._write_entries((*place, "axes"), (seat.axes_symbols * own.axes_symbols).T)]
+
+    def _symbolize(self, triple: Triple) -> ImmutableMatrix:
+        return ImmutableMatrix([self._texts.symbolize(x) for x in triple])
+
+    def _write_entries(self, place: _Place, numbers: Iterable[Expr]) -> Iterator[Formula]:
+        """Write the numbers of a list that depend on parameters."""
+        for i, x in enumerate(numbers):
+            text = self._texts.find_changing_symbol(x)
+            if text is not None:
+                yield Formula(place=(*place, i), text=text)
 
     def _add_element(self, k: int, found: Element, element: ForceElement) -> Element:
         try:
@@ -232,31 +284,24 @@ class _Writing:
         x, y, z = ("" if component == ZERO else self._read(component) for component in triple)
         return x, y, z
 
-    def _write_numbers(
-        self, place: tuple[str | int, ...], numbers: Mapping[str | int, Expression]
-    ) -> Iterator[Formula]:
+    def _write_numbers(self, place: _Place, numbers: Mapping[str | int, Expression]) -> Iterator[Formula]:
         for key, number in numbers.items():
             text = self._texts.find_changing(number)
             if text is not None:
                 yield Formula(place=(*place, key), text=text)
 
     def _write_point(
-        self, place: tuple[str | int, ...], body: str, placement: Placement, position: Triple | None = None
+        self, place: _Place, body: str, placement: Placement, position: Triple | None = None
     ) -> Iterator[Formula]:
         """Write the coordinates of a point that depend on parameters."""
         seat = self._seats.find(body, placement)
-        own = [self._texts.symbolize(x) for x in position or ORIGIN]
-        for i, x in enumerate(seat.place_symbols + seat.axes_symbols * ImmutableMatrix(own)):
-            text = self._texts.find_changing_symbol(x)
-            if text is not None:
-                yield Formula(place=(*place, "at", i), text=text)
+        at = seat.place_symbols + seat.axes_symbols * self._symbolize(position or ORIGIN)
+        return self._write_entries((*place, "at"), at)
 
-    def _write_axes(self, place: tuple[str | int, ...], wrench: Wrench) -> Iterator[Formula]:
+    def _write_axes(self, place: _Place, wrench: Wrench) -> Iterator[Formula]:
         """Write the axes of a wrench in its body's frame, as far as they depend on parameters."""
-        for i, x in enumerate(() if wrench.in_base else self._seats.find(wrench.body).axes_symbols.T):
-            text = self._texts.find_changing_symbol(x)
-            if text is not None:
-                yield Formula(place=(*place, "axes", i), text=text)
+        axes = () if wrench.in_base else self._seats.find(wrench.body).axes_symbols.T
+        return self._write_entries((*place, "axes"), axes)
 
     def _read(self, expression: Expression, own: frozenset[str] = frozenset()) -> str:
         """Write a force, and keep the numbers of the state that it reads. Raises ExpressionError for others."""
@@ -294,6 +339,7 @@ class Texts:
         self._known: dict[str, Expression] = {}  # constants, spelled parameters, coordinates of followers
         self._symbols: dict[str, Expr] = {}
         changing = [p.name for p in model.parameters if p.kind is not Kind.CONSTANT]
+        self.are_changing = bool(changing)
         spelled = dict(zip(changing, spell(changing), strict=True))
         for p in model.parameters:
             if p.name not in spelled:
@@ -323,6 +369,18 @@ class Texts:
                     product = Operation("*", substitute(rule.ratio, self._known), Name(leader))
                     offset = substitute(rule.offset, self._known)
                     self._known[own] = Operation("+", product, offset) if kind == "q" else product
+
+    def write_changing(self, points: Mapping[_Place, Sequence[Expr]]) -> tuple[Formula, ...]:
+        """Write the components of points that depend on parameters, by the places of the points.
+
+        A point that no text can hold keeps its numbers.
+        """
+        found: list[Formula] = []
+        for place, point in points.items():
+            with suppress(ExpressionError):
+                texts = [self.find_changing_symbol(x) for x in point]
+                found += [Formula(place=(*place, i), text=text) for i, text in enumerate(texts) if text is not None]
+        return tuple(found)
 
     def present(self, expression: Expression) -> float:
         """Return a number at the present parameters."""

@@ -285,7 +285,7 @@ class Reading(_Entry):
 
 
 class Formula(_Entry):
-    """A number of the appearance that depends on run-time parameters, as an expression."""
+    """A number for pictures that depends on run-time or differentiated parameters, as an expression."""
 
     place: tuple[str | int, ...]  # keys and indices that lead to it
     text: str
@@ -304,7 +304,7 @@ class Appearance(_Entry):
     drawings: tuple[Drawing, ...] = ()
     given: tuple[Given, ...] = ()  # wrenches that the model gives
     readings: tuple[Reading, ...] = ()
-    formulas: tuple[Formula, ...] = ()  # numbers of elements, contacts and wrenches
+    formulas: tuple[Formula, ...] = ()  # numbers of elements, contacts, wrenches, bodies, masses and drawings
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -365,8 +365,13 @@ class Manifest(_Entry):
     pose: tuple[float, ...] = ()  # q at which all loops are closed; empty without loops
     driven: tuple[int, ...] = ()  # entries of qd whose accelerations are given
     appearance: Appearance | None = None
+    formulas: tuple[Formula, ...] = ()  # points of frames and loops
     kernels: tuple[Kernel, ...]
     tolerance: float | None = None  # bound on the relative error of the kernels; None: exact
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if k != "formulas" or x}
 
     def kernel(self, name: str) -> Kernel:
         """Return a kernel by name; KeyError lists the kernels."""

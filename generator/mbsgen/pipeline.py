@@ -5,14 +5,16 @@ from __future__ import annotations
 import gc
 import hashlib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sympy import Expr, Symbol
+
 from mbsgen import __version__, manifest
-from mbsgen.appearance import describe_appearance
+from mbsgen.appearance import describe_appearance, write_formulas
 from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
@@ -350,6 +352,7 @@ def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
 
 def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Model) -> Manifest:
     joints = tree.joints
+    frames, loops = tuple(_describe_frame(tree, i) for i in range(1, len(tree.bodies) + 1)), _describe_loops(tree)
     return Manifest(
         format=manifest.FORMAT,
         generator=f"mbsgen {__version__}",
@@ -375,8 +378,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         quaternions=tuple(tree.coordinates.index(x.coordinates[-4]) for x in tree.quaternions),
         parameters=_list_parameters(tree, Kind.RUNTIME),
         design=_list_parameters(tree, Kind.DIFFERENTIATED),
-        frames=tuple(_describe_frame(tree, i) for i in range(1, len(tree.bodies) + 1))
-        + tuple(Frame(name=s.name, parent=s.body - 1, sensor=True) for s in tree.sensors),
+        frames=frames + tuple(Frame(name=s.name, parent=s.body - 1, sensor=True) for s in tree.sensors),
         wrenches=tuple(
             Wrench(name=x.name, frame=x.body - 1, in_base=x.in_base, force=x.force is None, moment=x.moment is None)
             for x in tree.wrenches
@@ -385,12 +387,13 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
         lengths=tuple(x.length.name for x in tree.definitions if x.length is not None),
-        loops=_describe_loops(tree),
+        loops=loops,
         independent=tree.closure.independent if tree.closure else (),
         dependent=tree.closure.dependent if tree.closure else (),
         pose=tree.closure.pose if tree.closure else (),
         driven=tuple(joints.index(tree.bodies[number - 1].joint) for number in tree.driven),
         appearance=describe_appearance(shown, tree),
+        formulas=write_formulas(shown, _list_points(tree, frames)),
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )
@@ -438,9 +441,25 @@ def _describe_frame(tree: Tree, i: int) -> Frame:
     return Frame(name=body.name, parent=body.parent - 1, sensor=False, slides=slides, com=com)
 
 
+def _list_points(tree: Tree, frames: Sequence[Frame]) -> dict[tuple[str | int, ...], Vector]:
+    """List the points of frames and loops in the manifest, over parameters that a use may change."""
+    fixed = {p.symbol: exact(p.value) for p in tree.parameters if p.kind is Kind.CONSTANT}
+    places: dict[tuple[str | int, ...], tuple[int, Vector]] = {}
+    places |= {("frames", i, "com"): (i + 1, tree.bodies[i].com) for i, x in enumerate(frames) if x.com is not None}
+    for k, loop in enumerate(tree.loops):
+        for key, end in (("first_point", loop.first), ("second_point", loop.second)):
+            places["loops", k, key] = end.body, end.position
+    return {place: _settle(tree, *point, fixed) for place, point in places.items()}
+
+
 def _locate(tree: Tree, number: int, point: Vector) -> tuple[float, float, float]:
     """Return a point of a body in the axes that its author gave it, at the model's numbers [m]."""
+    x, y, z = map(to_double, _settle(tree, number, point, {p.symbol: exact(p.value) for p in tree.parameters}))
+    return x, y, z
+
+
+def _settle(tree: Tree, number: int, point: Vector, values: Mapping[Symbol, Expr]) -> Vector:
+    """Return a point of a body in the axes that its author gave it, with numbers for some symbols [m]."""
     axes = tree.bodies[number - 1].axes if number else IDENTITY
-    values = {p.symbol: exact(p.value) for p in tree.parameters}
-    x, y, z = (to_double(total(axes[r][c] * point[r] for r in range(3)).xreplace(values)) for c in range(3))
+    x, y, z = (total(axes[r][c] * point[r] for r in range(3)).xreplace(values) for c in range(3))
     return x, y, z

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Frame, Loop
+from mbsrun.appearance import complete_manifest
 from mbsrun.ocp.plant import Plant
 
 Array = NDArray[np.float64]
@@ -42,8 +43,8 @@ class Skeleton:
 
 def place(plant: Plant, q: ArrayLike) -> Skeleton:
     """Compute the skeleton at coordinates q, shape (K, n)."""
-    frames, poses = plant.manifest.frames, plant("frames", q=q)
-    loops = [loop for loop in plant.manifest.loops if loop.cut != CONSTRAINT]
+    manifest, poses = complete_manifest(plant), plant("frames", q=q)
+    frames, loops = manifest.frames, [loop for loop in manifest.loops if loop.cut != CONSTRAINT]
     p, R = poses["p"], poses["R"]
     added = [(f"{frame.name}, centre of mass", i, frame.com) for i, frame in enumerate(frames) if frame.com is not None]
     first = len(frames) + len(added)

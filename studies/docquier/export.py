@@ -64,6 +64,7 @@ def export(rows: Sequence[Row], path: Path, form: Form) -> Path:
     try:
         from pyarrow import Table, parquet
     except ImportError:
-        raise ExportError("Parquet needs pyarrow: pip install 'mbsgen[study]'; or give --export csv") from None
+        remedy = "run pip install '.[study]' in the folder of the project; or give --export csv"
+        raise ExportError(f"Parquet needs pyarrow: {remedy}") from None
     parquet.write_table(Table.from_pylist([{name: row.get(name) for name in columns} for row in rows]), path)
     return path

@@ -18,18 +18,18 @@ state. Velocities of points are central differences along the coordinates' rates
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
-from mbsgen.expressions import FLOATS, Algebra, ExpressionError, evaluate, names, parse, spell
-from mbsgen.manifest import Appearance, Element, Given, Grip, Manifest, Point, Reading, Tension, Touch
+from mbsgen.expressions import Algebra, evaluate, parse
+from mbsgen.manifest import Appearance, Element, Given, Grip, Point, Reading, Tension, Touch
 from mbsrun.animation.film import Force
+from mbsrun.appearance import complete_appearance, name_parameters
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 
@@ -60,43 +60,6 @@ class Load:
     foot: Point
     values: Array  # (K, 3) [N or N m]
     kind: Force = Force.FORCE
-
-
-def name_parameters(plant: Plant) -> dict[str, float]:
-    """Return the parameters by their words in expressions; a path has _ for its dots."""
-    present = plant.parameters
-    return {new or old: present[old] for old, new in zip(present, spell([*present]), strict=True)}
-
-
-def complete_appearance(plant: Plant) -> Appearance | None:
-    """Return the appearance with the numbers of the present parameters."""
-    found = plant.manifest.appearance
-    if found is None or not found.formulas:
-        return found
-    values = name_parameters(plant)
-    for formula in found.formulas:
-        expression = parse(formula.text)
-        if names(expression) <= values.keys():  # others are no parameters of these kernels, so they cannot change
-            try:
-                found = _replace(found, formula.place, evaluate(expression, values, FLOATS))
-            except ExpressionError:
-                found = _replace(found, formula.place, np.nan)  # it has no value there, and its force no arrow
-    return found
-
-
-def complete_manifest(plant: Plant) -> Manifest:
-    """Return the manifest with the appearance of the present parameters."""
-    return plant.manifest.model_copy(update={"appearance": complete_appearance(plant)})
-
-
-def _replace(entry: Any, place: Sequence[str | int], value: float) -> Any:
-    """Return an entry of a manifest, or a tuple in it, with another number at a place."""
-    if not place:
-        return value
-    key, *rest = place
-    if isinstance(entry, BaseModel):
-        return entry.model_copy(update={str(key): _replace(getattr(entry, str(key)), rest, value)})
-    return tuple(_replace(x, rest, value) if k == key else x for k, x in enumerate(entry))
 
 
 def find_loads(plant: Plant, q: Array, dq: Array, signals: Mapping[str, Array] = MappingProxyType({})) -> list[Load]:

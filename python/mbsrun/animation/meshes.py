@@ -100,7 +100,8 @@ def _load(path: Path) -> tuple[Array, NDArray[np.int64]]:
     try:
         trimesh = importlib.import_module("trimesh")
     except ImportError:
-        raise _refuse(path, "trimesh, which reads meshes, is missing", "run pip install 'mbsgen[mesh]'") from None
+        remedy = "run in the folder of the project: pip install '.[mesh]'"
+        raise _refuse(path, "trimesh, which reads meshes, is missing", remedy) from None
     try:
         size = path.stat().st_size
         content = path.read_bytes() if size <= MAX_BYTES else b""

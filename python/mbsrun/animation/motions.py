@@ -13,8 +13,9 @@ from mbsgen.manifest import TIME, Manifest, Point
 from mbsgen.style import PALETTE
 from mbsrun.animation.actors import BY_BODY, list_meshes, look_alike, make_actor
 from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Track, Triple, View
-from mbsrun.animation.forces import Load, complete_manifest, find_loads
+from mbsrun.animation.forces import Load, find_loads
 from mbsrun.animation.visuals import Visual, show_drawings
+from mbsrun.appearance import complete_manifest
 from mbsrun.ocp.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from mbsgen.documents import abbreviate
-from mbsgen.errors import Fault, InputError
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.animation import Wanted, make_film
 from mbsrun.animation.files import Size, write_film
 from mbsrun.animation.film import Film
 from mbsrun.animation.visuals import Visual, give_mesh, read_visuals, show_drawings
-from mbsrun.commands.animated import read_motion, read_parameters
+from mbsrun.commands.animated import equip, read_motion
 from mbsrun.commands.console import NumberType, say, show_progress
 from mbsrun.commands.recorded import set_parameters, split_pairs
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import Mechanism, load
+from mbsrun.external import load
 from mbsrun.models import Extent, list_undrawn
 
 DRAWN = Extent(("frames",), derivatives=0, optional=("rates",))
@@ -125,9 +123,9 @@ def animate_command(
     mechanism = load(model, extent=DRAWN)
     given = set_parameters(mechanism, parameters)
     mechanism = mechanism.with_parameters(**given)
+    read = [read_motion(path, equip(mechanism, model, DRAWN, path, given), name) for name, path in map(_split, motions)]
     robot = context.params["model"]  # as given: `model` may be imported from it, and has no shapes
-    shown = _read_shapes(robot, visuals, tuple(packages), meshes, mechanism.manifest)
-    read = [read_motion(path, _equip(mechanism, model, path, given), name) for name, path in map(_split, motions)]
+    shown = _read_shapes(robot, visuals, tuple(packages), meshes, read[0][0].manifest)
     markers = tuple(dict.fromkeys(marker for _, own in read for marker in own))
     film = make_film([motion for motion, _ in read], Wanted(title, markers, is_apart, shown, rate))
     outputs = outputs or (Path(f"{model.stem}.html"),)
@@ -137,23 +135,6 @@ def animate_command(
         with show_progress() as report:
             write_film(film, out, size, report)
         say(f"wrote {out}")
-
-
-def _equip(mechanism: Mechanism, model: Path, motion: Path, given: Mapping[str, float]) -> Mechanism:
-    """Return the kernels with the parameters that a motion was made with; given values go before them.
-
-    Numbers without a name in the model are parameters by their paths, as track's plants have them.
-    """
-    wanted = {name: x for name, x in read_parameters(motion).items() if name not in given}
-    if not wanted.keys() <= mechanism.parameters.keys():
-        mechanism = load(model, extent=replace(DRAWN, runtime=True)).with_parameters(**given)
-    if unknown := sorted(wanted.keys() - mechanism.parameters.keys()):
-        finding = (
-            f"it was made with other values of {', '.join(map(abbreviate, unknown))}, which the model does not have"
-        )
-        raise InputError([Fault(str(motion), 0, "parameters", finding, "give the model file of this motion")])
-    changed = {name: x for name, x in wanted.items() if mechanism.parameters[name] != x}
-    return mechanism.with_parameters(**changed) if changed else mechanism
 
 
 def _read_shapes(

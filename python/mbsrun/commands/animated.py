@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.animation import Marker, Motion, Part
+from mbsrun.external import Mechanism, load
+from mbsrun.models import Extent
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.solution import FORMAT as PHASES
 from mbsrun.ocp.phases.solution import read_phased_solution
@@ -29,7 +32,7 @@ from mbsrun.recordings.recording import Column
 Array = NDArray[np.float64]
 
 # Files of the folders of solve, simulate, track, fit-motion and inverse-dynamics; the first one that is there is read.
-SOLUTION, TRACK = "solution.json", "track.csv"
+SOLUTION, SOLUTION_TABLE, TRACK = "solution.json", "solution.csv", "track.csv"
 FILES = (SOLUTION, "trajectory.csv", TRACK, "motion.csv", "forces.csv")
 SUMMARIES = {
     "trajectory.csv": "simulation.json",
@@ -63,13 +66,38 @@ def read_motion(path: Path, plant: Plant, name: str) -> tuple[Motion, tuple[Mark
     return Motion((_make_part(recording, plant),), name), ()
 
 
-def read_parameters(path: Path) -> dict[str, float]:
+def equip(
+    mechanism: Mechanism, model: Path, extent: Extent, motion: Path, given: Mapping[str, float] = MappingProxyType({})
+) -> Mechanism:
+    """Return the kernels with the parameters that a motion was made with; given values go before them.
+
+    Numbers without a name in the model are parameters by their paths, as track's plants have them: then this extent of
+    the model is loaded with them. Raises InputError for parameters that the model does not have.
+    """
+    wanted = {name: x for name, x in read_parameters(motion, mechanism.parameters).items() if name not in given}
+    if not wanted.keys() <= mechanism.parameters.keys():
+        mechanism = load(model, extent=replace(extent, runtime=True)).with_parameters(**given)
+    if unknown := sorted(wanted.keys() - mechanism.parameters.keys()):
+        finding = (
+            f"it was made with other values of {', '.join(map(abbreviate, unknown))}, which the model does not have"
+        )
+        raise InputError([Fault(str(motion), 0, "parameters", finding, "give the model file of this motion")])
+    changed = {name: x for name, x in wanted.items() if mechanism.parameters[name] != x}
+    return mechanism.with_parameters(**changed) if changed else mechanism
+
+
+def read_parameters(path: Path, known: Collection[str]) -> dict[str, float]:
     """Read the parameters that a motion was made with, from the summary beside its table; {} where there is none.
 
-    simulate, track, fit-motion and inverse-dynamics write one; a solution holds its own parameters. Raises InputError
-    for a summary that cannot be read.
+    simulate, track, fit-motion and inverse-dynamics write one. A solution, and the table beside it, have the
+    parameters of the problem and the numbers that were found, as far as they are `known` parameters of the model.
+    Raises InputError for a summary that cannot be read.
     """
     file = _find_file(path)
+    solution = file if file.suffix.lower() == ".json" else file.parent / SOLUTION
+    if file in (solution, file.parent / SOLUTION_TABLE) and solution.is_file():
+        phases = [phase.parameters for _, phase in _read_solutions(solution)]
+        return {name: x for each in phases for name, x in each.items() if name in known}
     summary = file.parent / SUMMARIES.get(file.name, "")
     if file.name not in SUMMARIES or not summary.is_file():
         return {}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
+from mbsrun.commands.animated import equip
 from mbsrun.commands.console import NumberType, choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
     cut,
@@ -34,6 +35,8 @@ FORMAT = "mbsrun inverse dynamics 1"
 TABLE, SUMMARY, PICTURE = "forces.csv", "forces.json", "forces.png"
 
 HELP = """Compute the forces that a recorded motion of MODEL takes: inverse dynamics.
+
+Parameters are the ones that the motion was made with, as the file beside it or --parameter gives them.
 
 RECORDING holds coordinates over time: the motion.csv of mbsrun fit-motion, a table of mbsrun simulate or solve, a CSV,
 MOT or STO file. Splines of degree 5 give velocities and accelerations; --noise smooths them, --cutoff filters the
@@ -106,7 +109,8 @@ def inverse_dynamics_command(
     recording = cut(read_recording(file), start, end)
     load_recording = None if other is None else read_recording(other)
     mechanism = load(model, extent=INTEGRATED)
-    mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
+    given = set_parameters(mechanism, parameters)
+    mechanism = equip(mechanism.with_parameters(**given), model, INTEGRATED, file, given)
     manifest = mechanism.manifest
     named = split_pairs("wrench", wrenches, [wrench.name for wrench in manifest.wrenches])
     with show_progress() as report:

@@ -29,7 +29,7 @@ inverse and forward dynamics in all formulations, the mass matrix, energies, and
 simulated on the page. With --controller, a controller that `mbsrun controller` wrote runs there, too; with --regulate,
 linear feedback about the pose of --pose, as `mbsrun linearise` finds it.
 
-Zig compiles the C (pip install 'mbsgen[compiler]'). Loops are kept closed; driven joints move with the
+Zig compiles the C (pip install '.[compiler]'). Loops are kept closed; driven joints move with the
 accelerations of their sliders.
 
 \b

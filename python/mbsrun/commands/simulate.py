@@ -166,7 +166,7 @@ def list_keeping() -> str:
 @click.option(
     "--solution",
     type=click.Path(path_type=Path),
-    help="A solution.json of `mbsrun solve`: its inputs, and its start unless another is given.",
+    help="A solution.json of `mbsrun solve`: its inputs, and its start and parameters unless others are given.",
 )
 @choose_format
 @accept_robots
@@ -222,21 +222,23 @@ def _split(option: str, pairs: Sequence[str]) -> dict[str, Data]:
 
 
 def _read_recording(path: Path, manifest: Manifest) -> Recording:
-    """Take start and inputs of a solution; it must be one of this model."""
+    """Take start, inputs and parameters of a solution; it must be one of this model."""
     found = read_solution(path)
     names = manifest.positions
     inputs = manifest.inputs
     if (found.coordinates, found.inputs) != (names, inputs):
         told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
         raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])
-    if found.model_hash != manifest.model_hash:
+    if found.mechanism not in ("", manifest.mechanism):
         say(f"warning: {path} was made with another version of the model")
     trajectory = found.trajectory
     if trajectory.point_u.size:
         drive = follow_polynomials(trajectory.t, trajectory.point_t, trajectory.point_u)
     else:
         drive = hold_steps(trajectory.t, trajectory.u)
-    return Recording(drive, trajectory.q[0], trajectory.qd[0])
+    known = {p.name for p in (*manifest.parameters, *manifest.design)}
+    parameters = {name: value for name, value in found.parameters.items() if name in known}
+    return Recording(drive, trajectory.q[0], trajectory.qd[0], parameters)
 
 
 def _print_motion(motion: Motion, manifest: Manifest) -> None:

@@ -114,7 +114,8 @@ def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path
         import distributed
     except ImportError:
         raise ClusterError(
-            "this needs Dask: pip install 'mbsgen[study]'; or take this process alone: --workers 0"
+            "this needs Dask: run pip install '.[study]' in the folder of the project; "
+            "or take this process alone: --workers 0"
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it warns that solving keeps workers busy
     with _connect(distributed, scheduler) if scheduler else _start(distributed, workers) as client:

@@ -213,6 +213,13 @@ class Solution:
     multipliers: Array | None = None  # (N, d, m): the forces on these equations at the points of the trajectory
     driven: tuple[str, ...] = ()  # joints whose motion the problem gives
     driving: Array | None = None  # (N, d, joints): the forces that these take at the points of the trajectory
+    mechanism: str = ""  # the hash of the mechanism, whatever was generated of it; empty in older files
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Return the parameters of the model that the problem gives and the numbers that were found, by name."""
+        found = zip((unknown.name for unknown in self.problem.unknowns), self.trajectory.unknowns.tolist(), strict=True)
+        return dict(self.problem.parameters) | dict(found)
 
     @property
     def is_only_acceptable(self) -> bool:

@@ -276,6 +276,7 @@ def make_solution(
         multipliers=transcription.read_multipliers(values.completed, trajectory),
         driven=tuple(manifest.coordinates[i].name for i in manifest.driven),
         driving=transcription.read_driving(values.completed),
+        mechanism=manifest.mechanism,
     )
 
 

@@ -56,7 +56,8 @@ def import_pandas() -> Any:
     try:
         return importlib.import_module("pandas")
     except ImportError:
-        raise MissingPackageError("pandas is not installed; run pip install 'mbsgen[notebook]'") from None
+        remedy = "run in the folder of the project: pip install '.[notebook]'"
+        raise MissingPackageError(f"pandas is not installed; {remedy}") from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

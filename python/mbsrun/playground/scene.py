@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mbsrun.animation import RATE, Motion, Part, make_film
 from mbsrun.animation.page import describe_scene
+from mbsrun.appearance import complete_manifest
 from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import normalise
@@ -30,5 +31,5 @@ def describe_picture(kernels: Mechanism, start: Array, lower: Array, upper: Arra
         closure, given = Closure(kernels), [] if manifest.configuration else list(manifest.independent)
         poses = np.vstack((start, closure.spread(start, given, poses[1:, given])))
     film = make_film([Motion((Part(kernels, np.arange(SAMPLES) / RATE, poses),))])
-    ends = [(i, frame.com) for i, frame in enumerate(kernels.manifest.frames) if frame.com is not None]
+    ends = [(i, frame.com) for i, frame in enumerate(complete_manifest(kernels).frames) if frame.com is not None]
     return {"scene": describe_scene(film), "added": [{"frame": i, "at": list(com)} for i, com in ends]}

@@ -38,6 +38,7 @@ from mbsrun.simulation.motion import (
 
 Array = NDArray[np.float64]
 
+SAME = 1e-9  # of the distance of outputs: an output that is as near to a step's end is there
 BEYOND = 1e-6  # of a limit or of 1 rad or m: beyond it there is a warning
 STIFF = 500.0  # times that a fast motion decays within a simulation; slower ones bring no warning of stiffness
 
@@ -266,8 +267,11 @@ class _Record:
         """Cut steps at the times of outputs; return the finer chunk, and the indices of these outputs."""
         assert chunk.dense is not None, "only steps with an interpolation are cut"
         dense, (first, last) = chunk.dense, chunk.t[[0, -1]]
-        wanted = self.distance * np.arange(np.ceil(first / self.distance), np.floor(last / self.distance) + 1)
-        wanted = wanted[(wanted > first) & (wanted < last)]
+        wanted = self.distance * np.arange(np.floor(first / self.distance), np.ceil(last / self.distance) + 1)
+        later = np.searchsorted(chunk.t, wanted).clip(1, len(chunk.t) - 1)
+        near = np.where(wanted - chunk.t[later - 1] < chunk.t[later] - wanted, chunk.t[later - 1], chunk.t[later])
+        wanted = np.where(np.abs(near - wanted) < SAME * self.distance, near, wanted)
+        wanted = wanted[(wanted > first) & (wanted <= last)]
         t = np.union1d(chunk.t, wanted)
         step = np.clip(np.searchsorted(chunk.t, t, side="left") - 1, 0, len(chunk.t) - 2)
         q, qd = dense(t, step)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -57,11 +57,12 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Start and inputs of another file, which a settings file then need not give."""
+    """Start, inputs and parameters of another file, which a settings file then need not give."""
 
     drive: Drive
     q: Array  # (n,)
     qd: Array  # (n,)
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_statement(
@@ -69,7 +70,8 @@ def read_statement(
 ) -> Statement:
     """Read a settings file, if there is one; options replace its values, and are nested as in a file.
 
-    A recording takes the place of `inputs`, and of a start that is not given. Raises InputError with every fault.
+    A recording takes the place of `inputs`, and of a start and parameters that are not given. Raises InputError with
+    every fault.
     """
     document = read_settings(file, options)
     if file is not None:
@@ -163,7 +165,7 @@ class _Reading(Reading):
         start = self.start(section.start)
         course = self.course(section.driven, start)
         known = [p.name for p in (*self.manifest.parameters, *self.manifest.design)]
-        parameters = {}
+        parameters = {} if self.recording is None else dict(self.recording.parameters)
         for name, expression in section.parameters.items():
             if self.find(("parameters", name), name, known, "parameter that may be changed") is not None:
                 parameters[name] = self.number(("parameters", name), expression)

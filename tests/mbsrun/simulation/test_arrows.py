@@ -12,7 +12,8 @@ from click.testing import CliRunner
 from mbsrun import Mechanism
 from mbsrun.animation import Motion, Part, make_film
 from mbsrun.animation.film import Force
-from mbsrun.animation.forces import complete_appearance, find_loads
+from mbsrun.animation.forces import find_loads
+from mbsrun.appearance import complete_appearance
 from mbsrun.cli import cli
 from mbsrun.external import load
 from mbsrun.models import Extent

@@ -1,0 +1,187 @@
+"""Numbers that a solution found, or that a motion was made with, in everything that is done with it later."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbsrun
+from mbsrun import cli
+from mbsrun.appearance import complete_manifest
+from mbsrun.commands.animated import read_motion
+from mbsrun.models import Extent, find_folder
+from mbsrun.ocp.solution import read_solution
+from mbsrun.recordings import read_recording
+from mbsrun.skeleton import place
+
+Run = Callable[..., tuple[object, str, str]]
+
+BAR = """\
+name: bar
+gravity: [0, 0, -9.81]
+parameters:
+  rocker: {value: 0.24, kind: differentiated}
+  mass: 0.36
+bodies:
+  - {name: crank, joint: {name: motor, type: revolute, axis: -y}, mass: 0.15, com: [0.05, 0, 0],
+     inertia: [0, 1e-4, 1e-4]}
+  - name: coupler
+    parent: crank
+    joint: {name: pin, type: revolute, axis: -y, position: [0.1, 0, 0], actuated: false}
+    mass: 0.42
+    com: [0.14, 0, 0]
+    inertia: [0, 3e-3, 3e-3]
+  - name: rocker
+    joint: {name: swing, type: revolute, axis: -y, position: [0.3, 0, 0], actuated: false}
+    mass: mass
+    com: [rocker/2, 0, 0]
+    inertia: [0, mass*rocker**2/12, mass*rocker**2/12]
+    visual: [{shape: box, size: [rocker, 0.02, 0.02], position: [rocker/2, 0, 0]}]
+loops:
+  - {name: closure, type: hinge, axis: y, from: {body: coupler, position: [0.28, 0, 0]},
+     to: {body: rocker, position: [rocker, 0, 0]}}
+independent: [motor]
+assembly: {motor: 60 deg, pin: -29 deg, swing: 91 deg}
+"""
+TURN = """\
+model: bar.yaml
+horizon: 0.5
+intervals: 16
+scheme: radau
+degree: 3
+unknowns:
+  rocker: {guess: 0.24, range: [0.22, 0.3]}
+cost:
+  inputs: 1
+  terminal:
+    - {expression: (rocker - 0.28)**2, weight: 100}
+start: {pose: {motor: 60 deg}}
+end: {pose: {motor: 150 deg}, velocity: zero}
+accuracy: 1e-5
+"""
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Solve for the length of a rocker, and return the folder of model, problem and `turn`."""
+    folder = tmp_path_factory.mktemp("turned")
+    (folder / "bar.yaml").write_text(BAR, "utf-8")
+    (folder / "turn.ocp.yaml").write_text(TURN, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("sys.argv", ["mbsrun", "solve", "turn.ocp.yaml", "-o", "turn"])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    assert end.value.code == 0
+    return folder
+
+
+@pytest.fixture
+def run(turned: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in that folder."""
+    monkeypatch.chdir(turned)
+
+    def call(*arguments: str) -> tuple[object, str, str]:
+        monkeypatch.setattr("sys.argv", ["mbsrun", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, *capsys.readouterr()
+
+    return call
+
+
+def test_a_mechanism_is_drawn_with_the_lengths_found(turned: Path) -> None:
+    """The ends of the loop are one point at all times: a rocker of 0.24 m would be centimetres away."""
+    motion, _ = read_motion(turned / "turn", mbsrun.load(turned / "bar.yaml"), "turn")
+    (part,) = motion.parts
+    (length,) = read_solution(turned / "turn" / "solution.json").trajectory.unknowns
+    assert abs(length - 0.24) > 0.01
+    skeleton = place(part.kernels, part.q)
+    (link,) = skeleton.links
+    gap = skeleton.p[:, :, link.first] - skeleton.p[:, :, link.second]
+    assert np.abs(gap).max() < 1e-9
+    end = [0.3 + length * np.cos(part.q[:, 2]), np.zeros(len(part.q)), length * np.sin(part.q[:, 2])]
+    np.testing.assert_allclose(skeleton.p[:, :, link.second].T, end, atol=1e-12)
+    appearance = motion.manifest.appearance
+    assert appearance is not None
+    rocker = appearance.masses[2]
+    assert rocker.com == pytest.approx((length / 2, 0, 0), abs=1e-15)
+    assert rocker.inertia[:3] == pytest.approx((0, 0.03 * length**2, 0.03 * length**2), abs=1e-15)
+    (box,) = appearance.drawings
+    assert (box.size[0], box.at[0]) == pytest.approx((length, length / 2), abs=1e-15)
+
+
+def test_a_simulation_takes_the_lengths_found(run: Run) -> None:
+    """The inputs of the solution lead to its end, and each time is in the table once."""
+    code, _, err = run("simulate", "bar.yaml", "--solution", "turn/solution.json", "-o", "again")
+    assert (code, "warning" in err) == (0, False)
+    found, solution = read_recording(Path("again/trajectory.csv")), read_solution(Path("turn/solution.json"))
+    assert found.column("q[motor]")[-1] == pytest.approx(np.radians(150), abs=1e-4)
+    assert np.diff(found.times).min() > 1e-6
+    settings = json.loads(Path("again/simulation.json").read_text("utf-8"))
+    assert settings["parameters"] == {"rocker": solution.trajectory.unknowns[0]}
+    code, _, _ = run(
+        *("simulate", "bar.yaml", "--solution", "turn/solution.json", "-o", "other"),
+        *("--parameter", "rocker=0.25"),
+    )
+    assert code == 0
+    assert json.loads(Path("other/simulation.json").read_text("utf-8"))["parameters"] == {"rocker": 0.25}
+
+
+def test_another_mechanism_is_named(run: Run) -> None:
+    """A comment changes nothing; another mass is another version of the model."""
+    for text, changes in ((BAR + "# the rocker is light\n", False), (BAR.replace("0.36", "0.37"), True)):
+        Path("changed.yaml").write_text(text, "utf-8")
+        code, _, err = run("simulate", "changed.yaml", "--solution", "turn/solution.json", "-o", "changed")
+        assert (code, "another version of the model" in err) == (0, changes)
+
+
+def test_inverse_dynamics_takes_the_lengths_found(run: Run) -> None:
+    """The forces of the table are the inputs in it."""
+    code, _, _ = run("inverse-dynamics", "bar.yaml", "turn/solution.csv", "-o", "forces")
+    assert code == 0
+    given = read_recording(Path("turn/solution.csv")).column("u[motor]")
+    found = read_recording(Path("forces/forces.csv")).column("u[motor]")
+    inner = slice(3, -3)  # without the ends of the splines, which smooth inputs that are constant by steps
+    assert float(np.sqrt(np.mean((found - given)[inner] ** 2))) < 0.05 * np.abs(given).max()
+    (length,) = read_solution(Path("turn/solution.json")).trajectory.unknowns
+    assert json.loads(Path("forces/forces.json").read_text("utf-8"))["parameters"] == {"rocker": length}
+
+
+def test_inverse_dynamics_takes_the_parameters_of_a_fit(run: Run) -> None:
+    """A table has them in the summary beside it."""
+    Path("fit").mkdir(exist_ok=True)
+    Path("fit/motion.csv").write_bytes(Path("turn/solution.csv").read_bytes())
+    Path("fit/motion.json").write_text('{"parameters": {"rocker": 0.26}}', "utf-8")
+    code, _, _ = run("inverse-dynamics", "bar.yaml", "fit/motion.csv", "-o", "fitted")
+    assert code == 0
+    assert json.loads(Path("fitted/forces.json").read_text("utf-8"))["parameters"] == {"rocker": 0.26}
+
+
+PENDULUM = """\
+name: pendulum
+gravity: [0, 0, -9.81]
+parameters: {l: {value: 0.3, kind: runtime}, m: {value: 2, kind: runtime}}
+bodies:
+  - {name: arm, joint: {type: revolute, axis: -y}, mass: m, com: [0, 0, -l], inertia: [m*l**2/3, m*l**2/3, 0]}
+"""
+
+
+def test_centres_and_masses_follow_run_time_parameters(tmp_path: Path) -> None:
+    """Without parameters the numbers are the model's; a body whose mass becomes 0 is drawn as none."""
+    path = tmp_path / "model.yaml"
+    path.write_text(PENDULUM, "utf-8")
+    plant = mbsrun.load(find_folder(path, Extent(("frames",), derivatives=0)))
+    longer = plant.with_parameters(l=0.5, m=4.0)
+    assert place(longer, np.zeros((1, 1))).p[0, :, 1] == pytest.approx([0, 0, -0.5], abs=1e-15)
+    assert place(plant, np.zeros((1, 1))).p[0, :, 1] == pytest.approx([0, 0, -0.3], abs=1e-15)
+    appearance = complete_manifest(longer).appearance
+    assert appearance is not None
+    assert (appearance.masses[0].mass, appearance.masses[0].com) == (4.0, (0.0, 0.0, -0.5))
+    none = complete_manifest(plant.with_parameters(m=0.0)).appearance
+    assert none is not None
+    assert none.masses == ()
