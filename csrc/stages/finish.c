@@ -103,6 +103,8 @@ const char *mbs_stages_explain(mbs_stages_status status)
         return "A step was made.";
     case MBS_STAGES_NOT_PREPARED:
         return "Feedback needs a preparation that succeeded.";
+    case MBS_STAGES_DIVERGED:
+        return "The steps have diverged: the plan violates its equations too much for a step. Solve anew.";
     }
     return "This status is unknown.";
 }

@@ -105,7 +105,8 @@ typedef enum {
                                  * scale is not positive */
     MBS_STAGES_PREPARED,        /* a step is ready for feedback */
     MBS_STAGES_STEPPED,         /* a step was made */
-    MBS_STAGES_NOT_PREPARED     /* feedback without a preparation that succeeded */
+    MBS_STAGES_NOT_PREPARED,    /* feedback without a preparation that succeeded */
+    MBS_STAGES_DIVERGED         /* the plan is none any more: steps do not come back from its violation; solve anew */
 } mbs_stages_status;
 
 typedef struct {
@@ -127,6 +128,9 @@ typedef struct {
                                            * tolerance asks for (in real time: 1e-4) */
     int follow;                           /* 1: where a trial is refused, inner variables are solved for anew, as if
                                            * they were functions of the others: 0 */
+    mbs_stages_real most_violation;       /* in real time: the violation of scaled rows from which on a plan has
+                                           * diverged; 0: 10 times the largest of the plan that steps began with: its
+                                           * scaled numbers, its own violation, 1 */
 } mbs_stages_options;
 
 /* A row or a bound that stays violated. */
@@ -201,8 +205,12 @@ void mbs_stages_shift(mbs_stages *solver);
  * First states with equal bounds are the measured ones; of `first`, which has nx numbers, the others are not read.
  * `v` gets the variables of stage 0. Where no step is made, the iterate stays as it is, and `v` gets its numbers.
  *
+ * Steps can go wrong, after a blow for instance. Where the violation of the plan exceeds `most_violation`, the preparation
+ * returns MBS_STAGES_DIVERGED, and no step is made until there is another plan: write a guess, and solve.
+ *
  * The first preparation after a solve starts from its solution, or from the caller's guess. Only the tolerance-free
- * options `least_barrier`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for the default. */
+ * options `least_barrier`, `most_violation`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for
+ * the default. */
 typedef struct {
     mbs_stages_status status;
     int stage;          /* of a failed callback or a bad bound, or -1 */

@@ -5,13 +5,17 @@
  * for the first state of the iterate, with all refinement; feedback adds its response to the measured deviation,
  * which is a sweep ahead without right-hand sides.
  *
- * There is no line search. Each variable takes the whole step or goes almost to its own bound. One length for all of
+ * There is no line search, so steps can diverge. The violation of a plan is of second order in the step that made it.
+ * Where it exceeds the plan's own numbers, the linear equations say nothing about the next step, and there is none.
+ *
+ * Each variable takes the whole step or goes almost to its own bound. One length for all of
  * them would stop the inputs of now because of a bound that matters much later. */
 #include "solver.h"
 
 #include <string.h>
 
 #define BARRIER ((real)1e-4)
+#define HOPELESS ((real)10) /* violation, beside the first plan: steps come back from 1.5 times its size */
 #define CENTRAL ((real)100) /* most ratio of distance z and mu, either way, that a step begins with */
 
 static void limit_ratio(real distance, real *z, real mu)
@@ -155,10 +159,31 @@ static int find_step(mbs_stages *s, mbs_stages_phase *p)
                                                                          : MBS_STAGES_OUT_OF_DIGITS;
 }
 
+/* Whether the violation is one that steps do not come back from. */
+static int has_diverged(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    const real given = s->options.most_violation;
+    return mbs_stages_largest(s->rows, p->c) > (given > 0 ? given : HOPELESS * s->usual);
+}
+
+/* The first plan gives the measure of violations: its numbers, and its own violation where it is a guess. */
+static int begin(mbs_stages *s)
+{
+    const int status = mbs_stages_start(s);
+    real size, violation;
+    if (status != MBS_STAGES_RUNNING)
+        return status;
+    size = mbs_stages_largest(s->variables, s->main.x);
+    violation = mbs_stages_largest(s->rows, s->main.c);
+    size = violation > size ? violation : size;
+    s->usual = size > 1 ? size : 1;
+    return status;
+}
+
 static int prepare(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
-    int status = s->live ? load(s) : mbs_stages_start(s);
+    int status = s->live ? load(s) : begin(s);
     if (status != MBS_STAGES_RUNNING)
         return status;
     p->tau = (real)0.99;
@@ -168,7 +193,7 @@ static int prepare(mbs_stages *s)
         return status;
     mbs_stages_find_lagrangian(s, p);
     measure(s, p);
-    return find_step(s, p);
+    return s->live && has_diverged(s, p) ? MBS_STAGES_DIVERGED : find_step(s, p);
 }
 
 mbs_stages_realtime mbs_stages_prepare(mbs_stages *s, const mbs_stages_options *options, int shift)

@@ -111,6 +111,7 @@ struct mbs_stages {
     mbs_stages_realtime realtime;
     int live;  /* the iterate is the one of a step in real time, its slacks too */
     int ready; /* a step is prepared */
+    real usual; /* the largest number or violation, scaled, of the plan that steps began with, at least 1 */
     real *variable_scale, *row_scale, cost_scale;
     char *fixed;                  /* of (w, s), and of (p, n), which inner rows have none of */
     real *reference, *weight;     /* of w in restoration */

@@ -42,6 +42,7 @@ STATUS = (
     "prepared",
     "stepped",
     "not prepared",
+    "diverged",
 )
 QUADRATIC = """
 typedef struct { const mbs_stages_size *size; const long *start; const REAL *data; } quadratic;

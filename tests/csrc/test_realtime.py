@@ -189,6 +189,61 @@ def test_feedback_needs_numbers_and_a_preparation(library: Library) -> None:
     assert (status, figures.stage) == ("bad problem", 1)
 
 
+def stepped(library: Library, problem: Problem, steps: int = 3, **options: Any) -> Solver:
+    """A solver after a solve and some steps, with a plan that violates its equations a little."""
+    solver = Solver(library, problem)
+    assert solver.solve(**options).status == "solved"
+    follow(solver, problem, steps, {0: np.array([0.2, -0.1])}, **options)
+    return solver
+
+
+def test_a_plan_that_violates_too_much_has_diverged(library: Library) -> None:
+    """No step is made from it, and it stays, until there is another one; the limit is of the violation."""
+    problem = balance()[0]
+    solver = stepped(library, problem)
+    violation = solver.prepare()[1].violation
+    assert violation > 0
+    assert solver.prepare(most_violation=1.001 * violation)[0] == "prepared"
+    status, figures = solver.prepare(most_violation=0.999 * violation)
+    assert (status, figures.violation) == ("diverged", violation)
+    kept = solver.get("w")
+    status, v, _ = solver.feedback(state(problem))
+    assert (status, v[0]) == ("not prepared", kept[2])
+    assert np.array_equal(solver.get("w"), kept)
+    assert solver.prepare()[0] == "prepared"
+
+
+@pytest.mark.parametrize(("factor", "status"), [(0.99, "prepared"), (1.01, "diverged")])
+def test_a_plan_has_diverged_beyond_ten_times_the_first_one(library: Library, factor: float, status: str) -> None:
+    """By default; the measure is the largest number of the plan that steps began with, here 5: the torque, or more."""
+    problem = balance()[0]
+    solver = Solver(library, problem)
+    w = solver.solve().w
+    follow(solver, problem, 1, {})
+    broken = solver.get("w")
+    broken[3 * 7 : 3 * 7 + 2] += [0.0, 10 * factor * np.abs(w).max()]  # a row of the stage before it, almost exactly
+    solver.set(w=broken)
+    assert solver.prepare(most_violation=1e9)[1].violation == pytest.approx(10 * factor * np.abs(w).max(), rel=2e-3)
+    assert solver.prepare()[0] == status
+
+
+def test_a_guess_is_no_divergence(library: Library) -> None:
+    """Steps may begin with a guess, whose violation is the measure of later ones; a solve begins anew."""
+    problem = balance()[0]
+    solver = Solver(library, problem)
+    guess = 300.0 * np.ones(len(problem.guess))
+    solver.set(w=guess)
+    assert solver.prepare()[0] == "prepared"
+    solver.feedback(state(problem))
+    solver.set(w=guess)
+    assert solver.prepare()[0] == "prepared"
+    solver.set(w=1e12 * guess)
+    assert solver.prepare()[0] == "diverged"
+    solver.set(w=problem.guess)
+    assert solver.solve().status == "solved"
+    assert solver.prepare()[0] == "prepared"
+
+
 def test_curvature_is_added_and_remembered(library: Library) -> None:
     """Concave costs: the second preparation starts from the amount of the first one, so it tries less often."""
     problem = random_problem(np.random.default_rng(0), [(2, 2, 0, 0)] * 6 + [(2, 0, 0, 0)])

@@ -25,6 +25,7 @@ from mbsrun.commands.console import (
 )
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
+from mbsrun.controllers.writing import BARRIER
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_THREADS
 from mbsrun.ocp.methods import METHODS as SOLVERS
@@ -32,7 +33,7 @@ from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
-from mbsrun.tracking.compiled import BARRIER, CompiledController, Stepping, find_wrong_rate, list_misfits
+from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
 from mbsrun.tracking.mechanisms import load_simulated
@@ -83,7 +84,6 @@ Exit codes
 
 PREPARED = 0.1  # of a sample's processor time: less preparation is not printed
 LISTED = 8  # margins and statuses that are printed
-DIVERGED = 1e4  # violation of a plan that steps do not come back from
 MAX_STEPS = 100  # of Newton's method in a sample
 
 
@@ -123,7 +123,8 @@ MAX_STEPS = 100  # of Newton's method in a sample
     "--rescue",
     type=click.FloatRange(0, min_open=True),
     metavar="VIOLATION",
-    help="With --steps: solve where the plan violates a constraint by more than this, as a step may go wrong.",
+    help="With --steps: solve where the plan violates a constraint by more than this, as a step may go wrong. A plan "
+    "that has diverged is solved for anew in any case.",
 )
 @click.option(
     "--barrier",
@@ -300,10 +301,10 @@ def _list_warnings(report: Report) -> list[str]:
         warnings.append(f"{found.halt}; what was written is incomplete")
     if found.failures:
         warnings.append(f"the controller found no plan at {found.failures} of {samples} samples; see track.csv")
-    if report.violation > DIVERGED:
+    if report.rescues:
         warnings.append(
-            f"a plan violates its constraints by {report.violation:.1e}: the steps in real time diverged; "
-            "give a larger --barrier, more --steps, or --rescue"
+            f"steps in real time went wrong at {report.rescues} of {samples} samples, which solved instead and took "
+            "longer; give a larger --barrier or more --steps"
         )
     if report.late:
         warnings.append(

@@ -69,6 +69,8 @@ class Manifest(_Part):
     data: tuple[Data, ...]
     predicts: bool
     cost: float  # of the optimum that the check expects
+    scale: float = Field(gt=0)  # the solver minimises the cost times this number
+    barrier: float = Field(ge=0)  # of steps in real time, in the unit of the scaled cost; 0: the solver's own default
     memory: Memory
     functions: tuple[str, ...]  # in C, that the tables call: kernels and expressions
     sources: tuple[str, ...]  # C files of the library

@@ -148,23 +148,10 @@ class Controller:
         warm: bool = False,
     ) -> Result:
         """Solve from the kept plan; `warm`: from its multipliers too."""
-        for name, limit in (("iterations", iterations), ("seconds", seconds), ("tolerance", tolerance)):
-            if limit is not None and not limit > 0:
-                raise ControllerError(f"{name} = {limit!r} is no limit; give a number above 0, or leave it out")
-        limits = self._ffi.new(f"{self._name}_limits *")
-        limits.iterations, limits.seconds = iterations or 0, seconds or 0.0
-        limits.tolerance, limits.warm = tolerance or 0.0, warm
-        if seconds is not None:
-            limits.clock = self._clock
+        limits = self._limit(iterations=iterations, seconds=seconds, tolerance=tolerance)
+        limits.warm = warm
         self._call("solve", self._controller, limits)
-        found = self._call("get_result", self._controller)
-        return Result(
-            **self._name_status(found),
-            iterations=found.iterations,
-            cost=found.cost,
-            violation=found.violation,
-            stationarity=found.stationarity,
-        )
+        return self._describe_result()
 
     def prepare(self, *, shift: bool = False) -> Step:
         """Begin a sampling period, before its state is measured; `shift` moves the plan ahead by one interval."""
@@ -177,6 +164,19 @@ class Controller:
         inputs = np.zeros(len(self.manifest.inputs))
         self._call("feedback", self._controller, self._pass(given), self._pass(inputs))
         return inputs, self._describe_step()
+
+    def rescue(
+        self, state: ArrayLike, *, iterations: int | None = None, seconds: float | None = None
+    ) -> tuple[Array, Result]:
+        """Solve anew from a measured state after steps went wrong; return the inputs to apply, and the outcome.
+
+        The solve begins at the kept plan, unless it has diverged; without a solution from there, at the first guess.
+        """
+        given = self._check("state", state, len(self.manifest.states))
+        inputs = np.zeros(len(self.manifest.inputs))
+        limits = self._limit(iterations=iterations, seconds=seconds)
+        self._call("rescue", self._controller, self._pass(given), limits, self._pass(inputs))
+        return inputs, self._describe_result()
 
     def plan(self) -> Plan:
         """Return a copy of the kept plan."""
@@ -236,6 +236,17 @@ class Controller:
             raise ControllerError(f"{name} has shape {array.shape}; give {size} numbers")
         return array
 
+    def _limit(self, **given: float | None) -> Any:
+        """Return limits of a solve as a struct."""
+        limits = self._ffi.new(f"{self._name}_limits *")
+        for name, limit in given.items():
+            if limit is not None and not limit > 0:
+                raise ControllerError(f"{name} = {limit!r} is no limit; give a number above 0, or leave it out")
+            setattr(limits, name, limit or 0)
+        if given.get("seconds") is not None:
+            limits.clock = self._clock
+        return limits
+
     def _view(self) -> dict[str, Array]:
         data = self._call("get_data", self._controller)
         memory = np.frombuffer(self._ffi.buffer(self._memory), dtype=np.uint8)  # lives as long as its views
@@ -246,6 +257,11 @@ class Controller:
             views[field.name] = array.reshape(field.rows, -1) if field.rows else array
         return views
 
+    def _view_plan(self) -> Array:
+        """Return all variables of the kept plan, as the solver has them."""
+        point = self._call("get_iterate", self._controller)
+        return np.frombuffer(self._ffi.buffer(point.w, 8 * point.variables), dtype=np.float64)
+
     def _name_status(self, found: Any) -> dict[str, Any]:
         message = self._ffi.string(self._call("explain", found.status)).decode()
         return {
@@ -253,6 +269,16 @@ class Controller:
             "message": message,
             "stage": None if found.stage < 0 else found.stage,
         }
+
+    def _describe_result(self) -> Result:
+        found = self._call("get_result", self._controller)
+        return Result(
+            **self._name_status(found),
+            iterations=found.iterations,
+            cost=found.cost,
+            violation=found.violation,
+            stationarity=found.stationarity,
+        )
 
     def _describe_step(self) -> Step:
         found = self._call("get_step", self._controller)

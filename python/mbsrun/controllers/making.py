@@ -28,7 +28,7 @@ from mbsrun.controllers.loading import Controller, Result
 from mbsrun.controllers.refusals import find_refusals
 from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
 from mbsrun.controllers.sources import merge, read_kernels, read_solver
-from mbsrun.controllers.writing import Design, name_functions, write_files
+from mbsrun.controllers.writing import Design, choose_barrier, name_functions, scale_cost, write_files
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder, is_model
@@ -230,6 +230,8 @@ def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], f
         data=tuple(data),
         predicts=bool(design.prediction),
         cost=figures.cost,
+        scale=scale_cost(design.problem),
+        barrier=choose_barrier(design.problem, figures.cost),
         memory=folders.Memory(double=figures.double, single=figures.single),
         functions=name_functions(design),
         sources=sources,

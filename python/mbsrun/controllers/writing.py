@@ -24,6 +24,7 @@ from mbsrun.ocp.stages.tables import FormulaFunction, StageProgram
 from mbsrun.ocp.transcription import Transcription
 
 METHOD = "mbs"  # of a problem file: the solver that controllers have
+BARRIER = 3e-4  # of steps in real time, beside the optimum of the problem file: smaller ones diverge earlier
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,8 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         "fields": fields,
         "predicts": _Prediction(layout.nq, len(design.prediction) == 1) if design.prediction else None,
         "scale": write_real(scale_cost(design.problem)),
+        "share": f"{BARRIER:g}",
+        "barrier": write_real(choose_barrier(design.problem, cost)),
         "weights": len(design.problem.cost.weights),
         "parameters": tables.parameters,
         "all_parameters": tables.parameters + sum(part.size for part in tables.given),
@@ -174,6 +177,11 @@ def _list_options(problem: Problem) -> Iterator[_Option]:
 def scale_cost(problem: Problem) -> float:
     """Return the factor of the cost, as `mbsrun solve` has it."""
     return problem.solver.objective_scaling or 1 / max(map(abs, problem.cost.weights))
+
+
+def choose_barrier(problem: Problem, cost: float, share: float = BARRIER) -> float:
+    """Return a barrier parameter for the solver, which minimises the scaled cost; 0 where the optimum is 0."""
+    return float(f"{share * scale_cost(problem) * abs(cost):.6g}")
 
 
 def write_formulas(design: Design) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 In real time a sample makes a fixed number of steps: `prepare` moves the plan ahead and does all the work that needs no
 measurement, `feedback` makes the step for the measured state. See csrc/stages/mbs_stages.h. Steps have no line search,
-so a step can go wrong; a sample whose plan violates its constraints too much solves instead.
+so a step can go wrong. A sample whose plan has diverged, or violates its constraints too much, solves instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME
 from mbsrun.controllers.folder import Data, Manifest
-from mbsrun.controllers.loading import Controller
+from mbsrun.controllers.loading import Controller, Step
+from mbsrun.controllers.writing import BARRIER
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.trajectory import average_inputs
 from mbsrun.tracking.controller import Decision
@@ -26,8 +27,7 @@ from mbsrun.tracking.controller import Decision
 Array = NDArray[np.float64]
 
 ROUNDED = 1e-6  # of a number of periods in an interval
-STEPPED = "stepped"
-BARRIER = 3e-6  # of steps in real time, beside the cost of the controller's own optimum: smaller ones diverge earlier
+PREPARED, STEPPED = "prepared", "stepped"
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Stepping:
     """Control in real time: `steps` of Newton's method in a sample.
 
     They solve for a barrier parameter of `barrier` beside the cost of the controller's own optimum. A larger one is
-    steadier, and less exact. A sample solves where its plan's violation is larger than `rescue`.
+    steadier, and less exact. A sample solves where its plan has diverged, or its violation is larger than `rescue`.
     """
 
     steps: int
@@ -65,11 +65,12 @@ class CompiledController:
             raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfit)}")
         self._controller, self._period, self._stepping = controller, period, stepping
         if stepping is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
-            controller.options.least_barrier = stepping.barrier * abs(manifest.cost)
+            controller.options.least_barrier = stepping.barrier * manifest.scale * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
         self._violation = 0.0
+        self._is_lost = False  # the plan has diverged, or has no step
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
         """Move the plan ahead by the intervals that have passed; linearise, where the sample only makes steps."""
@@ -80,21 +81,25 @@ class CompiledController:
             return
         passed = math.floor((time - self._begun) / self._interval + ROUNDED)
         for _ in range(passed):
-            self._violation = self._controller.prepare(shift=True).violation
+            self._take(self._controller.prepare(shift=True))
         self._begun += passed * self._interval
         if not passed and self._stepping is not None:
-            self._violation = self._controller.prepare().violation
+            self._take(self._controller.prepare())
 
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve, or make steps, from a state. The first plan is solved for in any case."""
         before, stepping = clock.process_time(), self._stepping
-        if stepping is None or not self._has_plan or not self._violation <= stepping.rescue:
+        if stepping is None or not self._has_plan:
             return self._solve(q, qd, before)
         state = np.concatenate((q, qd))
+        if self._is_lost or not self._violation <= stepping.rescue:
+            return self._rescue(state, before)
         inputs, step = self._controller.feedback(state)
         for _ in range(stepping.steps - 1):
             if step.status == STEPPED:
-                self._controller.prepare()
+                self._take(self._controller.prepare())
+                if self._is_lost:
+                    return self._rescue(state, before)
                 inputs, step = self._controller.feedback(state)
         seconds = clock.process_time() - before
         is_solved = step.status == STEPPED
@@ -108,6 +113,18 @@ class CompiledController:
         plan, elapsed = self._controller.plan(), time - self._begun
         times = np.array([elapsed, elapsed + self._period])
         return np.asarray(average_inputs(plan.times - plan.times[0], plan.inputs, times)[0])
+
+    def _take(self, step: Step) -> None:
+        self._violation, self._is_lost = step.violation, step.status != PREPARED
+
+    def _rescue(self, state: Array, before: float) -> Decision:
+        """Solve anew where steps went wrong."""
+        inputs, result = self._controller.rescue(state)
+        seconds = clock.process_time() - before
+        self._is_lost = not result.is_solved
+        if not result.is_solved:
+            inputs = self.planned(self._time)
+        return Decision(inputs, result.status, result.is_solved, result.iterations, seconds, self._violation, True)
 
     def _solve(self, q: Array, qd: Array, before: float) -> Decision:
         data = self._controller.data

@@ -29,6 +29,7 @@ class Decision:
     iterations: int
     seconds: float  # of processor time, from the state to the inputs: other programs do not lengthen it
     violation: float  # of the plan's constraints, the largest; in real time before the last step. NaN: unknown
+    is_rescue: bool = False  # a solve in place of steps in real time, which went wrong
 
 
 class Controller(Protocol):

@@ -46,6 +46,7 @@ class Report:
     late: int  # samples whose computation took longer than a period
     violation: float  # of the constraints of a plan, the largest; NaN: no plan was found
     moved: int  # samples whose state was put within the controller's bounds
+    rescues: int  # samples that solved, in place of steps in real time
 
     @property
     def is_met(self) -> bool:
@@ -70,6 +71,7 @@ def report_track(track: Track, problem: Problem, plant: Mechanism) -> Report:
         late=sum(sample.decision.seconds > track.trial.period for sample in samples),
         violation=max((x for x in violations if x == x), default=np.nan),
         moved=sum(sample.is_moved for sample in samples),
+        rescues=sum(sample.decision.is_rescue for sample in samples),
     )
 
 
@@ -113,6 +115,7 @@ def _summarise(report: Report, plant: Mechanism) -> str:
         "statuses": dict(report.statuses),
         "moved_into_bounds": report.moved,
         "violation": report.violation,
+        "rescues": report.rescues,
         "late": report.late,
         "iterations": {"mean": float(np.mean(iterations)), "largest": max(iterations)},
         "seconds": asdict(report.times),

@@ -6,6 +6,7 @@ The model's and the problem's names are hostile on purpose: nothing of them may 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -28,6 +29,7 @@ from mbsrun.controllers.folder import read
 from mbsrun.controllers.loading import Controller, ControllerError, read_statuses
 from mbsrun.controllers.making import Made, UnsolvedError, choose_name, hash_problem, make
 from mbsrun.controllers.report import SINGLE
+from mbsrun.controllers.writing import BARRIER, choose_barrier
 from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.models import Extent
@@ -262,6 +264,75 @@ def test_feedback_converges_to_the_solution_of_the_measured_state(controller: Co
     assert controller.plan().inputs[0] == pytest.approx(inputs, abs=1e-2)  # the barrier's own distance
 
 
+def test_the_barrier_parameter_is_a_share_of_the_scaled_optimum(case: Case) -> None:
+    """The solver minimises the cost times a scale; a cost 2000 times as large gives the same number."""
+    manifest, problem, cost = case.made.manifest, case.problem, case.problem.cost
+    assert manifest.barrier == pytest.approx(BARRIER * manifest.scale * abs(manifest.cost), rel=1e-5)
+    header = (case.folder / f"{manifest.prefix}.h").read_text("utf-8")
+    for name, value in (("SCALE", manifest.scale), ("BARRIER", manifest.barrier)):
+        (found,) = re.findall(rf"^#define {manifest.prefix}_{name} (\S+)$", header, re.MULTILINE)
+        assert float(found) == value
+    terms = {
+        name: tuple(replace(x, weight=2000 * x.weight) for x in getattr(cost, name)) for name in ("running", "terminal")
+    }
+    larger = replace(problem, cost=replace(cost, inputs=2000 * cost.inputs, **terms))
+    assert choose_barrier(larger, 2000 * manifest.cost) == pytest.approx(manifest.barrier, rel=1e-5)
+
+
+def test_steps_take_the_exported_barrier_parameter(controller: Controller) -> None:
+    """Unless the options have another one; it decides how near to a bound the inputs come."""
+    state = [0.05, 0.45, 0.0, 0.1]
+
+    def find_inputs(barrier: float) -> float:
+        controller.reset()
+        controller.solve()
+        controller.options.least_barrier = barrier
+        for _ in range(6):
+            controller.prepare()
+            inputs, _ = controller.feedback(state)
+        return float(inputs[0])
+
+    usual, same, other = map(find_inputs, (0.0, controller.manifest.barrier, 30 * controller.manifest.barrier))
+    assert usual == same
+    assert abs(usual - other) > 1e-6
+
+
+def test_a_rescue_recovers_from_a_plan_that_has_diverged(controller: Controller) -> None:
+    """The same optimum as from the guess; from a plan that has not diverged, it takes fewer iterations."""
+    state = np.array([0.05, 0.45, 0.0, 0.1])
+    controller.solve()
+    near, warm = controller.rescue(state)
+    controller.prepare()
+    controller.feedback(state)
+    controller._view_plan()[:] = 1e30  # as steps leave it that go wrong
+    assert controller.prepare().status == "diverged"
+    inputs, step = controller.feedback(state)
+    assert step.status == "not prepared"
+    inputs, cold = controller.rescue(state)
+    assert (warm.is_solved, cold.is_solved) == (True, True)
+    assert warm.iterations < cold.iterations
+    assert cold.cost == pytest.approx(warm.cost, rel=1e-6)
+    assert inputs == pytest.approx(near, abs=1e-4)
+    assert np.array_equal(controller.data["start_qd"], state[2:])
+    assert controller.prepare().status == "prepared"
+    assert controller.feedback(state)[1].status == "stepped"
+
+
+def test_a_rescue_takes_the_guess_where_the_plan_leads_nowhere(controller: Controller) -> None:
+    """A plan without numbers, of which no step knows yet."""
+    state = [0.0, 0.4, 0.0, 0.0]
+    controller.solve()
+    controller._view_plan()[:] = np.nan
+    assert controller.rescue(state)[1].is_solved
+    assert np.isfinite(controller.plan().inputs).all()
+    kept = controller.plan().inputs[0]
+    inputs, result = controller.rescue([np.nan, 0.4, 0.0, 0.0])
+    assert result.status == "bad problem"
+    assert np.array_equal(inputs, kept)
+    controller._view_plan()[:] = np.nan
+    assert controller.rescue(state, iterations=1)[1].status == "iteration limit"
+
+
 def test_the_model_moves_as_the_simulation_has_it(case: Case, controller: Controller) -> None:
     """RK4 with the controller's masses against a fine step of the same kernel's accelerations."""
     controller.data["parameters"][:] = 0.5
@@ -474,7 +545,7 @@ def test_nothing_is_allocated_and_only_libm_is_called(controller: Controller, re
 
 def test_statuses_are_words_of_the_header(case: Case) -> None:
     words = read_statuses(case.folder)
-    assert (words[:3], words[4], words[-1]) == (("solved", "acceptable", "infeasible"), "time limit", "not prepared")
+    assert (words[:3], words[4], words[-1]) == (("solved", "acceptable", "infeasible"), "time limit", "diverged")
 
 
 def test_cmake_builds_checks_and_installs_it(case: Case, tmp_path: Path, requires: Requires) -> None:
