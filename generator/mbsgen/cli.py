@@ -100,6 +100,11 @@ _IMPORTING = (
         help="Round angles within this distance of a quarter turn to it, rad.",
     ),
     robot_option("--allow-unphysical", is_flag=True, help="Accept inertias that no body can have."),
+    robot_option(
+        "--root",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        help="The folder that holds all files which the file names; by default, the file's own folder.",
+    ),
 )
 
 
@@ -121,6 +126,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
         friction_speed: float,
         quarter_turns: float,
         allow_unphysical: bool,
+        root: Path | None,
         **own: object,
     ) -> None:
         choices = Choices(
@@ -135,6 +141,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
             friction_speed=friction_speed,
             quarter_turns=quarter_turns,
             allow_unphysical=allow_unphysical,
+            root=root,
         )
         if choices != Choices() and not is_foreign(model):
             raise click.UsageError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from html import unescape
@@ -19,6 +19,8 @@ from mbsgen import resources
 from mbsrun.cache import MODELS, find_or_make
 
 INCLUSION = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF
+MESH = re.compile(rb"""<mesh\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF, whose inertia counts
+MESHES = re.compile(rb"""\b(?:meshdir|assetdir)\s*=\s*["']([^"']*)""")
 MOST_INCLUDED = 1000
 
 
@@ -142,7 +144,7 @@ def fingerprint(model: Path, extent: Extent = WHOLE) -> str:
 
 
 def _read_all(model: Path) -> list[bytes]:
-    """Read a model, and the files of its folder that it includes, as MJCF can."""
+    """Read a model, and the files of its folder that it includes or takes meshes from, as MJCF can."""
     folder, files, texts = model.resolve().parent, [model], []
     for file in files:  # which grows
         texts.append(_read(file))
@@ -152,7 +154,19 @@ def _read_all(model: Path) -> list[bytes]:
         )
         if len(files) > MOST_INCLUDED:  # mbsgen refuses it
             break
-    return texts
+    return [*texts, *map(_read, _list_meshes(folder, texts))]
+
+
+def _list_meshes(folder: Path, texts: Sequence[bytes]) -> list[Path]:
+    """List the files in a folder that texts of MJCF name as meshes."""
+
+    def find(pattern: re.Pattern[bytes]) -> list[str]:
+        return sorted({unescape(name.decode(errors="replace")) for text in texts for name in pattern.findall(text)})
+
+    names = find(MESH)
+    names += sorted({PurePath(name).name for name in names} - {*names})  # for `strippath`
+    paths = (folder / place / name for name in names for place in ("", *find(MESHES)))
+    return [path for path in paths if _is_inside(path, folder)]
 
 
 def _is_inside(path: Path, folder: Path) -> bool:

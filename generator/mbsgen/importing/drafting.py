@@ -11,13 +11,14 @@ import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Number, evaluate, is_free_name
+from mbsgen.expressions import FLOATS, Expression, Number, evaluate, is_free_name
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
@@ -30,6 +31,7 @@ from mbsgen.model.model import (
     BASE,
     FREE,
     UNITS,
+    ZERO,
     Body,
     Constraint,
     Fixed,
@@ -74,6 +76,7 @@ class Choices:
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
     allow_unphysical: bool = False  # accept inertias that no body can have
+    root: Path | None = None  # the folder that holds all files which the file names; None: the file's own
 
 
 @dataclass(frozen=True)
@@ -142,11 +145,16 @@ def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
 
 
 def make_law(
-    stiffness: float = 0.0, rest: float = 0.0, damping: float = 0.0, friction: float = 0.0, speed: float = 0.01
+    stiffness: float = 0.0,
+    rest: float = 0.0,
+    damping: float = 0.0,
+    friction: float = 0.0,
+    speed: float = 0.01,
+    force: Expression = ZERO,
 ) -> Law:
     """Make the force law of a joint; a spring without stiffness has no rest."""
     dry = Friction(Number(friction), Number(speed)) if friction else None
-    return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry)
+    return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry, force)
 
 
 @dataclass
@@ -215,6 +223,14 @@ class Draft:
         if name in self.choices.sensors and name not in self._sensors:
             self._sensors.add(name)
             self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
+
+    def warn_of_limits(self) -> None:
+        """Warn of the joints that the file stops at the ends of their ranges: no simulation of a model does."""
+        joints = [joint for body in self.bodies for joint in _list_joints(body.joint)]
+        bounded = sum(joint.lower is not None or joint.upper is not None for joint in joints)
+        if bounded:
+            text = "1 joint" if bounded == 1 else f"{bounded} joints"
+            self.findings.sum_up(f"the ranges of {text} bound problems alone: a simulation passes them", alters=True)
 
     def finish(self, name: str, gravity: Sequence[float], root: Element) -> Imported:
         """Complete the model and check it.
@@ -513,6 +529,12 @@ class Draft:
                 f"{len(doubtful)} angles are near a quarter turn, but off by up to {max(doubtful):.2g} rad; they are "
                 f"kept. Taken as quarter turns (--quarter-turns {max(doubtful) * 1.01:.1g}), they make shorter code"
             )
+
+
+def _list_joints(carrier: Joint | Fixed | tuple[Joint, ...]) -> tuple[Joint, ...]:
+    if isinstance(carrier, Fixed):
+        return ()
+    return (carrier,) if isinstance(carrier, Joint) else carrier
 
 
 def _write_axis(axis: Array) -> Triple:

@@ -68,11 +68,13 @@ def list_sites(root: Element) -> Iterator[str]:
         yield from (element.attributes[key] for key in SITES if key in element.attributes)
 
 
-def add_equalities(root: Element, register: Register, draft: Draft, defaults: Defaults, findings: Findings) -> None:
-    """Close a draft as the sections `equality` of a file say."""
+def add_equalities(
+    root: Element, register: Register, draft: Draft, defaults: Defaults, findings: Findings, *, are_disabled: bool
+) -> None:
+    """Close a draft as the sections `equality` of a file say, unless the file disables them."""
     reader = _Reader(register, draft, defaults, findings)
     elements = [element for section in root.all("equality") for element in section.children]
-    if any(flag.attributes.get("equality") == "disable" for o in root.all("option") for flag in o.all("flag")):
+    if are_disabled:
         if elements:
             findings.tell(elements[0], "the file disables its equalities: they are left out")
         return

@@ -14,21 +14,31 @@ from mbsgen.importing.markup import Element, read_markup
 MAIN = "main"
 MAX_FILES = 50
 MAX_INCLUSION = 10  # files in files
-_GENERAL = frozenset(  # actuators that inherit what `general` has
-    ["motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"]
-)
+_ACTUATORS = frozenset(  # a class has one default for all of them
+    (
+        "general", "motor", "position", "velocity", "intvelocity", "orientation", "pid", "damper", "cylinder", "muscle",
+        "adhesion", "dcmotor", "plugin",
+    )
+)  # fmt: skip
+_ACTUATOR = "actuator"
 
 
-def include_files(root: Element, findings: Findings) -> Element:
-    """Replace inclusions by the content of the files, which are in the folder of the first one or below it."""
-    return _Inclusion(Path(root.file).resolve().parent, findings).expand(root, (Path(root.file).resolve(),))
+def include_files(root: Element, bounds: Path | None, findings: Findings) -> Element:
+    """Replace inclusions by the content of the files, whose paths begin at the folder of the first one.
+
+    All are in the folder `bounds` or below it, by default the folder of the first one.
+    """
+    file = Path(root.file).resolve()
+    bounds = file.parent if bounds is None else bounds.resolve()
+    return _Inclusion(file.parent, bounds, findings).expand(root, (file,))
 
 
 class _Inclusion:
     """Reads included files."""
 
-    def __init__(self, folder: Path, findings: Findings) -> None:
+    def __init__(self, folder: Path, bounds: Path, findings: Findings) -> None:
         self._folder = folder
+        self._bounds = bounds
         self._findings = findings
         self._count = 0
 
@@ -54,8 +64,10 @@ class _Inclusion:
             path = (self._folder / name).resolve()
         except (OSError, ValueError, RuntimeError):
             path = Path("/")
-        if not name or not path.is_relative_to(self._folder):
-            remedy = "include files from the model's folder, by a relative path"
+        if not name or not path.is_relative_to(self._bounds):
+            remedy = (
+                "include files from the model's folder, by a relative path, or name a folder that holds all: --root"
+            )
             self._findings.fault(element, f"{abbreviate(name)} is not in the folder of the model", remedy)
             return ()
         if path in files:
@@ -77,10 +89,9 @@ class Defaults:
         self._findings = findings
         self._classes: dict[str, dict[str, dict[str, str]]] = {MAIN: {}}
         for section in root.all("default"):
-            self._read(section, MAIN)
+            self._read(section, MAIN, top=True)
 
-    def _read(self, section: Element, outer: str) -> None:
-        top = outer == MAIN and section.path.count("/") == 1
+    def _read(self, section: Element, outer: str, *, top: bool = False) -> None:
         name = section.attributes.get("class", MAIN if top else "")
         if not name:
             self._findings.fault(section, "a default without a class", "name its class")
@@ -92,7 +103,7 @@ class Defaults:
         settings = self._classes.setdefault(name, {tag: dict(own) for tag, own in self._classes[outer].items()})
         for element in section.children:
             if element.tag != "default":
-                settings.setdefault(element.tag, {}).update(element.attributes)
+                settings.setdefault(_find_kind(element.tag), {}).update(element.attributes)
         for inner in section.all("default"):
             self._read(inner, name)
 
@@ -105,9 +116,7 @@ class Defaults:
         if name not in self._classes:
             self.check(element, name)
             name = MAIN
-        settings = self._classes[name]
-        general = settings.get("general", {}) if element.tag in _GENERAL else {}
-        return {**general, **settings.get(tag or element.tag, {}), **element.attributes}
+        return {**self._classes[name].get(_find_kind(tag or element.tag), {}), **element.attributes}
 
     def check(self, element: Element, name: str) -> str:
         """Return an existing class; a fault where there is none of the name."""
@@ -117,3 +126,8 @@ class Defaults:
         remedy = f"did you mean {abbreviate(meant)}?" if meant else "define it under <default>"
         self._findings.fault(element, f"there is no default class {abbreviate(name)}", remedy)
         return MAIN
+
+
+def _find_kind(tag: str) -> str:
+    """Return the name under which defaults are kept."""
+    return _ACTUATOR if tag in _ACTUATORS else tag

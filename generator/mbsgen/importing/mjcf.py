@@ -8,15 +8,17 @@ quaternion. An angle is in degrees unless the compiler section says otherwise.
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from mbsgen.documents import abbreviate, nearest
+from mbsgen.documents import abbreviate
+from mbsgen.expressions import Call, Expression, Name, Number, Operation, Power
 from mbsgen.importing.closing import Spot
-from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
+from mbsgen.importing.drafting import Choices, Draft, Imported, Move, list_moves, make_law, move_freely
 from mbsgen.importing.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
@@ -31,18 +33,24 @@ from mbsgen.importing.geoms import (
 )
 from mbsgen.importing.inheritance import MAIN, Defaults, include_files
 from mbsgen.importing.markup import Element
+from mbsgen.importing.mesh_solids import MeshError
+from mbsgen.importing.meshes import Meshes
+from mbsgen.importing.mjcf_actuators import JOINTS, TERMS, read_actuators, read_polynomial
+from mbsgen.importing.mjcf_settings import read_limits, read_settings
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.importing.solids import NOTHING, Solid, add
-from mbsgen.model.model import BASE, Visual
+from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Law, Visual
 from mbsgen.model.orientations import find_turns, turn, turn_quaternion
 from mbsgen.model.tree import Motion
 
 DENSITY = 1000.0  # of water, MuJoCo's default [kg/m3]
 TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
-JOINTS = ("joint", "freejoint")
 KINDS = ("hinge", "slide", "ball", "free")
+SCALES = ("scale", "scaling", "massscale")  # of a frame
+SAVE = "save the compiled model (mujoco.mj_saveLastXML), and import that"
 COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # elements that make bodies from other text
 ALTERING = ("tendon", "deformable", "extension")  # sections that act on bodies
+INERTIAL = 'give the body an <inertial>; MuJoCo saves one with <compiler saveinertial="true"/>'
 MARKS = frozenset(  # elements without mass and force, or read elsewhere
     ["inertial", "joint", "freejoint", "geom", "site", "body", "frame", "camera", "light"]
 )
@@ -50,18 +58,7 @@ MARKS = frozenset(  # elements without mass and force, or read elsewhere
 
 def read_mjcf(root: Element, choices: Choices, findings: Findings) -> Imported:
     """Make a model of an MJCF file. Raises InputError with all its faults."""
-    return _Scene(include_files(root, findings), choices, findings).read()
-
-
-@dataclass(frozen=True)
-class _Compiler:
-    """The settings for the numbers of a file."""
-
-    degrees: bool = True
-    sequence: str = "xyz"
-    from_geometry: str = "auto"
-    groups: tuple[float, ...] = (0, 5)
-    autolimits: bool = True
+    return _Scene(include_files(root, choices.root, findings), choices, findings).read()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,14 @@ class _Placed:
     active: str  # default class
 
 
-_Waiting = tuple[Element, Place, Pose, str]  # a body, its carrier, frames between them, default class
+@dataclass(frozen=True, eq=False)
+class _Waiting:
+    """A body that is still to be read."""
+
+    placed: _Placed
+    carrier: Place
+    is_top: bool  # a body of the world
+    is_still: bool  # nothing below it moves
 
 
 class _Scene:
@@ -85,15 +89,14 @@ class _Scene:
         self._findings = findings
         self._draft = Draft(findings, choices)
         self._defaults = Defaults(root, findings)
-        self._settings = {k: v for element in root.all("compiler") for k, v in element.attributes.items()}
-        self._compiler = self._read_compiler()
-        self._rotors: defaultdict[str, float] = defaultdict(float)  # rotor inertia at joints, from actuators
-        self._driven = self._read_actuators()
+        self._settings = read_settings(root, findings)
+        self._drives = read_actuators(root, self._defaults, self._settings, findings)
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
         self._register = Register()
         self._used_sites = {*choices.sensors, *list_sites(root)}
-        self._assets = read_assets(root, self._settings, self._defaults, Findings(root.file))
+        self._assets = read_assets(root, self._settings.compiler, self._defaults, Findings(root.file))
+        self._meshes = Meshes(self._assets, Path(root.file).parent, choices.root, findings)
         self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
@@ -101,125 +104,61 @@ class _Scene:
         worlds = [*self._root.all("worldbody")]
         if not worlds:
             self._findings.fault(self._root, "there is no <worldbody>", "give it one, with the bodies in it")
-        gravity = self._read_gravity()
         self._scale = self._find_scale(worlds)
         for world in worlds:
             self._add_bodies(world)
-        self._check_actuators()
-        add_equalities(self._root, self._register, self._draft, self._defaults, self._findings)
-        self._tell_sections()
-        return self._draft.finish(self._root.attributes.get("model", "scene"), gravity, self._root)
-
-    # --- settings ----------------------------------------------------------------------------------------------------
-
-    def _read_compiler(self) -> _Compiler:
-        settings = self._settings
-        source = next(self._root.all("compiler"), self._root)
-        if settings.get("coordinate", "local") != "local":
-            self._findings.fault(source, "global coordinates", "save the file by a MuJoCo before 2.3.3, as local ones")
-        for key in ("boundmass", "boundinertia"):
-            if self._findings.number(source, key, 0.0, settings) > 0:
-                self._findings.warn(source, f"{key}: masses and inertias are taken as they are in the file")
-        if settings.get("balanceinertia") == "true":
-            self._findings.warn(source, "balanceinertia: inertias are taken as they are in the file")
-        sequence = settings.get("eulerseq", "xyz")
-        if len(sequence) != 3 or not set(sequence) <= set("xyzXYZ"):
-            self._findings.fault(source, f"eulerseq is {abbreviate(sequence)}", "give three of x, y, z, X, Y, Z")
-            sequence = "xyz"
-        return _Compiler(
-            self._findings.choice(source, "angle", ("degree", "radian"), settings) == "degree",
-            sequence,
-            self._findings.choice(source, "inertiafromgeom", ("auto", "true", "false"), settings),
-            self._findings.numbers(source, "inertiagrouprange", (0.0, 5.0), attributes=settings),
-            settings.get("autolimits", "true") != "false",
+        add_equalities(
+            self._root,
+            self._register,
+            self._draft,
+            self._defaults,
+            self._findings,
+            are_disabled=self._settings.lacks("equality"),
         )
-
-    def _read_gravity(self) -> tuple[float, ...]:
-        gravity: tuple[float, ...] = GRAVITY
-        for option in self._root.all("option"):
-            gravity = self._findings.numbers(option, "gravity", gravity)
-            for key in ("density", "viscosity", "wind"):
-                if any(self._findings.numbers(option, key, (0.0,) * (3 if key == "wind" else 1))):
-                    self._findings.warn(option, f"{key}: the forces of a fluid are not part of a model")
-            if any(flag.attributes.get("gravity") == "disable" for flag in option.all("flag")):
-                gravity = (0.0, 0.0, 0.0)
-        return gravity
-
-    def _read_actuators(self) -> dict[str, float | None]:
-        """Return the driven joints, with the greatest force if given; other actuators make notices."""
-        driven: dict[str, float | None] = {}
-        for section in self._root.all("actuator"):
-            for element in section.children:
-                attributes = self._defaults.resolve(element, MAIN)
-                joint = attributes.get("joint", attributes.get("jointinparent"))
-                if joint is None:
-                    self._findings.warn(element, f"{element.tag}: only actuators of joints become inputs")
-                    continue
-                gear = self._findings.number(element, "gear", 1.0, _take_first(attributes, "gear"))
-                what = "the joint's force" if gear == 1 else f"the joint's force, after the gear {gear:g}"
-                if element.tag == "motor" and gear != 1:
-                    self._findings.tell(element, f"the input u of joint {abbreviate(joint)} is {what}")
-                elif element.tag != "motor":
-                    text = f"{element.tag} of joint {abbreviate(joint)}: gains and dynamics are left out"
-                    self._findings.warn(element, f"{text}; the input u is {what}")
-                self._rotors[joint] += gear**2 * self._findings.number(element, "armature", 0.0, attributes)
-                driven[joint] = self._find_effort(element, attributes, abs(gear))
-        return driven
-
-    def _check_actuators(self) -> None:
-        """Report actuators of unknown joints."""
-        there = [j.attributes["name"] for j in self._root.walk() if j.tag in JOINTS and "name" in j.attributes]
-        for section in self._root.all("actuator"):
-            for element in section.children:
-                attributes = self._defaults.resolve(element, MAIN)
-                joint = attributes.get("joint", attributes.get("jointinparent"))
-                if joint is not None and joint not in there:
-                    meant = nearest(joint, there)
-                    remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a joint of the file"
-                    self._findings.fault(element, f"there is no joint {abbreviate(joint)}", remedy)
-
-    def _find_effort(self, element: Element, attributes: Mapping[str, str], gear: float) -> float | None:
-        ranges = [
-            max(map(abs, self._findings.numbers(element, key, (0.0, 0.0), attributes=attributes)))
-            for key in (["forcerange", "ctrlrange"] if element.tag == "motor" else ["forcerange"])
-            if key in attributes
-        ]
-        return min(ranges) * gear if ranges and min(ranges) > 0 else None
+        self._tell_sections()
+        self._draft.warn_of_limits()
+        return self._draft.finish(self._root.attributes.get("model", "scene"), self._settings.gravity, self._root)
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
     def _add_bodies(self, world: Element) -> None:
-        base = world.attributes.get("childclass", MAIN)
+        base = self._defaults.check(world, world.attributes.get("childclass", MAIN))
         waiting: list[_Waiting] = []
-        self._add_children(world, Place(Spot(BASE, ORIGIN), ORIGIN), self._defaults.check(world, base), waiting)
+        self._add_children(world, Place(Spot(BASE, ORIGIN), ORIGIN), base, waiting, is_still=True)
         while waiting:
-            body, carrier, around, active = waiting.pop()
-            active = self._defaults.check(body, body.attributes.get("childclass", active))
-            parent, step = carrier.spot.body, self._read_pose(body, body.attributes)
-            pose = carrier.spot.pose @ around @ step
-            parts = [*self._unframe(body, ORIGIN, active)]
-            moves, anchor = self._read_moves(body, parts, pose)
-            solid = self._read_solid(body, parts).scaled(self._scale).shifted(anchor)
-            name = body.attributes.get("name", "")
-            first = ORIGIN if self._is_free(parts) else pose
-            own = self._draft.add_body(name or "body", parent, first, moves, solid, body)
-            self._warn_body(body)
-            inner = Pose(np.eye(3), -anchor, ())
-            self._draft.show(own, self._read_visuals(parts, inner))
-            found = Place(Spot(own, inner), carrier.home @ around @ step)
-            if name:
-                self._draft.add_frame(name, own, inner, body)
-                self._register.bodies.setdefault(name, found)
-            self._add_children(body, found, active, waiting)
+            self._add_body(waiting.pop(), waiting)
 
-    def _add_children(self, body: Element, carrier: Place, active: str, waiting: list[_Waiting]) -> None:
+    def _add_body(self, this: _Waiting, waiting: list[_Waiting]) -> None:
+        body, around, carrier = this.placed.element, this.placed.around, this.carrier
+        active = self._defaults.check(body, body.attributes.get("childclass", this.placed.active))
+        parent, step = carrier.spot.body, self._read_pose(body, body.attributes)
+        pose = carrier.spot.pose @ around @ step
+        parts = [*self._unframe(body, ORIGIN, active)]
+        moves, anchor = self._read_moves(parts, pose, is_top=this.is_top)
+        is_still = this.is_still and not moves
+        solid = self._read_solid(parts, is_still=is_still).scaled(self._scale).shifted(anchor)
+        name = body.attributes.get("name", "")
+        first = ORIGIN if self._is_free(parts) else pose
+        own = self._draft.add_body(name or "body", parent, first, moves, solid, body)
+        self._warn_body(body)
+        inner = Pose(np.eye(3), -anchor, ())
+        self._draft.show(own, self._read_visuals(parts, inner))
+        found = Place(Spot(own, inner), carrier.home @ around @ step)
+        if name:
+            self._draft.add_frame(name, own, inner, body)
+            self._register.bodies.setdefault(name, found)
+        self._add_children(body, found, active, waiting, is_still=is_still)
+
+    def _add_children(
+        self, body: Element, carrier: Place, active: str, waiting: list[_Waiting], *, is_still: bool
+    ) -> None:
         """Queue the bodies of a body, and add its sites."""
         own, inner = carrier.spot.body, carrier.spot.pose
         found: list[_Waiting] = []
         for part in self._unframe(body, ORIGIN, active):
             element = part.element
             if element.tag == "body":
-                found.append((element, carrier, part.around, part.active))
+                found.append(_Waiting(part, carrier, body.tag == "worldbody", is_still))
             elif element.tag == "site":
                 attributes = self._defaults.resolve(element, part.active)
                 if attributes.get("name") in self._used_sites:
@@ -229,8 +168,7 @@ class _Scene:
                         self._draft.add_frame(attributes["name"], own, spot.pose, element)
                 self._skipped["site"] += 1
             elif element.tag in COPIES:
-                remedy = "save the compiled model (mujoco.mj_saveLastXML), and import that"
-                self._findings.fault(element, f"{element.tag} makes bodies by its own rules", remedy)
+                self._findings.fault(element, f"{element.tag} makes bodies by its own rules", SAVE)
             elif element.tag not in MARKS:
                 self._findings.fault(element, f"no part of a body is called {element.tag[:40]}", "take it out")
             elif element.tag in ("geom", "camera", "light"):
@@ -250,12 +188,14 @@ class _Scene:
         for child in element.children:
             if child.tag == "frame":
                 inner = self._defaults.check(child, child.attributes.get("childclass", active))
+                if scaled := [key for key in SCALES if key in child.attributes]:
+                    self._findings.fault(child, f"{' and '.join(scaled)}: it scales its bodies", SAVE)
                 yield from self._unframe(child, around @ self._read_pose(child, child.attributes), inner)
             else:
                 yield _Placed(child, around, active)
 
     def _warn_body(self, body: Element) -> None:
-        if self._findings.number(body, "gravcomp", 0.0):
+        if self._findings.number(body, "gravcomp", 0.0) and self._settings.is_passive:
             self._findings.warn(body, "gravcomp: no force that carries a body's weight is made")
         if body.attributes.get("mocap") == "true":
             self._findings.warn(body, "mocap: the body stands fast")
@@ -289,7 +229,7 @@ class _Scene:
                 return turn_to(axis) if self._has_length(element, "zaxis", axis) else np.eye(3)
         rotation = np.eye(3)
         angles = read(element, "euler", (0.0, 0.0, 0.0), attributes=attributes)
-        for letter, angle in zip(self._compiler.sequence, angles, strict=True):
+        for letter, angle in zip(self._settings.sequence, angles, strict=True):
             step = turn(np.eye(3)["xyz".index(letter.lower())], self._angle(angle))
             rotation = rotation @ step if letter.islower() else step @ rotation
         return rotation
@@ -310,7 +250,7 @@ class _Scene:
         return np.column_stack([x, np.cross(normal, x), normal])
 
     def _angle(self, angle: float) -> float:
-        return self._draft.writer.snap(math.radians(angle) if self._compiler.degrees else angle)
+        return self._draft.writer.snap(math.radians(angle) if self._settings.degrees else angle)
 
     # --- joints ------------------------------------------------------------------------------------------------------
 
@@ -323,7 +263,7 @@ class _Scene:
         attributes = self._defaults.resolve(part.element, part.active)
         return self._findings.choice(part.element, "type", KINDS, attributes)
 
-    def _read_moves(self, body: Element, parts: list[_Placed], pose: Pose) -> tuple[list[Move], Array]:
+    def _read_moves(self, parts: list[_Placed], pose: Pose, *, is_top: bool) -> tuple[list[Move], Array]:
         """Read the joints of a body; the second result is the position of the last one's anchor in the body."""
         moves: list[Move] = []
         anchor = np.zeros(3)
@@ -331,7 +271,7 @@ class _Scene:
             kind = self._read_kind(part)
             attributes = self._defaults.resolve(part.element, part.active)
             if kind == "free":
-                if body.path.count("/") != 2 or moves:
+                if not is_top or moves:
                     remedy = "let only bodies of the world float, without other joints"
                     self._findings.fault(part.element, "a free joint within the tree", remedy)
                 moves += self._move_freely(part.element, pose)
@@ -350,7 +290,7 @@ class _Scene:
                     text = "a ball beside other joints has no quaternion: it is turns about z, y, x"
                     self._findings.tell(part.element, text)
                 self._warn_of_six(part.element, attributes, "a ball")
-                driven = not self._driven or attributes.get("name") in self._driven
+                driven = not self._drives.efforts or attributes.get("name") in self._drives.efforts
                 is_quaternion = self._choices.quaternions and alone
                 moves += list_moves("ball" if is_quaternion else "spherical", part.element, step, actuated=driven)
             else:
@@ -383,49 +323,75 @@ class _Scene:
         motion = Motion.REVOLUTE if is_hinge else Motion.PRISMATIC
         if reference:
             step = Move(motion, axis, element, pose=step).at(-reference)
+        efforts = self._drives.efforts
         if name is not None:
-            self._register.coordinates[name] = Coordinate(reference, name in self._driven)
-        lower, upper = self._read_range(element, attributes, is_hinge=is_hinge)
+            self._register.coordinates[name] = Coordinate(reference, name in efforts)
         self._warn_joint(element, attributes)
-        friction, speed = number("frictionloss"), self._choices.friction_speed
-        if friction:
-            self._findings.tell(element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+        limits = self._read_limits(element, attributes, "range", "limited")
+        lower, upper = (None, None) if limits is None or self._settings.lacks("limit") else map(coordinate, limits)
         return Move(
             motion,
             axis,
             element,
             name=name,
             pose=step,
-            actuated=name in self._driven or not self._driven,
+            actuated=name in efforts or not efforts,
             lower=lower,
             upper=upper,
-            law=make_law(number("stiffness"), coordinate(number("springref")), number("damping"), friction, speed),
-            armature=number("armature") + self._rotors[name or ""],
-            effort=self._driven.get(name or ""),
+            law=self._read_law(element, attributes, name, coordinate(number("springref"))),
+            armature=number("armature") + self._drives.rotors[name or ""],
+            effort=self._read_effort(element, attributes, efforts.get(name or "")),
             start=reference,
         )
 
-    def _read_range(
-        self, element: Element, attributes: Mapping[str, str], *, is_hinge: bool
-    ) -> tuple[float | None, float | None]:
-        limited = attributes.get("limited", "auto")
-        if "range" not in attributes or limited == "false" or (limited == "auto" and not self._compiler.autolimits):
-            return None, None
-        lower, upper = self._findings.numbers(element, "range", (0.0, 0.0), attributes=attributes)
-        if lower > upper:
-            self._findings.fault(element, f"range is {lower:g} to {upper:g}", "swap them")
-        if is_hinge:
-            lower, upper = self._angle(lower), self._angle(upper)
-        return lower, upper
+    def _read_limits(
+        self, element: Element, attributes: Mapping[str, str], key: str, switch: str
+    ) -> tuple[float, float] | None:
+        return read_limits(element, attributes, key, switch, self._settings, self._findings)
+
+    def _read_law(self, element: Element, attributes: Mapping[str, str], name: str | None, rest: float) -> Law:
+        """Read spring, damper and dry friction of a joint, which flags may disable."""
+        nothing = (0.0,) * TERMS
+        spring, damper = (read_polynomial(element, x, attributes, self._findings) for x in ("stiffness", "damping"))
+        damper = tuple(x + y for x, y in zip(damper, self._drives.dampers[name or ""], strict=True))
+        spring = nothing if self._settings.lacks("spring") else spring
+        damper = nothing if self._settings.lacks("damper") else damper
+        friction, speed = self._findings.number(element, "frictionloss", 0.0, attributes), self._choices.friction_speed
+        friction = 0.0 if self._settings.lacks("frictionloss") else friction
+        if friction:
+            self._findings.tell(element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+        return make_law(spring[0], rest, damper[0], friction, speed, write_polynomials(spring, rest, damper))
+
+    def _read_effort(self, element: Element, attributes: Mapping[str, str], effort: float | None) -> float | None:
+        """Return the largest force of the actuators at a joint; `effort` is theirs, before the joint's own limit."""
+        limits = self._read_limits(element, attributes, "actuatorfrcrange", "actuatorfrclimited")
+        if limits is None:
+            return effort
+        largest = max(map(abs, limits))
+        if limits[0] != -limits[1]:
+            text = f"actuatorfrcrange of {limits[0]:g} to {limits[1]:g} bounds the input at {largest:g}, both ways"
+            self._findings.tell(element, text)
+        return largest if effort is None else min(effort, largest)
 
     def _warn_joint(self, element: Element, attributes: Mapping[str, str]) -> None:
-        if any(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)):
+        if min(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)) > 0:
             self._findings.warn(element, "springdamper: give stiffness and damping instead; it is left out")
+        if self._findings.number(element, "springyield", 0.0, attributes) > 0 and not self._settings.lacks("spring"):
+            self._findings.warn(element, "springyield: the spring is elastic beyond it")
 
     def _warn_of_six(self, element: Element, attributes: Mapping[str, str], what: str) -> None:
-        for key in ("stiffness", "damping", "frictionloss", "armature", "range"):
-            if any(word.strip("0.") for word in attributes.get(key, "").split()):
-                self._findings.warn(element, f"{key} of {what} is left out: it is about no single coordinate")
+        flags = {"stiffness": "spring", "damping": "damper", "frictionloss": "frictionloss", "armature": ""}
+        kept = [key for key, flag in flags.items() if not self._settings.lacks(flag)]
+        found = [key for key in kept if any(read_polynomial(element, key, attributes, self._findings))]
+        if min(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)) > 0:
+            found.append("springdamper")
+        if what == "a ball" and self._read_limits(element, attributes, "range", "limited"):
+            found += [] if self._settings.lacks("limit") else ["range"]
+        for key in found:
+            self._findings.warn(element, f"{key} of {what} is left out: it is about no single coordinate")
+        if attributes.get("name") in self._drives.efforts:
+            inputs = "has no inputs" if what == "a free joint" else "has an input for each of its turns"
+            self._findings.warn(element, f"the actuator of {what} is left out: it {inputs} in a model")
 
     def _tell_start(self, element: Element, pose: Pose) -> None:
         origin = ", ".join(f"{x:.6g}" for x in pose.position)
@@ -437,7 +403,7 @@ class _Scene:
     # --- masses ------------------------------------------------------------------------------------------------------
 
     def _find_scale(self, worlds: list[Element]) -> float:
-        total = self._findings.number(self._root, "settotalmass", -1.0, self._settings)
+        total = self._findings.number(self._root, "settotalmass", -1.0, self._settings.compiler)
         if total <= 0:
             return 1.0
         sink = Findings(self._root.file)  # faults of masses are reported when they are finally read
@@ -449,23 +415,22 @@ class _Scene:
                 body, active = waiting.pop()
                 active = body.attributes.get("childclass", active)
                 parts = [*self._unframe(body, ORIGIN, active)]
-                mass += self._read_solid(body, parts).mass
+                mass += self._read_solid(parts).mass
                 waiting += [(part.element, part.active) for part in parts if part.element.tag == "body"]
         self._findings = kept
         return total / mass if mass > 0 else 1.0
 
-    def _read_solid(self, body: Element, parts: list[_Placed]) -> Solid:
-        inertial = body.first("inertial")
-        if inertial is not None and self._compiler.from_geometry != "true":
-            return self._read_inertial(inertial)
-        if self._compiler.from_geometry == "false":
+    def _read_solid(self, parts: list[_Placed], *, is_still: bool = False) -> Solid:
+        """Read the solid of a body; `is_still`: its mass acts on nothing."""
+        inertials = [part for part in parts if part.element.tag == "inertial"]
+        if len(inertials) > 1:
+            self._findings.fault(inertials[1].element, "a second <inertial> of the body", "keep one of them")
+        if inertials and self._settings.from_geometry != "true":
+            return self._read_inertial(inertials[0].element).seen_from(inertials[0].around)
+        if self._settings.from_geometry == "false":
             return NOTHING
-        return add(
-            solid.seen_from(pose)
-            for part in parts
-            if part.element.tag == "geom"
-            for solid, pose in self._read_geom(part)
-        )
+        geoms = [part for part in parts if part.element.tag == "geom"]
+        return add(solid.seen_from(pose) for part in geoms for solid, pose in self._read_geom(part, is_still=is_still))
 
     def _read_inertial(self, inertial: Element) -> Solid:
         attributes = inertial.attributes
@@ -477,27 +442,45 @@ class _Scene:
             tensor = np.diag(self._findings.numbers(inertial, "diaginertia", (0.0,) * 3))
         return Solid(mass, np.zeros(3), tensor).seen_from(self._read_pose(inertial, attributes))
 
-    def _read_geom(self, part: _Placed) -> Iterator[tuple[Solid, Pose]]:
+    def _read_geom(self, part: _Placed, *, is_still: bool) -> Iterator[tuple[Solid, Pose]]:
         element = part.element
         attributes = self._defaults.resolve(element, part.active)
         group = self._findings.number(element, "group", 0.0, attributes)
-        low, high = self._compiler.groups
+        low, high = self._settings.groups
         mass = self._findings.number(element, "mass", 0.0, attributes) if "mass" in attributes else None
         density = self._findings.number(element, "density", DENSITY, attributes)
         shape = attributes.get("type", "mesh" if "mesh" in attributes else "sphere")
         if not low <= group <= high or mass == 0 or (mass is None and density == 0) or shape in WEIGHTLESS:
             return
-        if shape not in SHAPES or attributes.get("shellinertia") == "true":
-            what = f"a {shape[:40]}" if shape not in SHAPES else "a shell"
-            remedy = 'give the body an <inertial>; MuJoCo saves one with <compiler saveinertial="true"/>'
-            self._findings.fault(element, f"the inertia of {what} is not computed here", remedy)
+        try:
+            found = self._weigh(element, attributes, shape, mass, density)
+        except MeshError as error:
+            if not is_still or self._scale != 1:
+                self._findings.fault(element, error.finding, error.remedy)
+            else:
+                self._findings.tell(element, f"without mass, which nothing would feel here: {error.finding}")
             return
+        if found is not None:
+            yield found[0], part.around @ found[1]
+
+    def _weigh(
+        self, element: Element, attributes: Mapping[str, str], shape: str, mass: float | None, density: float
+    ) -> tuple[Solid, Pose] | None:
+        """Return the solid of a geom, and its pose; None after a fault. Raises MeshError."""
+        if shape == "mesh":
+            return self._meshes.weigh(attributes.get("mesh", ""), mass, density), self._read_pose(element, attributes)
+        if shape not in SHAPES:
+            raise MeshError(f"the inertia of a {shape[:40]} is not computed here", INERTIAL)
+        if "mesh" in attributes:
+            raise MeshError(f"the inertia of a {shape} fitted to a mesh is not computed here", INERTIAL)
+        if attributes.get("shellinertia") == "true":
+            raise MeshError("the inertia of a shell is not computed here", INERTIAL)
         size, pose = self._measure(element, attributes, shape)
         if min(size) <= 0:
             found = " ".join(f"{length:g}" for length in size)
             self._findings.fault(element, f"the size of a {shape} is {found}", "give more than 0")
-            return
-        yield make_solid(shape, size, mass=mass, density=density), part.around @ pose
+            return None
+        return make_solid(shape, size, mass=mass, density=density), pose
 
     def _measure(self, element: Element, attributes: Mapping[str, str], shape: str) -> tuple[list[float], Pose]:
         """Read the size of a shape, and its pose; two points also give its length and direction."""
@@ -573,19 +556,31 @@ class _Scene:
         if self._skipped:
             counts = ", ".join(f"{count} {tag}" for tag, count in sorted(self._skipped.items()))
             self._findings.sum_up(f"read for masses, or left out: {counts}")
-        if self._touching:
+        if any(element.tag == "pair" for section in self._root.all("contact") for element in section.children):
+            self._touching = max(self._touching, 2)  # masks do not prevent it
+        if self._touching and not self._settings.lacks("contact"):
             text = (
                 f"{self._touching} of the bodies' geoms may touch others: they pass through; a model describes contacts"
             )
             self._findings.sum_up(f"{text} under `contacts`", alters=True)
-        if not self._driven:
+        if not self._drives.efforts:
             self._findings.sum_up("no actuator is given: every hinge and slide has an input u")
 
 
-def _take_first(attributes: Mapping[str, str], name: str) -> dict[str, str]:
-    """Return the first of several numbers, for a joint with one degree of freedom."""
-    words = attributes.get(name, "").split()
-    return {name: words[0]} if words else {}
+def write_polynomials(spring: Sequence[float], rest: float, damper: Sequence[float]) -> Expression:
+    """Write the terms of second and third order of -(k1 x + k2 x^2 + k3 x^3) - (d1 v + d2 v |v| + d3 v^3)."""
+    q, qd = Name(COORDINATE), Name(RATE)
+    x: Expression = q if not rest else Operation("-" if rest > 0 else "+", q, Number(abs(rest)))
+    powers = (
+        (spring[1], Power(x, 2)),
+        (spring[2], Power(x, 3)),
+        (damper[1], Operation("*", qd, Call("abs", (qd,)))),
+        (damper[2], Power(qd, 3)),
+    )
+    total: Expression | None = None
+    for term in (Operation("*", Number(-factor), power) for factor, power in powers if factor):
+        total = term if total is None else Operation("+", total, term)
+    return ZERO if total is None else total
 
 
 def turn_to(axis: Array | list[float]) -> Array:

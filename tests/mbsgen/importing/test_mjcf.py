@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
-from mbsgen.expressions import Number
+from mbsgen.expressions import FLOATS, Number
+from mbsgen.expressions import evaluate as evaluate_expression
 from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.model.model import Body, Fixed, Joint, Law
+from mbsgen.model.model import Body, Fixed, Friction, Joint, Law
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import read
@@ -238,9 +239,20 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         ("", "there is no <worldbody>"),
         (pendulum('<joint axis="0 0 0"/>'), "an axis without direction"),
         (pendulum('<joint type="screw"/>'), 'type is "screw"; give hinge, slide, ball, free'),
-        (pendulum('<joint damping="1 2"/>'), "damping has 2 numbers"),
+        (pendulum('<joint damping="1 2 3 4"/>'), "damping has 4 numbers; give 1 to 3"),
+        (pendulum('<joint limited="true"/>'), "limited without range"),
+        (pendulum('<joint limited="true" range="1 -1"/>'), "range is 1 to -1; swap them"),
+        ('<compiler autolimits="false"/>' + pendulum('<joint range="-1 1"/>'), "range without limited"),
+        ('<compiler autolimits="false"/>' + pendulum('<joint actuatorfrcrange="-1 1"/>'), "without actuatorfrclimited"),
+        (
+            '<compiler autolimits="false"/>'
+            + pendulum('<joint name="q"/>')
+            + '<actuator><motor joint="q" ctrlrange="-1 1"/></actuator>',
+            "ctrlrange without ctrllimited",
+        ),
+        (world(f'<frame scale="2"><body><joint/>{INERTIAL}</body></frame>'), "scale: it scales its bodies"),
         (pendulum('<joint class="x"/>'), 'there is no default class "x"'),
-        (pendulum("<joint/>", '<geom type="mesh" mesh="m"/>'), "the inertia of a mesh is not computed here"),
+        (pendulum("<joint/>", '<geom type="mesh" mesh="m"/>'), 'there is no mesh "m"'),
         (pendulum("<joint/>", '<geom type="box" size="1 1"/>'), "a box of 2 sizes; give 3"),
         (pendulum("<joint/>", '<geom size="0"/>'), "the size of a sphere is 0"),
         (pendulum("<joint/>", ""), "moves nothing"),
@@ -267,7 +279,10 @@ def test_included_files_are_read_from_the_folder_of_the_model_alone(tmp_path: Pa
     write(tmp_path, pendulum("<joint/>"), file="outside.xml", root="mujocoinclude")
     (folder / "link.xml").symlink_to(tmp_path / "outside.xml")
     for name in ("../outside.xml", str(tmp_path / "outside.xml"), "link.xml"):
-        assert "is not in the folder of the model" in faults_of(write(folder, f'<include file="{name}"/>'))
+        path = write(folder, f'<include file="{name}"/>')
+        assert "is not in the folder of the model" in faults_of(path)
+        assert body(import_model(path, Choices(root=tmp_path)), "rod").mass == Number(1.5)
+        assert "is not in the folder of the model" in faults_of(path, Choices(root=folder / "parts"))
     assert "includes itself" in faults_of(write(folder, '<include file="machine.xml"/>'))
     assert "there is no such file" in faults_of(write(folder, '<include file="none.xml"/>'))
 
@@ -329,3 +344,146 @@ def test_quaternions_are_mujocos(tmp_path: Path) -> None:
     found, bias = np.array(values["M"]).reshape(n, n), np.array(values["c"])
     np.testing.assert_allclose(found, T.T @ M @ T, rtol=0, atol=TOLERANCE * np.abs(M).max())
     np.testing.assert_allclose(bias, T.T @ (M @ change + c), rtol=0, atol=TOLERANCE * np.abs(c).max())
+
+
+def test_classes_of_an_included_file_stand_where_it_is_included(tmp_path: Path) -> None:
+    """Below <default> they are separate classes, and change nothing else."""
+    heavy = '<default class="heavy"><geom density="5000"/><joint damping="3" armature="0.2"/></default>'
+    write(tmp_path, heavy, file="classes.xml", root="mujocoinclude")
+    geom = '<geom size="0.1" pos="0.2 0 0"/>'
+    inner = f'<body name="b" childclass="heavy"><joint axis="0 1 0"/>{geom}</body>'
+    path = write(
+        tmp_path,
+        '<default><include file="classes.xml"/></default>'
+        + world(f'<body name="a"><joint axis="0 1 0"/>{geom}{inner}</body>'),
+    )
+    imported = import_model(path)
+    assert [only_joint(imported, name).law.damping for name in "ab"] == [Number(0.0), Number(3.0)]
+    assert_mujoco_agrees(path, imported)
+
+
+@pytest.mark.parametrize(
+    ("flags", "law", "limits"),
+    [
+        ("", Law(Number(20.0), Number(0.0), Number(3.0), Friction(Number(1.5), Number(0.01))), 1.0),
+        ('spring="disable"', Law(damping=Number(3.0), friction=Friction(Number(1.5), Number(0.01))), 1.0),
+        ('damper="disable"', Law(Number(20.0), friction=Friction(Number(1.5), Number(0.01))), 1.0),
+        ('frictionloss="disable"', Law(Number(20.0), damping=Number(3.0)), 1.0),
+        ('limit="disable"', Law(Number(20.0), Number(0.0), Number(3.0), Friction(Number(1.5), Number(0.01))), None),
+        ('constraint="disable"', Law(Number(20.0), damping=Number(3.0)), None),
+    ],
+)
+def test_flags_take_forces_away(tmp_path: Path, flags: str, law: Law, limits: float | None) -> None:
+    """As MuJoCo's reference says of each; the flag `constraint` disables friction and limits."""
+    joint = '<joint stiffness="20" damping="3" frictionloss="1.5" range="-1 1"/>'
+    path = write(tmp_path, f'<compiler angle="radian"/><option><flag {flags}/></option>{pendulum(joint)}')
+    imported = import_model(path)
+    found = only_joint(imported, "rod")
+    assert found.law == law
+    assert found.upper == (None if limits is None else Number(limits))
+    passing = "the ranges of 1 joint bound problems alone: a simulation passes them"
+    assert any(passing in line for line in warnings(imported)) == (limits is not None)
+
+
+def test_the_last_setting_of_a_flag_counts(tmp_path: Path) -> None:
+    flags = '<option><flag spring="disable"/></option><option><flag spring="enable"/></option>'
+    path = write(tmp_path, flags + pendulum('<joint stiffness="3"/>'))
+    assert only_joint(import_model(path), "rod").law.stiffness == Number(3.0)
+
+
+@pytest.mark.parametrize("flag", ["actuation", "contact"])
+def test_other_flags(tmp_path: Path, flag: str) -> None:
+    """Inputs act where the file disables actuators; without contacts, none is missing."""
+    geoms = '<geom size="0.1"/><geom size="0.1"/>'
+    path = write(tmp_path, f'<option><flag {flag}="disable"/></option>{pendulum("<joint/>", INERTIAL + geoms)}')
+    found = "".join(warnings(import_model(path)))
+    assert ("the inputs of the model act" in found) == (flag == "actuation")
+    assert ("may touch others" in found) == (flag != "contact")
+
+
+def test_ranges_of_joints_that_are_no_limits(tmp_path: Path) -> None:
+    """MuJoCo's compiled `jnt_limited`: an empty range does not limit by itself."""
+    for text, limited in (('range="1 1"', False), ('range="-1 1" limited="false"', False), ('range="-1 1"', True)):
+        joint = only_joint(import_model(write(tmp_path, pendulum(f"<joint {text}/>"))), "rod")
+        assert (joint.lower is not None) == limited
+
+
+def test_the_largest_forces_are_those_that_act(tmp_path: Path) -> None:
+    """Ranges that are switched off bound nothing; the joint's own range bounds all its actuators together."""
+    actuators = (
+        ("a", '<motor joint="j" gear="50"/>', 'actuatorfrcrange="-7 7"', 7.0),
+        ("b", '<motor joint="j" ctrlrange="-1 1" ctrllimited="false" gear="10"/>', "", None),
+        ("c", '<motor joint="j" forcerange="-3 3" forcelimited="false"/>', "", None),
+        ("d", '<motor joint="j" ctrlrange="-2 1" gear="-3"/>', "", 6.0),
+        ("e", '<motor joint="j" forcerange="-2 2" gear="3"/><motor joint="j" ctrlrange="-1 1"/>', "", 7.0),
+        ("f", '<motor joint="j" forcerange="-2 2"/><motor joint="j"/>', "", None),
+        ("g", '<motor joint="j" ctrlrange="-2 2"/>', 'actuatorfrcrange="-9 9" actuatorfrclimited="false"', 2.0),
+        ("h", '<general joint="j" ctrlrange="-2 2"/>', "", 2.0),
+        ("i", '<general joint="j" ctrlrange="-2 2" gainprm="5"/>', "", None),
+    )
+    for name, actuator, own, expected in actuators:
+        path = write(tmp_path, pendulum(f'<joint name="j" {own}/>') + f"<actuator>{actuator}</actuator>")
+        found = only_joint(import_model(path), "rod").max_force
+        assert found == (None if expected is None else Number(expected)), name
+    free = write(tmp_path, pendulum('<joint name="j" actuatorfrcrange="-4 4"/>'))
+    assert only_joint(import_model(free), "rod").max_force == Number(4.0)
+    flag = '<option><flag clampctrl="disable"/></option>'
+    path = write(tmp_path, flag + pendulum('<joint name="j"/>') + f"<actuator>{actuators[3][1]}</actuator>")
+    assert only_joint(import_model(path), "rod").max_force is None
+
+
+def test_a_class_has_one_default_for_all_actuators(tmp_path: Path) -> None:
+    """As MuJoCo's compiled model: a motor has the gear that the class gives to `position`."""
+    import mujoco
+
+    defaults = '<default><position gear="5" ctrlrange="-3 3" armature="0.1"/></default>'
+    path = write(
+        tmp_path,
+        defaults + pendulum('<joint name="j"/>') + '<actuator><motor joint="j" forcerange="-2 2"/></actuator>',
+    )
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert [model.actuator_gear[0, 0], *model.actuator_ctrlrange[0], model.actuator_armature[0]] == [5, -3, 3, 0.1]
+    joint = only_joint(import_model(path), "rod")
+    assert (joint.max_force, joint.armature) == (Number(10.0), Number(25 * 0.1))
+
+
+def test_polynomial_springs_and_dampers_are_mujocos(tmp_path: Path) -> None:
+    """Of joints and of actuators, whose damping counts gear ratio squared times."""
+    import mujoco
+
+    joint = '<joint name="j" axis="0 1 0" stiffness="20 5 1" springref="15" damping="3 1 0.5"/>'
+    motor = '<actuator><motor joint="j" gear="3" damping="0.5 0.1 0.2"/></actuator>'
+    path = write(tmp_path, pendulum(joint) + motor)
+    law = only_joint(import_model(path), "rod").law
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for q, qd in ((0.7, -1.3), (-0.9, 2.1)):
+        data.qpos[0], data.qvel[0] = q, qd
+        mujoco.mj_forward(model, data)
+        found = evaluate_expression(law.total, {"q": q, "qd": qd}, FLOATS)
+        np.testing.assert_allclose(found, data.qfrc_passive[0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("placed", ['<frame pos="1 0 0" euler="0 0 90">{}</frame>', "{}"])
+def test_free_bodies_of_frames_and_of_included_files(tmp_path: Path, placed: str) -> None:
+    chair = f'<body name="chair" pos="0 0 0.5"><freejoint/>{INERTIAL}</body>'
+    write(tmp_path, placed.format(chair), file="chair.xml", root="mujocoinclude")
+    for inner in (placed.format(chair), '<include file="chair.xml"/>'):
+        path = write(tmp_path, world(inner))
+        assert_mujoco_agrees(path, import_model(path))
+
+
+def test_an_inertial_within_a_frame_is_placed_by_it(tmp_path: Path) -> None:
+    path = write(tmp_path, pendulum("<joint/>", f'<frame pos="0.3 0.2 0.1" euler="10 20 30">{FULL}</frame>'))
+    assert_mujoco_agrees(path, import_model(path))
+
+
+def test_forces_of_balls_and_yielding_springs_are_warned_of(tmp_path: Path) -> None:
+    ball = pendulum('<joint name="j" type="ball" springdamper="0.1 1" range="0 60"/>')
+    found = "\n".join(warnings(import_model(write(tmp_path, ball + '<actuator><motor joint="j"/></actuator>'))))
+    for text in ("springdamper of a ball is left out", "range of a ball is left out", "the actuator of a ball"):
+        assert text in found
+    path = write(tmp_path, pendulum('<joint stiffness="3" springyield="0.1"/>'))
+    assert "springyield: the spring is elastic beyond it" in "".join(warnings(import_model(path)))
+    path = write(tmp_path, pendulum('<joint type="free" name="j"/>') + '<actuator><motor joint="j"/></actuator>')
+    assert "the actuator of a free joint is left out" in "".join(warnings(import_model(path)))

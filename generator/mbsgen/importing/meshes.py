@@ -1,0 +1,120 @@
+"""The meshes of MJCF -> solids: vertices and faces of the file, or of an STL or OBJ file that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from mbsgen.documents import abbreviate, nearest
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.geoms import Assets
+from mbsgen.importing.inheritance import MAIN
+from mbsgen.importing.markup import Element
+from mbsgen.importing.mesh_solids import FORMATS, MEDIA, RULES, Faces, MeshError, enclose, measure, read_triangles
+from mbsgen.importing.poses import Array
+from mbsgen.importing.solids import Solid
+from mbsgen.model.orientations import turn_quaternion
+
+MAX_NUMBERS = 3_000_000
+
+
+class Meshes:
+    """The solids of a file's meshes, each measured once."""
+
+    def __init__(self, assets: Assets, folder: Path, root: Path | None, findings: Findings) -> None:
+        self._assets = assets
+        self._folder = folder
+        self._root = (folder if root is None else root).resolve()
+        self._findings = findings
+        self._known: dict[str, Solid] = {}
+
+    def weigh(self, name: str, mass: float | None, density: float) -> Solid:
+        """Return the solid of a mesh in its own frame, of a mass or a density. Raises MeshError."""
+        if name not in self._known:
+            self._known[name] = self._measure(name)
+        unit = self._known[name]
+        return unit.scaled(density if mass is None else mass / unit.mass)
+
+    def _measure(self, name: str) -> Solid:
+        element = self._assets.meshes.get(name)
+        if element is None:
+            meant = nearest(name, list(self._assets.meshes))
+            remedy = f"did you mean {abbreviate(meant)}?" if meant else "define it under <asset>"
+            raise MeshError(f"there is no mesh {abbreviate(name)}", remedy)
+        attributes = self._assets.defaults.resolve(element, MAIN)
+        rule = next((rule for rule in RULES if rule == attributes.get("inertia", RULES[0])), None)
+        if rule is None:
+            raise MeshError(f"inertia is {abbreviate(attributes['inertia'])}", f"give {', '.join(RULES)}")
+        if "builtin" in attributes or element.first("plugin") is not None:
+            raise MeshError(
+                "the inertia of a mesh that MuJoCo makes is not computed here", "give the body an <inertial>"
+            )
+        corners, faces = self._read(attributes)
+        is_hull = rule == "convex" or not len(faces)
+        if is_hull and self._findings.number(element, "maxhullvert", -1.0, attributes) > 0:
+            remedy = "take maxhullvert away, or give the body an <inertial>"
+            raise MeshError("the inertia of a hull of fewer corners is not computed here", remedy)
+        corners, mirrored = self._place(element, attributes, corners)
+        if not len(faces):
+            corners, faces = enclose(corners)
+        elif mirrored:
+            faces = faces[:, ::-1]
+        return measure(corners, faces, rule)
+
+    def _place(self, element: Element, attributes: Mapping[str, str], corners: Array) -> tuple[Array, bool]:
+        """Move, turn, then scale corners, as MuJoCo does; the second result is whether they are mirrored."""
+        read = self._findings.numbers
+        scale = np.array(read(element, "scale", (1.0, 1.0, 1.0), attributes=attributes))
+        position = np.array(read(element, "refpos", (0.0, 0.0, 0.0), attributes=attributes))
+        quaternion = read(element, "refquat", (1.0, 0.0, 0.0, 0.0), attributes=attributes)
+        if not scale.all() or not any(quaternion):
+            raise MeshError("scale or refquat of the mesh is 0", "give other numbers")
+        return (corners - position) @ turn_quaternion(quaternion) * scale, bool(np.prod(scale) < 0)
+
+    def _read(self, attributes: Mapping[str, str]) -> tuple[Array, Faces]:
+        """Read corners and triangles; no triangles where the file leaves them to the convex hull. Raises MeshError."""
+        if "file" in attributes:
+            return read_triangles(self._find(attributes["file"]), self._find_kind(attributes))
+        corners = _read_rows(attributes.get("vertex", ""), float)
+        faces = _read_rows(attributes.get("face", ""), int)
+        if len(corners) < 4:
+            raise MeshError("the mesh has neither a file nor four vertices", "give one of these")
+        return corners, faces.astype(np.int64)
+
+    def _find_kind(self, attributes: Mapping[str, str]) -> str:
+        suffix = PurePosixPath(attributes["file"]).suffix.lower()
+        kind = MEDIA.get(attributes.get("content_type", ""), FORMATS.get(suffix))
+        if kind is None:
+            remedy = f"give {' or '.join(FORMATS)}, or an <inertial>"
+            raise MeshError(
+                f"the inertia of a mesh in {suffix or 'a file without a suffix'} is not computed here", remedy
+            )
+        return kind
+
+    def _find(self, given: str) -> Path:
+        """Return the path of a mesh's file, below the folder of the model or the stated root. Raises MeshError."""
+        name = PurePosixPath(given).name if self._assets.stripped else given
+        try:
+            path = (self._folder / self._assets.folder / name).resolve()
+        except (OSError, ValueError, RuntimeError):
+            path = Path("/")
+        if not path.is_relative_to(self._root):
+            remedy = "put it there, or name a folder that holds all files: --root"
+            raise MeshError(f"{abbreviate(given)} is not in the folder of the model", remedy)
+        return path
+
+
+def _read_rows(text: str, kind: type[float] | type[int]) -> Array:
+    """Read rows of three numbers. Raises MeshError."""
+    words = text.split()
+    if len(words) > MAX_NUMBERS:
+        raise MeshError(f"a mesh of {len(words)} numbers", f"give at most {MAX_NUMBERS}, or a file")
+    try:
+        numbers = np.array([kind(word) for word in words], dtype=float)
+    except (ValueError, OverflowError):
+        raise MeshError("vertices or faces of the mesh are no numbers", "mend them") from None
+    if len(numbers) % 3 or not np.isfinite(numbers).all():
+        raise MeshError("vertices or faces of the mesh are no rows of three numbers", "mend them")
+    return numbers.reshape(-1, 3)
