@@ -34,8 +34,8 @@ FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fPIC", SCALAR, "-f
 COMPILERS = ("cc", "gcc", "clang")  # looked for in this order where CC names none
 ZIG = ("-m", "ziglang", "cc")  # of Python: the compiler in the package ziglang
 ZIG_FLAGS = ("-fno-sanitize=undefined",)  # which it would turn on below -O2
-ZIG = "run in the folder of the project: pip install '.[compiler]'"
-INSTALL = f"install cc, gcc or clang, or {ZIG}"
+REMEDY = "run in the folder of the project: pip install '.[compiler]'"
+INSTALL = f"install cc, gcc or clang, or {REMEDY}"
 LARGE = 2_000_000  # bytes of a source; larger ones are compiled with less optimisation
 ACCEPTED = re.compile(
     r"-O[0-3gs]?|-g[0-3]?|-pipe|-std=(c|gnu)(99|11|17|18|2x|23)|-ffp-contract=(off|on|fast)|-f(no-)?math-errno"
@@ -155,7 +155,7 @@ def once_per_compiler(make: Callable[[*_Given], _Made]) -> Callable[[*_Given], _
 def find_zig() -> tuple[str, ...]:
     """Return the command of the C compiler in the package ziglang. Raises CompileError where it is not installed."""
     if find_spec(ZIG[1]) is None:
-        raise CompileError(f"the package ziglang is not installed; {ZIG}")
+        raise CompileError(f"the package ziglang is not installed; {REMEDY}")
     return (sys.executable, *ZIG)
 
 
