@@ -217,7 +217,7 @@ class MujocoPeer:
         for j, kind in enumerate(self.model.jnt_type):
             if kind in (0, 1):
                 k = self.model.jnt_dofadr[j] + (3 if kind == 0 else 0)
-                T[k : k + 3, k : k + 3] = _turning(q[k], q[k + 1], q[k + 2])
+                T[k : k + 3, k : k + 3] = turn_rates(q[k], q[k + 1], q[k + 2])
         return T
 
     def _rates_along(self, q: Array, qd: Array) -> Array:
@@ -225,8 +225,8 @@ class MujocoPeer:
         return np.asarray(self._rates(q + 1e-200j * qd).imag / 1e-200)
 
 
-def _turning(_: Any, y: Any, x: Any) -> Any:
-    """The columns: axes z, y, x of turns in that order, seen from the last frame."""
+def turn_rates(_: Any, y: Any, x: Any) -> Any:
+    """Return the axes z, y, x of turns in that order as columns, seen from the last frame."""
     sx, cx, sy, cy = np.sin(x), np.cos(x), np.sin(y), np.cos(y)
     return np.array([[-sy, 0, 1], [cy * sx, cx, 0], [cy * cx, -sx, 0]])
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Expression, Number, evaluate, is_free_name
+from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation, evaluate, is_free_name, spell
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
@@ -114,6 +114,7 @@ class Move:
     follows: Rule | None = None
     floats: bool = False  # one of the joints of a quaternion
     start: float = 0.0  # the coordinate in the pose of the file [rad or m]
+    drag: float = 0.0  # of the first of three turns: the damping of the ball that they make [N m s/rad]
 
     def at(self, q: float) -> Pose:
         """Return the pose of the moving frame, in the frame before it."""
@@ -144,6 +145,19 @@ def move_freely(source: Element, *, quaternion: bool = False) -> list[Move]:
     return list_moves("free" if quaternion else "floating", source, actuated=False)
 
 
+def list_screw(turned: Move, pitch: float, choices: Choices) -> list[Move]:
+    """List the turn of a screw, and the slide that follows it by `pitch` [m/rad]; a held turn holds both."""
+    held = dict(choices.locked).get(turned.name or "")
+    if held is not None:
+        along = turned.axis / np.linalg.norm(turned.axis) * pitch * held
+        return [replace(turned, pose=Pose(np.eye(3), along, ()))]
+    slid = Move(
+        Motion.PRISMATIC, turned.axis, turned.source, name=f"{turned.name}.slide", actuated=False,
+        follows=(turned.name or "", pitch, 0.0),
+    )  # fmt: skip
+    return [turned, slid]
+
+
 def make_law(
     stiffness: float = 0.0,
     rest: float = 0.0,
@@ -155,6 +169,20 @@ def make_law(
     """Make the force law of a joint; a spring without stiffness has no rest."""
     dry = Friction(Number(friction), Number(speed)) if friction else None
     return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry, force)
+
+
+def damp(moves: Sequence[Move], damping: float) -> list[Move]:
+    """Damp each joint of a row; three turns about z, y, x by a moment against the angular velocity of the ball.
+
+    With the angles a, b, c the angular velocity has the square a'² + b'² + c'² - 2 a' c' sin(b), so that the forces
+    in the first and the last turn depend on each other's velocities.
+    """
+    turns = [k for k, move in enumerate(moves) if move.motion is Motion.REVOLUTE]
+    ball = turns[0] if len(turns) == 3 and damping else None
+    return [
+        replace(move, law=replace(move.law, damping=Number(damping)), drag=damping if k == ball else 0.0)
+        for k, move in enumerate(moves)
+    ]
 
 
 @dataclass
@@ -172,6 +200,7 @@ class Draft:
     _fixed: dict[str, Pose] = field(default_factory=dict)  # of bodies without joints, on their parents
     _moves: dict[tuple[str, int], Element] = field(default_factory=dict)  # of joints: body, place in its sequence
     _starts: dict[tuple[str, int], float] = field(default_factory=dict)  # of joints: body, place in its sequence
+    _drags: dict[tuple[str, int], float] = field(default_factory=dict)  # of balls: body, place of the first turn
     _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
     _equations: list[Equation] = field(default_factory=list)  # of the model
@@ -248,7 +277,7 @@ class Draft:
             frames=tuple(self.frames),
             allow_unphysical=not allowed,
         )
-        model = self._close(model)
+        model = self._damp_balls(self._close(model))
         self._check_model(model, root)
         self._tell_fixed(model)
         self._tell_angles()
@@ -299,6 +328,8 @@ class Draft:
             )  # fmt: skip
             self._moves[body, i] = move.source
             self._starts[body, i] = move.start
+            if move.drag:
+                self._drags[body, i] = move.drag
         return joints[0] if len(joints) == 1 else tuple(joints)
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
@@ -409,6 +440,27 @@ class Draft:
             case Joint():
                 return replace(body, joint=lead(body.joint))
         return replace(body, joint=tuple(map(lead, body.joint)))
+
+    def _damp_balls(self, model: Model) -> Model:
+        """Add the forces by which the first and the last turn of a damped ball depend on each other's velocities."""
+        steps = list_joints(model)
+        spelled = dict(zip((step.place for step in steps), spell([step.name for step in steps]), strict=True))
+        bodies = []
+        for i, body in enumerate(model.bodies):
+            for (_, k), drag in ((key, x) for key, x in self._drags.items() if key[0] == body.name):
+                first, second, third = (spelled["bodies", i, "joint", k + n] for n in range(3))
+                assert isinstance(body.joint, tuple), "a ball is three turns"
+                if first is None or second is None or third is None:
+                    self.findings.warn(self._sources[body.name], "its damping is left out: no name of it is its own")
+                    continue
+                joints = [*body.joint]
+                for n, other in ((k, third), (k + 2, first)):
+                    pull = Operation("*", Number(drag), Call("sin", (Name(f"q_{second}"),)))
+                    force = Operation("*", pull, Name(f"qd_{other}"))
+                    joints[n] = replace(joints[n], law=replace(joints[n].law, force=force))
+                body = replace(body, joint=tuple(joints))
+            bodies.append(body)
+        return replace(model, bodies=tuple(bodies))
 
     # --- checks ------------------------------------------------------------------------------------------------------
 

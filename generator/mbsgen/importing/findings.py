@@ -13,7 +13,11 @@ from mbsgen.importing.markup import Element
 
 MAX_DIGITS = 64  # characters of one number
 SMALLEST, LARGEST = 1e-60, 1e60  # products of a few numbers neither vanish nor overflow
+UNBOUNDED = 1e15  # of limits: larger numbers stand for none
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_INFINITE = re.compile(r"[-+]?inf(inity)?", re.IGNORECASE)
+_XACRO = re.compile(r"\$[{(]")
+UNEXPANDED = "this is xacro: run `xacro FILE > robot.urdf` first"
 
 
 @dataclass(frozen=True)
@@ -87,16 +91,16 @@ class Findings:
             return default
         words = text.split()
         wanted = len(default) if count is None else count
+        if is_xacro(text):
+            self.fault(element, f"{name} is {abbreviate(text)}", UNEXPANDED)
+            return default
         if len(words) != wanted:
             finding = f"{name} has {len(words)} numbers" if len(words) <= MAX_DIGITS else f"{name} is too long"
             self.fault(element, f"{finding}: {abbreviate(text)}", f"give {wanted}")
             return default
-        values = [_read_number(word) for word in words]
+        values = [read_number(word) for word in words]
         if any(map(math.isnan, values)):
-            if "${" in text or "$(" in text:
-                remedy = "this is xacro: run `xacro FILE > robot.urdf` first"
-            else:
-                remedy = f"give numbers such as 0.3 or 1e-3, up to {LARGEST:g} in size"
+            remedy = f"give numbers such as 0.3 or 1e-3, up to {LARGEST:g} in size"
             self.fault(element, f"{name} is {abbreviate(text)}", remedy)
             return default
         return tuple(values)
@@ -104,6 +108,15 @@ class Findings:
     def number(self, element: Element, name: str, default: float, attributes: Mapping[str, str] | None = None) -> float:
         """Read an attribute of one number."""
         return self.numbers(element, name, (default,), attributes=attributes)[0]
+
+    def bound(self, element: Element, name: str, attributes: Mapping[str, str] | None = None) -> float | None:
+        """Read an attribute that bounds something; None where it is missing or infinite, or too large to matter."""
+        text = (element.attributes if attributes is None else attributes).get(name)
+        if text is None or _INFINITE.fullmatch(word := text.strip()):
+            return None
+        if len(word) <= MAX_DIGITS and _NUMBER.fullmatch(word) and abs(float(word)) > UNBOUNDED:
+            return None
+        return self.number(element, name, 0.0, {name: text})
 
     def choice(self, element: Element, name: str, words: tuple[str, ...], attributes: Mapping[str, str]) -> str:
         """Read an attribute that is one of some words; the first is the default."""
@@ -114,7 +127,12 @@ class Findings:
         return word
 
 
-def _read_number(word: str) -> float:
+def is_xacro(text: str) -> bool:
+    """Test whether a text has an expression or a command of xacro, which nobody has expanded."""
+    return _XACRO.search(text) is not None
+
+
+def read_number(word: str) -> float:
     """Read a number of ordinary size; nan for anything else."""
     if len(word) > MAX_DIGITS or not _NUMBER.fullmatch(word):
         return math.nan

@@ -11,23 +11,35 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mbsgen.documents import abbreviate
 from mbsgen.importing.closing import Closure, Equation, Spot, Term
-from mbsgen.importing.drafting import Choices, Draft, Imported, Move, list_moves, make_law, move_freely
+from mbsgen.importing.drafting import (
+    Choices,
+    Draft,
+    Imported,
+    Move,
+    damp,
+    list_moves,
+    list_screw,
+    make_law,
+    move_freely,
+)
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import Pose
-from mbsgen.importing.sdf_frames import WORLD, Entry, Frames, count_tags, read_flag, read_text, relate
+from mbsgen.importing.sdf_frames import WORLD, Entry, Frames, read_flag, relate
+from mbsgen.importing.sdf_vocabulary import GRAVITY_IN_PHYSICS, choose_vocabulary
 from mbsgen.importing.solids import Solid
+from mbsgen.importing.vocabulary import survey
 from mbsgen.model.model import BASE
 from mbsgen.model.tree import Cut, Motion
 
 GRAVITY = (0.0, 0.0, -9.8)  # the default of SDF
-UNBOUNDED = 1e15  # of limits: larger numbers stand for none
+OLDEST = (1, 2)  # version 1.0 writes values as attributes
 CUTS = {
     "revolute": Cut.HINGE,
     "continuous": Cut.HINGE,
@@ -40,16 +52,6 @@ CUTS = {
 }
 _TWO_AXES = (Cut.UNIVERSAL,)
 _WITHOUT_AXIS = (Cut.BALL, Cut.SOLID)
-READ = frozenset(
-    {
-        *("model", "link", "joint", "frame", "pose", "static", "inertial", "mass", "inertia", "gravity", "parent"),
-        *("child", "axis", "axis2", "screw_thread_pitch", "thread_pitch"),
-    }
-)
-ALTERING = (
-    *("include", "plugin", "gripper", "population", "actor", "road", "state", "kinematic", "battery"),
-    *("projector", "fluid_added_mass", "wind", "enable_wind", "velocity_decay"),
-)
 
 
 def read_sdf(root: Element, choices: Choices, findings: Findings) -> Imported:
@@ -59,16 +61,10 @@ def read_sdf(root: Element, choices: Choices, findings: Findings) -> Imported:
         finding = f"its version is {abbreviate(given)}" if given else "an <sdf> without a version"
         findings.fault(root, finding, 'give the version of SDFormat that the file has, e.g. version="1.9"')
         raise findings.refuse()
+    if int(version[1]) < OLDEST[1]:
+        findings.fault(root, f"version {given}", "convert it to a version of SDFormat from 1.2 on (gz sdf -p FILE)")
+        raise findings.refuse()
     return _File(root, choices, findings, (1, int(version[1]))).read()
-
-
-@dataclass(frozen=True)
-class _Screwed:
-    """The slide of a screw, which follows its turn: names in the file, and the shift for each radian."""
-
-    turn: str
-    slide: str
-    pitch: float
 
 
 class _File:
@@ -82,6 +78,7 @@ class _File:
             findings.fault(worlds[1], "a second world", "give a file with one")
         self._world = worlds[0] if worlds else root
         self._choices = choices
+        self._version = version
         self._draft = Draft(findings, choices)
         self._frames = Frames(version, findings, self._draft.writer)
         self._frames.add(WORLD, self._world)
@@ -94,6 +91,7 @@ class _File:
 
     def read(self) -> Imported:
         """Read the file, and complete the model."""
+        self._tell_rest()
         links = [*self._frames.all("link")]
         if not links and not self._findings.faults:
             self._findings.fault(self._root, "no link", "give a model with links")
@@ -109,17 +107,25 @@ class _File:
             self._close(joint, *ends[joint.key])
         for joint in self._frames.all("joint"):
             self._couple(joint)
-        self._tell_rest()
         gravity = self._read_gravity()
         return self._draft.finish(self._name or "robot", gravity, self._root)
 
     def _read_gravity(self) -> tuple[float, ...]:
-        element = self._world.first("gravity")
-        if element is not None:
-            return self._findings.numbers(element, "gravity", GRAVITY, attributes={"gravity": element.text})
-        if self._choices.gravity is None:
-            self._findings.sum_up("no gravity is given: it is 9.8 m/s2 down the z axis, as SDF's default")
-        return GRAVITY
+        """Read the gravity of the world, or up to version 1.5 of its physics."""
+        profiles = sorted(self._world.all("physics"), key=lambda x: x.attributes.get("default", "") not in _TRUE)
+        places = [self._world, *profiles[:1]] if self._version <= GRAVITY_IN_PHYSICS else [self._world]
+        found = [element for place in places if (element := place.first("gravity")) is not None]
+        if not found:
+            if self._choices.gravity is None:
+                self._findings.sum_up("no gravity is given: it is 9.8 m/s2 down the z axis, as SDF's default")
+            return GRAVITY
+        gravity, *others = (
+            self._findings.numbers(element, "gravity", GRAVITY, attributes={"gravity": element.text})
+            for element in found
+        )
+        if others and others[0] != gravity:
+            self._findings.warn(found[1], f"gravity is already given in line {found[0].line}; this one is left out")
+        return gravity
 
     def _find_ends(self, joint: Entry) -> tuple[str, str]:
         """Return the links, or the world, that a joint connects."""
@@ -233,7 +239,8 @@ class _File:
                 return [self._read_move(joint, motion, "axis", name)]
             case Cut.HELICAL:
                 self._moving[joint.key] = name
-                return self._list_screw(joint, _Screwed(name, f"{name}.slide", self._read_pitch(element)))
+                turned = self._read_move(joint, Motion.REVOLUTE, "axis", name)
+                return list_screw(turned, self._read_pitch(element), self._choices)
             case Cut.UNIVERSAL:
                 pair = [self._read_move(joint, Motion.REVOLUTE, axis, f"{name}.{axis}") for axis in ("axis", "axis2")]
                 return [replace(move, actuated=False, effort=None) for move in pair]
@@ -242,21 +249,29 @@ class _File:
                 if not self._choices.quaternions:
                     text = "a ball is turns about z, y, x; the second locks at a quarter turn (else --quaternions)"
                     self._findings.tell(element, text)
-                return list_moves(kind, element, actuated=False)
+                return self._resist(element, list_moves(kind, element, actuated=False))
         return []
 
-    def _list_screw(self, joint: Entry, screw: _Screwed) -> list[Move]:
-        """List the turn of a screw, and the slide that follows it."""
-        turned = self._read_move(joint, Motion.REVOLUTE, "axis", screw.turn)
-        held = dict(self._choices.locked).get(screw.turn)
-        if held is not None:
-            along = turned.axis / np.linalg.norm(turned.axis) * screw.pitch * held
-            return [replace(turned, pose=Pose(np.eye(3), along, ()))]
-        slid = Move(
-            Motion.PRISMATIC, turned.axis, joint.element, name=screw.slide, actuated=False,
-            follows=(screw.turn, screw.pitch, 0.0),
-        )  # fmt: skip
-        return [turned, slid]
+    def _resist(self, joint: Element, moves: list[Move]) -> list[Move]:
+        """Damp a ball by the damping of its axis: a moment against its angular velocity."""
+        axis = joint.first("axis")
+        dynamics = None if axis is None else axis.first("dynamics")
+        if dynamics is None:
+            return moves
+        for key in ("friction", "spring_stiffness"):
+            if self._number(dynamics, key, 0.0):
+                self._findings.warn(dynamics, f"{key} of a ball is left out")
+        damping = self._read_loss(joint, dynamics, "damping")
+        if damping and any(move.floats for move in moves):
+            self._findings.warn(dynamics, "damping of a joint with a quaternion is left out")
+            return moves
+        return damp(moves, damping)
+
+    def _read_loss(self, joint: Element, dynamics: Element | None, key: str) -> float:
+        value = self._number(dynamics, key, 0.0)
+        if value < 0:
+            self._findings.fault(joint, f"{key} is {value:g}", "give 0 or more")
+        return max(value, 0.0)
 
     def _read_pitch(self, joint: Element) -> float:
         """Read how far a screw moves for each radian [m/rad]; the older element counts -rad/m."""
@@ -276,12 +291,8 @@ class _File:
         if lower is not None and upper is not None and lower > upper:
             self._findings.fault(joint.element, f"lower is {lower:g}, and upper {upper:g}", "swap them")
         velocity, effort = (self._read_limit(limit, key) for key in ("velocity", "effort"))
-        stiffness, rest, damping, friction = (
-            self._number(dynamics, key, 0.0) for key in ("spring_stiffness", "spring_reference", "damping", "friction")
-        )
-        for key, value in (("damping", damping), ("friction", friction)):
-            if value < 0:
-                self._findings.fault(joint.element, f"{key} is {value:g}", "give 0 or more")
+        stiffness, rest = (self._number(dynamics, key, 0.0) for key in ("spring_stiffness", "spring_reference"))
+        damping, friction = (self._read_loss(joint.element, dynamics, key) for key in ("damping", "friction"))
         speed = self._choices.friction_speed
         if friction:
             self._findings.tell(joint.element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
@@ -294,7 +305,7 @@ class _File:
             name=name,
             lower=lower,
             upper=upper,
-            law=make_law(stiffness, rest, max(damping, 0.0), max(friction, 0.0), speed),
+            law=make_law(stiffness, rest, damping, friction, speed),
             velocity=velocity if velocity is not None and velocity > 0 else None,
             effort=effort if effort is not None and effort > 0 else None,
             actuated=effort != 0,
@@ -302,10 +313,8 @@ class _File:
 
     def _read_limit(self, limit: Element | None, key: str) -> float | None:
         """Read a limit; None where it is infinite or missing."""
-        if re.fullmatch(r"[-+]?inf(inity)?", read_text(limit, key, "inf").lower()):
-            return None
-        value = self._number(limit, key, 0.0)
-        return None if abs(value) > UNBOUNDED else value
+        element = None if limit is None else limit.first(key)
+        return None if element is None else self._findings.bound(element, key, {key: element.text})
 
     # --- loops -------------------------------------------------------------------------------------------------------
 
@@ -367,31 +376,18 @@ class _File:
     # --- the rest ----------------------------------------------------------------------------------------------------
 
     def _tell_rest(self) -> None:
-        """Add a warning for each part that acts on motions, and one line of all others."""
-        scopes = [self._world, *(x.element for x in self._frames.all("model"))]
-        parts = [*scopes, *(x.element for tag in ("link", "joint") for x in self._frames.all(tag))]
-        for parent in parts:
-            for element in parent.children:
-                self._tell_part(parent, element)
-        counts = count_tags(iter(parts), READ | {*ALTERING})
-        if counts:
-            shown = ", ".join(f"{count} {tag}" for tag, count in counts.items())
+        """Add the warnings of all elements that act on motions and are not read, and one line of all others."""
+        found = survey(self._root, choose_vocabulary(self._version), "sdf", self._findings)
+        for joint in self._frames.all("joint"):
+            if joint.element.attributes.get("type") == "gearbox":
+                text = "a gearbox is not part of the model; give a constraint of its two joints"
+                self._findings.warn(joint.element, text)
+        if found.idle:
+            shown = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(found.idle.items()))
             self._findings.sum_up(f"of no meaning for the dynamics: {shown}")
 
-    def _tell_part(self, parent: Element, element: Element) -> None:
-        is_off = element.text.lower() in ("false", "0")
-        if element.tag == "include":
-            self._findings.fault(element, "an included model, which is not read", "write the model's text in its place")
-        elif element.tag == "gravity" and parent.tag == "link" and is_off:
-            self._findings.warn(element, "a link without gravity; here gravity acts on all")
-        elif element.tag in ALTERING and not is_off:
-            self._findings.warn(element, f"{element.tag} is not part of the model")
-        elif parent.tag == "joint" and element is parent.first("parent") and parent.attributes.get("type") == "gearbox":
-            self._findings.warn(parent, "a gearbox is not part of the model; give a constraint of its two joints")
-        elif parent.tag == "model" and element is parent.children[0] and parent.attributes.get("placement_frame"):
-            self._findings.fault(parent, "a placement_frame, which is not read", "give the pose of the model's frame")
 
-
+_TRUE = ("true", "1")
 _MIMIC = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
 
 

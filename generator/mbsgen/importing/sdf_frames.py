@@ -11,7 +11,7 @@ Source: the specification of SDFormat and its pages on poses (sdformat.org).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +27,7 @@ MODEL = "__model__"
 SEPARATOR = "::"
 NOISE = 1e-15  # of the largest entry: the rounding of products of rotations
 IN_MODEL = (1, 4)  # the last version with axes in the model's frame
+FLATTENED = (1, 7)  # the last version whose names may contain ::, of models that were in the model
 _SCOPED = ("model", "link", "joint", "frame")
 
 
@@ -82,9 +83,10 @@ class Frames:
         for element in root.all(*_SCOPED):
             name = element.attributes.get("name", "")
             key = join(scope, name)
-            if not name or SEPARATOR in name or name in (WORLD, MODEL):
+            if not name or (SEPARATOR in name and self.version > FLATTENED) or name in (WORLD, MODEL):
                 finding = f"the name {abbreviate(name)}" if name else f"a {element.tag} without a name"
-                self.findings.fault(element, finding, f"give a name other than {WORLD} and {MODEL}, without ::")
+                remedy = f"give a name other than {WORLD} and {MODEL}, without ::, which versions up to 1.7 may have"
+                self.findings.fault(element, finding, remedy)
                 continue
             if key in self.entries:
                 finding = f"{abbreviate(name)} is already in line {self.entries[key].element.line}"
@@ -112,8 +114,12 @@ class Frames:
             return scope
         if name == WORLD:
             return WORLD
-        if (key := join(scope, name)) in self.entries:
+        key = join(scope, name)
+        if key in self.entries:
             return key
+        inner = self.entries.get(key.removesuffix(f"{SEPARATOR}{MODEL}"))
+        if inner is not None and inner.element.tag == "model":
+            return inner.key
         inside = len(join(scope, ""))
         meant = nearest(name, [x[inside:] for x in self.entries if x.startswith(join(scope, ""))])
         remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a link, joint, frame or model beside it"
@@ -217,13 +223,3 @@ class Frames:
 def join(scope: str, name: str) -> str:
     """Return the key of a name in a scope."""
     return name if scope == WORLD else f"{scope}{SEPARATOR}{name}"
-
-
-def count_tags(elements: Iterator[Element], known: frozenset[str]) -> Mapping[str, int]:
-    """Count the children of elements that are of no known tag."""
-    found: dict[str, int] = {}
-    for element in elements:
-        for child in element.children:
-            if child.tag not in known:
-                found[child.tag[:40]] = found.get(child.tag[:40], 0) + 1
-    return dict(sorted(found.items()))

@@ -6,45 +6,66 @@ first, joints in the file's order. `urdf_loops` reads the loops.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.importing.drafting import GRAVITY, Choices, Draft, Imported, Move, list_moves, make_law, move_freely
-from mbsgen.importing.findings import Findings
+from mbsgen.importing.drafting import (
+    GRAVITY,
+    Choices,
+    Draft,
+    Imported,
+    Move,
+    damp,
+    list_moves,
+    list_screw,
+    make_law,
+    move_freely,
+)
+from mbsgen.importing.findings import UNEXPANDED, Findings, is_xacro, read_number
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
 from mbsgen.importing.urdf_frames import read_axis, read_origin
-from mbsgen.importing.urdf_loops import READERS, add_loops, has_loops, is_dependent
+from mbsgen.importing.urdf_loops import add_loops, has_loops, is_dependent
+from mbsgen.importing.urdf_vocabulary import VOCABULARY
+from mbsgen.importing.vocabulary import Survey, survey
 from mbsgen.model.model import BASE
 from mbsgen.model.tree import Motion
 
-KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-READ = frozenset(
-    {
-        *("robot", "link", "joint", "inertial", "mass", "inertia", "origin", "axis", "limit", "dynamics", "mimic"),
-        *("parent", "child", "transmission"),
-        *READERS,
-    }
-)
-_XACRO = ("include", "property", "macro", "arg", "if", "unless", "insert_block", "call")
+ONE_AXIS = ("revolute", "continuous", "prismatic")
+KINDS = (*ONE_AXIS, "fixed", "floating", "planar", "spherical")
+JOINT, DRAKE = "joint", "drake:joint"
+DRAKE_KINDS = ("ball", "planar", "universal", "screw")  # of <drake:joint>
 RATIOS = ("mechanicalReduction", "drake:gear_ratio")
 ROTORS = ("rotorInertia", "motorInertia", "drake:rotor_inertia")
-MACROS = frozenset(f"xacro:{word}" for word in _XACRO)
+XACRO = "xacro:"
 
 
 def read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
     """Make a model of a URDF file. Raises InputError with all its faults."""
     for element in root.walk():
-        if element.tag in MACROS:
-            findings.fault(element, f"{element.tag} is xacro", "run `xacro FILE > robot.urdf`, and import that")
+        if element.tag.startswith(XACRO):
+            findings.fault(element, f"{element.tag[:40]} is xacro", "run `xacro FILE > robot.urdf`, and import that")
+    for joint in root.all(JOINT, DRAKE):
+        for key, text in _list_names(joint):
+            if is_xacro(text):
+                findings.fault(joint, f"{key} is {abbreviate(text)}", UNEXPANDED)
     if findings.faults:
         raise findings.refuse()
     return _Robot(root, choices, findings).read()
+
+
+def _list_names(joint: Element) -> Iterator[tuple[str, str]]:
+    """Yield the names that a joint has or mentions."""
+    for element in (joint, *joint.all("parent", "child", "mimic")):
+        for key in ("name", "type", "link", "joint"):
+            if key in element.attributes:
+                yield f"{element.tag} {key}" if element is not joint else key, element.attributes[key]
 
 
 class _Robot:
@@ -57,14 +78,15 @@ class _Robot:
         self._is_closed = has_loops(root)
         self._leaders = self._read_leaders()
         self._draft = Draft(findings, replace(choices, locked=(*choices.locked, *self._hold_followers())))
+        self._lossy = 0  # joints with damping or friction, which are part of the model
         self._rotors: defaultdict[str, float] = defaultdict(float)  # rotor inertia at joints, from transmissions
 
     def _read_leaders(self) -> dict[str, tuple[str, float, float]]:
         """Read which joints follow others: the other's name, ratio and offset, by their own names."""
         moving = {
             joint.attributes.get("name", ""): joint
-            for joint in self._root.all("joint")
-            if joint.attributes.get("type") in ("revolute", "continuous", "prismatic")
+            for joint in self._root.all(JOINT)
+            if joint.attributes.get("type") in ONE_AXIS
         }
         found = {}
         for name, joint in moving.items():
@@ -72,10 +94,11 @@ class _Robot:
             if mimic is None or name in dict(self._choices.locked):
                 continue
             leader = mimic.attributes.get("joint", "")
-            if leader not in moving:
+            if leader not in moving and self._choices.mimic == "couple":
                 meant = nearest(leader, list(moving))
                 remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a joint that moves about one axis"
-                self._findings.fault(mimic, f"it follows {abbreviate(leader)}, which does not move so", remedy)
+                finding = f"it follows {abbreviate(leader)}, which does not move so"
+                self._findings.fault(mimic, finding, f"{remedy}, or give --mimic free or lock")
                 continue
             found[name] = (
                 leader,
@@ -100,12 +123,13 @@ class _Robot:
 
     def read(self) -> Imported:
         """Read the file, and complete the model."""
+        self._tell_ignored(survey(self._root, VOCABULARY, "robot", self._findings))
         links = self._index("link")
-        joints = self._index("joint")
+        joints = self._index(JOINT, DRAKE)
         self._read_transmissions(joints)
         carried: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
         carriers: dict[str, Element] = {}
-        for joint in self._root.all("joint"):
+        for joint in self._root.all(JOINT, DRAKE):
             parent, child = (self._find_link(joint, key, links) for key in ("parent", "child"))
             if child is not None and child in carriers:
                 line = carriers[child].line
@@ -123,18 +147,17 @@ class _Robot:
             raise self._findings.refuse()
         bodies = self._add_links(roots[0], links, carried)
         add_loops(self._root, bodies, carriers, self._draft)
-        self._tell_ignored()
         self._tell_conventions(roots[0], carried)
         return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
 
-    def _index(self, tag: str) -> dict[str, Element]:
+    def _index(self, *tags: str) -> dict[str, Element]:
         found: dict[str, Element] = {}
-        for element in self._root.all(tag):
+        for element in self._root.all(*tags):
             name = element.attributes.get("name", "")
             if not name:
-                self._findings.fault(element, f"a {tag} without a name", "give it one")
+                self._findings.fault(element, f"a {tags[0]} without a name", "give it one")
             elif name in found:
-                finding = f"{tag} {abbreviate(name)} is already in line {found[name].line}"
+                finding = f"{tags[0]} {abbreviate(name)} is already in line {found[name].line}"
                 self._findings.fault(element, finding, "give one of them another name")
             found.setdefault(name, element)
         return found
@@ -201,21 +224,77 @@ class _Robot:
     def _read_moves(self, joint: Element) -> Iterator[Move]:
         kind = joint.attributes.get("type", "")
         name = joint.attributes.get("name", "")
+        if joint.tag == DRAKE:
+            yield from self._read_drake(joint, kind, name)
+            return
         match kind:
-            case "fixed":
-                self._refuse_mimic(joint)
-            case "floating":
-                self._refuse_mimic(joint)
-                yield from move_freely(joint, quaternion=self._choices.quaternions)
-            case "planar":
-                self._refuse_mimic(joint)
-                yield from list_moves(
-                    "planar", joint, actuated=False, normal=[*map(float, read_axis(joint, self._findings))]
-                )
             case "revolute" | "continuous" | "prismatic":
                 yield self._read_move(joint, kind, name)
+                return
+            case "floating":
+                yield from self._resist(joint, move_freely(joint, quaternion=self._choices.quaternions))
+            case "planar":
+                x, y, z = map(float, read_axis(joint, self._findings))
+                yield from self._resist(joint, list_moves("planar", joint, actuated=False, normal=[x, y, z]))
+            case "spherical":
+                yield from self._resist(joint, self._list_ball(joint))
+            case "fixed":
+                pass
             case _:
                 self._findings.fault(joint, f"type is {abbreviate(kind)}", f"give {', '.join(KINDS)}")
+        self._refuse_mimic(joint)
+
+    def _read_drake(self, joint: Element, kind: str, name: str) -> Iterator[Move]:
+        """Read a <drake:joint>: a ball, a plane across z, turns about x and then y, or a screw."""
+        self._refuse_mimic(joint)
+        match kind:
+            case "ball":
+                yield from self._resist(joint, self._list_ball(joint))
+            case "planar":
+                moves = list_moves("planar", joint, actuated=False, plane="xy")
+                dynamics = joint.first("dynamics")
+                losses = (0.0,) * 3 if dynamics is None else self._findings.numbers(dynamics, "damping", (0.0,) * 3)
+                yield from (replace(move, law=make_law(damping=x)) for move, x in zip(moves, losses, strict=True))
+            case "universal":
+                yield from self._resist(joint, list_moves("universal", joint, actuated=False))
+            case "screw":
+                pitch = joint.first("drake:screw_thread_pitch")
+                if pitch is None:
+                    self._findings.fault(joint, "a screw without a pitch", "give it <drake:screw_thread_pitch>")
+                    return
+                advance = self._findings.number(pitch, "value", 0.0) / (2 * math.pi)
+                yield from list_screw(self._read_move(joint, kind, name), advance, self._choices)
+            case _:
+                self._findings.fault(joint, f"type is {abbreviate(kind)}", f"give {', '.join(DRAKE_KINDS)}")
+
+    def _list_ball(self, joint: Element) -> list[Move]:
+        kind = "ball" if self._choices.quaternions else "spherical"
+        if not self._choices.quaternions:
+            text = "a ball is turns about z, y, x; the second locks at a quarter turn (else --quaternions)"
+            self._findings.tell(joint, text)
+        return list_moves(kind, joint, actuated=False)
+
+    def _resist(self, joint: Element, moves: list[Move]) -> list[Move]:
+        """Add the damping of a joint of several freedoms, but neither friction nor rotors.
+
+        Drake and MuJoCo have the same damping along and about each axis.
+        """
+        if joint.first("limit") is not None:
+            self._findings.tell(joint, "its limits are left out: it has several coordinates")
+        dynamics = joint.first("dynamics")
+        if dynamics is None:
+            return moves
+        damping, friction = (self._read_loss(dynamics, key) for key in ("damping", "friction"))
+        if self._read_armature(dynamics):
+            self._findings.warn(dynamics, "the rotor of a joint of several freedoms is left out")
+        if any(move.floats for move in moves):
+            if damping or friction:
+                self._findings.warn(dynamics, "damping and friction of a joint with a quaternion are left out")
+            return moves
+        if friction:
+            self._findings.warn(dynamics, f"dry friction of {friction:g} of a joint of several freedoms is left out")
+        self._lossy += bool(damping)
+        return damp(moves, damping)
 
     def _read_move(self, joint: Element, kind: str, name: str) -> Move:
         lower = upper = velocity = effort = None
@@ -224,15 +303,14 @@ class _Robot:
             self._findings.tell(joint, "it has no <limit>: it is unbounded")
         if limit is not None:
             if kind != "continuous" and not limit.attributes.keys().isdisjoint(("lower", "upper")):
-                lower, upper = (self._findings.number(limit, key, 0.0) for key in ("lower", "upper"))
-                if lower > upper:
+                lower, upper = (
+                    self._findings.bound(limit, key) if key in limit.attributes else 0.0 for key in ("lower", "upper")
+                )
+                if lower is not None and upper is not None and lower > upper:
                     self._findings.fault(limit, f"lower is {lower:g}, and upper {upper:g}", "swap them")
             elif kind != "continuous":
                 self._findings.tell(limit, "it has neither lower nor upper: the joint is unbounded")
-            velocity, effort = (
-                self._findings.number(limit, key, 0.0) if key in limit.attributes else None
-                for key in ("velocity", "effort")
-            )
+            velocity, effort = (self._findings.bound(limit, key) for key in ("velocity", "effort"))
         follows = self._read_mimic(joint, name)
         is_free = follows is None
         if self._is_closed and is_dependent(joint, self._findings):
@@ -248,6 +326,7 @@ class _Robot:
         if friction:
             speed = self._choices.friction_speed
             self._findings.tell(joint, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+        self._lossy += bool(damping or friction)
         return Move(
             Motion.PRISMATIC if kind == "prismatic" else Motion.REVOLUTE,
             read_axis(joint, self._findings),
@@ -305,12 +384,13 @@ class _Robot:
             rotors = [element for element in parts if element.tag in ROTORS]
             names = {element.attributes.get("name", "") for element in parts if element.tag == "joint"}
             for element in ratios:
-                if self._read_value(element, 1.0) != 1:
+                if self._read_value(element) != 1:
                     ratio = abbreviate(element.attributes.get("value", element.text))
                     self._findings.tell(transmission, f"gear ratio {ratio}: the input u is the force at the joint")
-            if len(ratios) <= 1 and len(rotors) == 1 and len(names) == 1 and names <= joints.keys():
-                gear = self._read_value(ratios[0], 1.0) if ratios else 1.0
-                armature = self._read_value(rotors[0], 0.0) * gear**2
+            gears, inertias = ([*map(self._read_value, elements)] for elements in (ratios, rotors))
+            gear, inertia = (values[0] if len(values) == 1 else None for values in (gears or [1.0], inertias))
+            if gear is not None and inertia is not None and len(names) == 1 and names <= joints.keys():
+                armature = inertia * gear**2
                 (name,) = names
                 self._rotors[name] += armature
                 self._findings.tell(rotors[0], f"with its gear, armature {armature:g} of joint {abbreviate(name)}")
@@ -319,25 +399,22 @@ class _Robot:
                     text = f"rotor inertia {abbreviate(element.attributes.get('value', element.text))} is left out"
                     self._findings.warn(element, f"{text}: of no single rotor, gear and joint of the file")
 
-    def _read_value(self, element: Element, default: float) -> float:
-        """Read the number of an element, as its text or its value."""
-        value = {"value": text} if (text := element.attributes.get("value", element.text)) else {}
-        return self._findings.number(element, "value", default, value)
+    def _read_value(self, element: Element) -> float | None:
+        """Read the number of an element, as its text or its value; None for any other text."""
+        text = element.attributes.get("value", element.text)
+        value = read_number(text)
+        return None if math.isnan(value) else value
 
     def _tell_conventions(self, root: str, carried: dict[str, list[tuple[Element, str]]]) -> None:
         """Add a notice where the equations differ from Pinocchio's for the same file."""
-        damped = sum(any(d.attributes.get(key, "0") != "0" for key in ("damping", "friction")) for d in self._losses())
-        if damped:
-            joints = "1 joint" if damped == 1 else f"{damped} joints"
+        if self._lossy:
+            joints = "1 joint" if self._lossy == 1 else f"{self._lossy} joints"
             self._findings.sum_up(
                 f"damping and friction of {joints} are part of the equations; Pinocchio's recursions have none"
             )
         ours, theirs = (self._order(root, carried, by_name=by_name) for by_name in (False, True))
         if ours != theirs:
             self._findings.sum_up("joints have the order of the file; Pinocchio sorts the joints of a link by name")
-
-    def _losses(self) -> Iterator[Element]:
-        return (found for joint in self._root.all("joint") if (found := joint.first("dynamics")) is not None)
 
     def _order(self, root: str, carried: dict[str, list[tuple[Element, str]]], *, by_name: bool) -> list[str]:
         """List the joints depth first; the joints of a link in the order of the file, or by name."""
@@ -350,15 +427,13 @@ class _Robot:
             waiting += reversed(sorted(pairs) if by_name else pairs)
         return found
 
-    def _tell_ignored(self) -> None:
-        seen: Counter[str] = Counter()
-        packaged = set()
-        for element in self._root.walk():
-            if element.tag == "mesh" and "filename" in element.attributes:
-                packaged.add(element.attributes["filename"])
-        for parent in (self._root, *self._root.all("link", "joint")):
-            seen.update(child.tag for child in parent.children if child.tag not in READ)
-        if seen:
-            counts = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(seen.items()))
+    def _tell_ignored(self, found: Survey) -> None:
+        packaged = {
+            element.attributes["filename"]
+            for element in self._root.walk()
+            if element.tag == "mesh" and "filename" in element.attributes
+        }
+        if found.idle:
+            counts = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(found.idle.items()))
             meshes = f"; {len(packaged)} mesh files, package:// among them, were not looked for" if packaged else ""
             self._findings.sum_up(f"of no meaning for the dynamics: {counts}{meshes}")

@@ -1,4 +1,7 @@
-"""Origins and axes of URDF: roll, pitch and yaw are turns about z by yaw, about y by pitch, about x by roll."""
+"""Origins and axes of URDF: roll, pitch and yaw are turns about z by yaw, about y by pitch, about x by roll.
+
+From version 1.1 on, a quaternion x, y, z, w may stand in their place.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import numpy as np
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, place
+from mbsgen.model.orientations import turn_quaternion
 
 DEFAULT_AXIS = (1.0, 0.0, 0.0)
 
@@ -20,6 +24,14 @@ def read_origin(element: Element, findings: Findings, writer: Writer) -> Pose:
 def read_pose(element: Element, findings: Findings, writer: Writer) -> Pose:
     """Read the attributes xyz and rpy of an element."""
     position = findings.numbers(element, "xyz", (0.0, 0.0, 0.0))
+    if "quat_xyzw" in element.attributes:
+        if "rpy" in element.attributes:
+            findings.fault(element, "rpy beside quat_xyzw", "give one of the two")
+        x, y, z, w = findings.numbers(element, "quat_xyzw", (0.0, 0.0, 0.0, 1.0))
+        if not any((x, y, z, w)):
+            findings.fault(element, "a quaternion of length 0", "give x, y, z, w")
+            return place(position)
+        return Pose(turn_quaternion((w, x, y, z)), np.array(position))
     roll, pitch, yaw = map(writer.snap, findings.numbers(element, "rpy", (0.0, 0.0, 0.0)))
     return place(position, [(k, angle) for k, angle in ((2, yaw), (1, pitch), (0, roll)) if angle])
 

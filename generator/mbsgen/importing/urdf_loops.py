@@ -40,8 +40,7 @@ CUTS: Mapping[str, Cut] = MappingProxyType(
 )
 WITHOUT_AXIS = (Cut.SOLID, Cut.BALL)
 LINKS = ("link1", "link2")  # of Isaac Sim; its manual also shows the first one twice
-ALTERING = ("constraint", "loop", "bushing", "spring", "tendon", "cable")  # in the tags of elements that act on links
-MOVING = ("revolute", "continuous", "prismatic")
+MOVING = ("revolute", "continuous", "prismatic", "screw")
 _FLAGS = ("true", "false")
 
 
@@ -62,12 +61,6 @@ def add_loops(root: Element, bodies: Mapping[str, str], carriers: Mapping[str, E
     for element in root.children:
         if element.tag in READERS:
             READERS[element.tag](reader, element)
-        elif any(word in element.tag.lower() for word in ALTERING):
-            text = f"{element.tag[:40]} is not part of the model; loops are read from <loop> and <coupling>"
-            draft.findings.warn(element, text)
-        elif element.tag == "gazebo":
-            for joint in element.all("joint"):
-                draft.findings.warn(joint, "a joint of SDF is not part of the model; give a <loop> between its links")
 
 
 @dataclass(frozen=True)

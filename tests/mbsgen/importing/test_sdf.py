@@ -356,3 +356,65 @@ def test_long_chains_of_frames_are_no_burden(tmp_path: Path) -> None:
     frames = "".join(f'<frame name="f{k}" attached_to="f{k + 1}"/>' for k in range(5000))
     chain = f'{CHAIN}{frames}<frame name="f5000" attached_to="a"/>'.replace("<parent>a<", "<parent>f0<")
     assert len(import_model(save(tmp_path, chain)).model.bodies) == 3
+
+
+GRAVITY_OF_THE_MOON = "<physics type='ode'><gravity>0 0 -1.62</gravity></physics>"
+
+
+@pytest.mark.parametrize(
+    ("version", "parts", "expected", "warned"),
+    [
+        ("1.5", GRAVITY_OF_THE_MOON, -1.62, ""),
+        (
+            "1.2",
+            f"<physics/>{GRAVITY_OF_THE_MOON.replace('physics ', 'physics default=' + chr(39) + '1' + chr(39) + ' ')}",
+            -1.62,
+            "",
+        ),
+        ("1.4", f"<gravity>0 0 -3</gravity>{GRAVITY_OF_THE_MOON}", -3.0, "gravity is already given"),
+        ("1.6", GRAVITY_OF_THE_MOON, -9.8, "no part of its physics since version 1.6"),
+        ("1.12", f"<gravity>0 0 -3</gravity>{GRAVITY_OF_THE_MOON}", -3.0, "no part of its physics since version 1.6"),
+    ],
+)
+def test_gravity_is_under_physics_up_to_version_1_5(
+    version: str, parts: str, expected: float, warned: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "machine.sdf"
+    model = '<model name="m"><link name="b"><inertial><mass>2</mass></inertial></link></model>'
+    path.write_text(f'<sdf version="{version}"><world name="w">{parts}{model}</world></sdf>', encoding="utf-8")
+    imported = import_model(path)
+    assert imported.model.gravity == (Number(0.0), Number(0.0), Number(expected))
+    warnings = [notice.text for notice in imported.notices if notice.alters]
+    assert len(warnings) == bool(warned)
+    assert all(warned in text for text in warnings)
+
+
+def test_files_of_version_1_0_are_refused(tmp_path: Path) -> None:
+    assert "convert it to a version of SDFormat from 1.2 on" in refuse(save(tmp_path, CHAIN, "1.0"))
+
+
+def test_limits_without_an_end_are_none(tmp_path: Path) -> None:
+    for size in ("1.79769e+308", "inf", "1e16"):
+        limit = f"<limit><lower>-{size}</lower><upper>{size}</upper><effort>{size}</effort></limit>"
+        chain = CHAIN.replace("<xyz>0.6 0 0.8</xyz>", f"<xyz>0.6 0 0.8</xyz>{limit}", 1)
+        body = import_model(save(tmp_path, chain)).model.bodies[0]
+        assert (body.joints[0].lower, body.joints[0].upper, body.joints[0].max_force) == (None,) * 3
+
+
+def test_names_of_flattened_models_are_names_up_to_version_1_7(tmp_path: Path) -> None:
+    """Gazebo saved included models so; from version 1.8 on, :: leads into a model."""
+    flat = CHAIN.replace('name="b"', 'name="arm::b"').replace(">b<", ">arm::b<").replace('name="jb"', 'name="arm::jb"')
+    imported = import_model(save(tmp_path, flat, "1.7"), Choices(sensors=("a", "arm::b", "c")))
+    compare(imported, ("revolute", "prismatic", "continuous"))
+    assert "which versions up to 1.7 may have" in refuse(save(tmp_path, flat, "1.8"))
+
+
+def test_the_frame_of_a_model_in_the_model_is_named_by_its_path(tmp_path: Path) -> None:
+    """A joint that carries M1::__model__ carries the first link of that model, at the model's pose."""
+    inner = f'<model name="M1">{link("b")}</model>'
+    start = link("a") + inner + joint("ja", "revolute", "world", "a")
+    chains = [start + joint("jb", "prismatic", "a", child, place="") for child in ("M1::__model__", "M1")]
+    first, second = (import_model(save(tmp_path, chain)).model for chain in chains)
+    assert first == second
+    assert first.bodies[1].parent == "a"
+    assert "no frame" in refuse(save(tmp_path, chains[0].replace("M1::__model__", "M1::b::__model__")))

@@ -18,7 +18,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate
-from tests.import_peers import Kernels, PinocchioPeer, largest_miss
+from tests.import_peers import Kernels, PinocchioPeer, largest_miss, turn_rates
 from tests.mbsgen.importing.urdf_files import LIMIT, LOSSES, joint, link, write
 
 # Sums of a few dozen products of numbers near 1; M of these trees has a condition below 1e3.
@@ -164,7 +164,7 @@ def test_what_has_no_meaning_for_the_dynamics_is_told_once(tmp_path: Path) -> No
     )
     lines = told(import_model(write(tmp_path, extra + joint("j", "revolute", "a", "b", LIMIT) + gears)))
     assert len([line for line in lines if "no meaning" in line]) == 1
-    assert any("1 collision, 1 gazebo, 1 material, 1 visual; 2 mesh files" in line for line in lines)
+    assert any("1 collision, 1 material, 1 visual; 2 mesh files" in line for line in lines)
     assert any('gear ratio "50"' in line for line in lines)
     assert any('with its gear, armature 0.25 of joint "j"' in line for line in lines)
 
@@ -383,3 +383,74 @@ def test_angles_near_quarter_turns(tmp_path: Path) -> None:
     text, lines = turned("1.570796", Choices(quarter_turns=1e-6))
     assert "angle: pi/2" in text
     assert lines == []
+
+
+def test_a_joint_that_follows_an_unknown_one_moves_freely_or_is_held(tmp_path: Path) -> None:
+    """Neither choice needs the other joint."""
+    path = follow(tmp_path, '<mimic joint="elsewhere" multiplier="2" offset="0.25"/>')
+    free = import_model(path, Choices(mimic="free"))
+    assert only_joint(free, "c").name == "two"
+    assert [n.text for n in free.notices if n.alters] == ['the joint follows "elsewhere"; here it moves on its own']
+    held = import_model(path, Choices(mimic="lock"))
+    assert held.model.bodies == import_model(path, Choices(locked=(("two", 0.25),))).model.bodies
+    assert "or give --mimic free or lock" in faults_of(path)[0]
+
+
+def test_limits_without_an_end_are_none(tmp_path: Path) -> None:
+    for lower, upper in (("-1.797e308", "1.79769e+308"), ("-inf", "inf"), ("-1e16", "1e400")):
+        limit = f'<limit lower="{lower}" upper="{upper}" effort="1e308" velocity="INF"/>'
+        inner = link("a") + link("b") + joint("j", "revolute", "a", "b", limit)
+        moving = only_joint(import_model(write(tmp_path, inner)), "b")
+        assert (moving.lower, moving.upper, moving.max_speed, moving.max_force) == (None,) * 4
+
+
+@pytest.mark.parametrize("part", ["mechanicalReduction", "rotorInertia"])
+def test_a_transmission_with_text_in_place_of_a_number(part: str, tmp_path: Path) -> None:
+    """A ratio makes a notice only; a rotor that is not known is left out, with a warning."""
+    actuator = f'<actuator name="m"><{part}>reduction</{part}></actuator>'
+    gear = f'<transmission name="t"><joint name="j"/>{actuator}</transmission>'
+    imported = import_model(write(tmp_path, link("a") + link("b") + joint("j", "continuous", "a", "b") + gear))
+    (notice,) = (n for n in imported.notices if '"reduction"' in n.text)
+    assert notice.alters == (part == "rotorInertia")
+
+
+@pytest.mark.parametrize(
+    "leftover",
+    [
+        ('xyz="0.2 0.1 -0.3"', 'xyz="$(optenv IMU_XYZ 0.19 0 0.149)"'),
+        ('xyz="0.2 0.1 -0.3"', 'xyz="0 0 ${h}"'),
+        ('parent link="a"', 'parent link="${prefix}a"'),
+        ('type="continuous"', 'type="$(arg kind)"'),
+        ("</joint>", '</joint><xacro:wheel side="left"/>'),
+        ("</joint>", '</joint><property name="h" value="2"/>'),
+    ],
+)
+def test_leftovers_of_xacro_are_named(leftover: tuple[str, str], tmp_path: Path) -> None:
+    path = write(tmp_path, link("a") + link("b") + joint("j", "continuous", "a", "b").replace(*leftover))
+    assert "xacro" in faults_of(path)[0]
+
+
+def test_an_orientation_may_be_a_quaternion(tmp_path: Path) -> None:
+    """From version 1.1 on: a quarter turn about z, as roll, pitch and yaw have it."""
+    quaternion = joint("j", "continuous", "a", "b").replace('rpy="0.1 0.7 -0.4"', 'quat_xyzw="0 0 1 1"')
+    turned = joint("j", "continuous", "a", "b", rpy="0 0 1.5707963267948966")
+    first, second = (
+        import_model(write(tmp_path, link("a") + link("b") + one)).model.bodies for one in (quaternion, turned)
+    )
+    assert first == second
+    both = quaternion.replace("quat_xyzw", 'rpy="0 0 0" quat_xyzw')
+    assert "rpy beside quat_xyzw; give one of the two" in faults_of(write(tmp_path, link("a") + link("b") + both))[0]
+
+
+def test_a_ball_of_urdf_is_a_ball(tmp_path: Path) -> None:
+    """As Pinocchio's ball, from zero speed: the mass matrix in the turns is T^T M T."""
+    path = write(tmp_path, link("a") + link("b") + joint("j", "spherical", "a", "b"))
+    kernels = Kernels(import_model(path), ("semi",))
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "j")
+    solid = pin.buildModelFromUrdf(str(write(tmp_path, link("a") + link("b") + joint("j", "continuous", "a", "b"))))
+    model.inertias[1] = solid.inertias[1]
+    for state in kernels.draw_states():
+        T = turn_rates(*state.q)
+        M = pin.crba(model, model.createData(), np.array([0, 0, 0, 1.0]))
+        np.testing.assert_allclose(kernels.compute(state)["M"], T.T @ M @ T, atol=1e-13)
