@@ -12,7 +12,7 @@ from mbsgen.importing.findings import Findings
 from mbsgen.importing.geoms import Assets
 from mbsgen.importing.inheritance import MAIN
 from mbsgen.importing.markup import Element
-from mbsgen.importing.mesh_solids import FORMATS, MEDIA, RULES, Faces, MeshError, enclose, measure, read_triangles
+from mbsgen.importing.mesh_solids import FORMATS, MEDIA, RULES, Faces, MeshError, Rule, enclose, measure, read_triangles
 from mbsgen.importing.poses import Array
 from mbsgen.importing.solids import Solid
 from mbsgen.model.orientations import turn_quaternion
@@ -23,10 +23,13 @@ MAX_NUMBERS = 3_000_000
 class Meshes:
     """The solids of a file's meshes, each measured once."""
 
-    def __init__(self, assets: Assets, folder: Path, root: Path | None, findings: Findings) -> None:
+    def __init__(
+        self, assets: Assets, compiler: Mapping[str, str], top: Element, root: Path | None, findings: Findings
+    ) -> None:
         self._assets = assets
-        self._folder = folder
-        self._root = (folder if root is None else root).resolve()
+        self._folder = Path(top.file).parent
+        self._root = (self._folder if root is None else root).resolve()
+        self._usual: Rule = "exact" if compiler.get("exactmeshinertia") == "true" else "legacy"
         self._findings = findings
         self._known: dict[str, Solid] = {}
 
@@ -44,7 +47,7 @@ class Meshes:
             remedy = f"did you mean {abbreviate(meant)}?" if meant else "define it under <asset>"
             raise MeshError(f"there is no mesh {abbreviate(name)}", remedy)
         attributes = self._assets.defaults.resolve(element, MAIN)
-        rule = next((rule for rule in RULES if rule == attributes.get("inertia", RULES[0])), None)
+        rule = next((rule for rule in RULES if rule == attributes.get("inertia", self._usual)), None)
         if rule is None:
             raise MeshError(f"inertia is {abbreviate(attributes['inertia'])}", f"give {', '.join(RULES)}")
         if "builtin" in attributes or element.first("plugin") is not None:

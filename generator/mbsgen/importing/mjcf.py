@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from mbsgen.importing.markup import Element
 from mbsgen.importing.mesh_solids import MeshError
 from mbsgen.importing.meshes import Meshes
 from mbsgen.importing.mjcf_actuators import JOINTS, TERMS, read_actuators, read_polynomial
+from mbsgen.importing.mjcf_schema import review
 from mbsgen.importing.mjcf_settings import read_limits, read_settings
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.importing.solids import NOTHING, Solid, add
@@ -84,6 +84,7 @@ class _Scene:
     """An MJCF file during reading."""
 
     def __init__(self, root: Element, choices: Choices, findings: Findings) -> None:
+        review(root, findings)
         self._root = root
         self._choices = choices
         self._findings = findings
@@ -96,7 +97,7 @@ class _Scene:
         self._register = Register()
         self._used_sites = {*choices.sensors, *list_sites(root)}
         self._assets = read_assets(root, self._settings.compiler, self._defaults, Findings(root.file))
-        self._meshes = Meshes(self._assets, Path(root.file).parent, choices.root, findings)
+        self._meshes = Meshes(self._assets, self._settings.compiler, root, choices.root, findings)
         self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
@@ -162,7 +163,7 @@ class _Scene:
             elif element.tag == "site":
                 attributes = self._defaults.resolve(element, part.active)
                 if attributes.get("name") in self._used_sites:
-                    spot = Spot(own, inner @ part.around @ self._read_pose(element, attributes))
+                    spot = Spot(own, inner @ part.around @ self._read_site(element, attributes))
                     self._register.sites[attributes["name"]] = spot
                     if attributes["name"] in self._choices.sensors:
                         self._draft.add_frame(attributes["name"], own, spot.pose, element)
@@ -197,6 +198,8 @@ class _Scene:
     def _warn_body(self, body: Element) -> None:
         if self._findings.number(body, "gravcomp", 0.0) and self._settings.is_passive:
             self._findings.warn(body, "gravcomp: no force that carries a body's weight is made")
+        if body.attributes.get("sleep") == "init" and "sleep" in self._settings.enabled:
+            self._findings.warn(body, "sleep: the body is awake from the beginning")
         if body.attributes.get("mocap") == "true":
             self._findings.warn(body, "mocap: the body stands fast")
 
@@ -206,6 +209,20 @@ class _Scene:
         position = np.array(self._findings.numbers(element, "pos", (0.0, 0.0, 0.0), attributes=attributes))
         rotation = self._read_rotation(element, attributes)
         return Pose(rotation, position, () if np.array_equal(rotation, np.eye(3)) else None)
+
+    def _read_site(self, element: Element, attributes: Mapping[str, str]) -> Pose:
+        """Read the pose of a site, which two points may give."""
+        if "fromto" not in attributes or "pos" in element.attributes:
+            return self._read_pose(element, attributes)
+        return self._span(element, attributes)[1]
+
+    def _span(self, element: Element, attributes: Mapping[str, str]) -> tuple[float, Pose]:
+        """Read two points: half their distance, and the frame in their middle whose z axis points to the second."""
+        points = self._findings.numbers(element, "fromto", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), attributes=attributes)
+        ends = np.array(points)
+        along = ends[3:] - ends[:3]
+        half = float(np.linalg.norm(along)) / 2
+        return half, Pose(turn_to(along) if half else np.eye(3), (ends[:3] + ends[3:]) / 2)
 
     def _read_rotation(self, element: Element, attributes: Mapping[str, str]) -> Array:
         given = [key for key in TURNS if key in element.attributes] or [key for key in TURNS if key in attributes]
@@ -495,11 +512,7 @@ class _Scene:
         size = list(self._findings.numbers(element, "size", (1.0,) * wanted, attributes=first))
         if not spans:
             return size, self._read_pose(element, attributes)
-        points = self._findings.numbers(element, "fromto", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), attributes=attributes)
-        ends = np.array(points)
-        along = ends[3:] - ends[:3]
-        half = float(np.linalg.norm(along)) / 2
-        pose = Pose(turn_to(along) if half else np.eye(3), (ends[:3] + ends[3:]) / 2)
+        half, pose = self._span(element, attributes)
         return [*[size[0]] * (count - 1), half], pose
 
     # --- pictures ----------------------------------------------------------------------------------------------------

@@ -60,6 +60,7 @@ def read_settings(root: Element, findings: Findings) -> Settings:
         for flag in option.all("flag"):
             flags |= {name: findings.choice(flag, name, FLAG, flag.attributes) for name in flag.attributes}
     disabled = frozenset(name for name, word in flags.items() if word == "disable")
+    disabled |= {"spring", "damper"} if "passive" in disabled else frozenset()
     settings = Settings(
         compiler,
         disabled,
