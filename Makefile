@@ -1,11 +1,13 @@
-# `make demo` and `make test` work on a fresh clone: they need Python 3.11 or later, a C compiler, and the network once.
+# `make demo`, `make quick` and `make test` work on a fresh clone: they need Python 3.11 or later, a C compiler, and the network once.
 
 PYTHON ?= python3
 VENV ?= .venv
+WORKERS ?= 2
 BIN = $(VENV)/bin
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track test fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -13,8 +15,33 @@ demo: $(VENV)/installed
 	@echo "The generated C is in build/arm_pendulum, the solution with its pictures in build/arm_reach:"
 	@ls build/arm_pendulum build/arm_reach
 
+# All day: style, the types of what has changed since the commit before, and the tests that take no time. A minute.
+CHANGED = $(shell { git diff --name-only --diff-filter=d HEAD~1; git ls-files --others --exclude-standard; } 2>/dev/null | \
+    grep -E '^(generator/mbsgen|python/mbsrun|benchmarks|studies|website)/.*\.py$$')
+quick: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(if $(CHANGED),$(BIN)/mypy $(CHANGED))
+	$(PYTEST) -m quick --dist worksteal
+
+# Before a change goes in: style, types, and all tests but the ones that take long. Ten minutes on two cores.
 test: lint
-	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist worksteal
+	$(PYTEST) -m "not rest" --dist loadfile
+
+# What `make test` leaves out: documents and the site, toolchains, studies, the longest tests. tests/durations.py lists it.
+rest: $(VENV)/installed-dev
+	$(PYTEST) -m rest --dist worksteal
+
+check: test rest
+
+# Measures what each test takes, and renews the list of those that are not quick: an hour on a quiet machine.
+durations: $(VENV)/installed-dev
+	rm -f build/durations.jsonl build/durations.quick.jsonl
+	@mkdir -p build
+	$(PYTEST) --dist loadfile --measure build/durations.jsonl || test $$? -eq 1
+	$(BIN)/python -m tests.durations build/durations.jsonl
+	$(PYTEST) -m quick --dist loadfile --measure build/durations.quick.jsonl || test $$? -eq 1
+	$(BIN)/python -m tests.durations build/durations.quick.jsonl
 
 # Runs the shipped closed loops: some minutes. Each ends with exit code 0 if its measures stay below their limits.
 track: $(VENV)/installed

@@ -7,11 +7,16 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Generator, Iterator
+from functools import cache as keep
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import pytest
+
+from tests import durations
+
+pytest_plugins = ("pytester",)
 
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
@@ -24,8 +29,37 @@ def pytest_sessionstart() -> None:
     gc.set_threshold(100_000, 50, 50)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that measures tests."""
+    parser.addoption("--measure", type=Path, metavar="FILE", help="Append the processor time of each test to a file.")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure where that is asked for; workers of pytest-xdist have the same options."""
+    if config.getoption("--measure") is not None:
+        config.pluginmanager.register(durations.Measuring(config.getoption("--measure")))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files out that have no test of the wanted mark: importing all of them takes longer than quick tests."""
+    if not (collection_path.name.startswith("test_") and collection_path.suffix == ".py"):
+        return None
+    return None if durations.has_wanted(collection_path, config.option.markexpr, _known()) else True
+
+
+@keep
+def _known() -> dict[str, float]:
+    return durations.read_durations()
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the modules whose tests take the longest, so that no process is left alone with them at the end."""
+    """Mark tests by how long they take, and begin with the modules whose tests take the longest.
+
+    So no process is left alone with them at the end.
+    """
+    for item in items:
+        item.add_marker(durations.mark(item.nodeid, _known()))
     items.sort(key=lambda item: not item.nodeid.startswith(LONG))
 
 

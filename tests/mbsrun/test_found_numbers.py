@@ -152,6 +152,15 @@ def test_inverse_dynamics_takes_the_lengths_found(run: Run) -> None:
     assert json.loads(Path("forces/forces.json").read_text("utf-8"))["parameters"] == {"rocker": length}
 
 
+def test_a_mechanism_is_linearised_where_a_solution_ends(run: Run) -> None:
+    """Loops are closed there with the length found; without it, this pose is open."""
+    code, _, _ = run("linearise", "bar.yaml", "--solution", "turn/solution.json", "-o", "linear")
+    assert code == 0
+    found = json.loads(Path("linear/linearisation.json").read_text("utf-8"))
+    last = read_solution(Path("turn/solution.json")).trajectory.q[-1]
+    assert list(found["pose"].values()) == pytest.approx(last.tolist(), abs=1e-8)
+
+
 def test_inverse_dynamics_takes_the_parameters_of_a_fit(run: Run) -> None:
     """A table has them in the summary beside it."""
     Path("fit").mkdir(exist_ok=True)

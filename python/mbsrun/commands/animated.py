@@ -109,6 +109,14 @@ def read_parameters(path: Path, known: Collection[str]) -> dict[str, float]:
     return dict(found.parameters)
 
 
+def read_end(path: Path, manifest: Manifest) -> Array:
+    """Read the coordinates at which a solution of a model ends. Raises InputError."""
+    file = _find_file(path)
+    *_, (_, solution) = _read_solutions(file)
+    _check_model(file, solution, manifest)
+    return solution.trajectory.q[-1]
+
+
 def _find_file(path: Path) -> Path:
     if not path.exists():
         finding, remedy = (

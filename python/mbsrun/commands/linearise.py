@@ -14,6 +14,7 @@ from rich.table import Table
 
 from mbsgen.expressions import spell
 from mbsgen.help import ModelCommand
+from mbsrun.commands.animated import equip, read_end
 from mbsrun.commands.console import choose_format, print_table, read_numbers, say
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
@@ -29,16 +30,17 @@ default the inputs keep the pose at rest, beside the ones of --input. With --set
 to an equilibrium near it.
 
 \b
-  mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1
+  mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1 --weigh pole=10
 
 The table has a row for each pole, or pair of poles: frequency, damping ratio, and whether the inputs reach it and the
 frames show it. Names in its last column move the most.
 
 \b
 The output folder gets
-  linearisation.json   pose, inputs, forces of driven joints, M, C, K, F, A, B, G, poles, zeros, gains
+  linearisation.json   pose, inputs, forces of driven joints, M, C, K, F, A, B, G, poles, zeros, gains;
+                       under "excitation", the matrices of the motion of driven joints
   poles.png            poles in the complex plane
-  responses.png        transfer functions from inputs to coordinates
+  responses.png        transfer functions from inputs, and from the motion of driven joints, to coordinates
 
 \b
 Exit codes
@@ -67,17 +69,50 @@ _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less ar
     metavar="W",
     help="Also find the gains that minimise the integral of |x|² + |ẋ|² + W |u|².",
 )
+@click.option(
+    "--weigh",
+    "weights",
+    multiple=True,
+    metavar="NAME=Q",
+    help="With --regulate: the weight of a coordinate's square, by its name, or of its velocity's, as qd_NAME.",
+)
+@click.option(
+    "--weigh-input",
+    "input_weights",
+    multiple=True,
+    metavar="NAME=R",
+    help="With --regulate: the weight of an input's square in place of W.",
+)
+@click.option(
+    "--solution",
+    type=click.Path(path_type=Path),
+    help="A solution.json of `mbsrun solve`: the pose where it ends, and its parameters.",
+)
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The folder; by default NAME.linear.")
 @choose_format
 @accept_robots
 def linearise_command(
-    model: Path, poses: Sequence[str], inputs: Sequence[str], settles: bool, weight: float | None, out: Path | None
+    model: Path,
+    poses: Sequence[str],
+    inputs: Sequence[str],
+    settles: bool,
+    weight: float | None,
+    weights: Sequence[str],
+    input_weights: Sequence[str],
+    solution: Path | None,
+    out: Path | None,
 ) -> None:
     """Read, compute, write, print."""
     kernels = load(model, extent=INTEGRATED)
+    if weight is None and (weights or input_weights):
+        raise click.UsageError("--weigh and --weigh-input are for --regulate; give it too")
+    start = None
+    if solution is not None:
+        kernels = equip(kernels, model, INTEGRATED, solution)
+        start = read_end(solution, kernels.manifest)
     manifest = kernels.manifest
     names = [manifest.coordinates[i].name for i in manifest.actuated]
-    pose = find_pose(kernels, read_numbers(poses, manifest.positions, "--pose"))
+    pose = find_pose(kernels, read_numbers(poses, manifest.positions, "--pose"), start)
     given = {names.index(name): value for name, value in read_numbers(inputs, names, "--input").items()}
     if settles:
         u = np.zeros(len(names))
@@ -86,16 +121,26 @@ def linearise_command(
     else:
         equilibrium = balance(kernels, pose, given)
     found = linearise(kernels, equilibrium)
-    gains = None if weight is None else found.regulate(weight)
+    gains = None if weight is None else found.regulate(*_read_weights(found, weight, weights, input_weights))
     out = out or Path(f"{model.stem}.linear")
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(_summarise(found, manifest.positions, gains), indent=1, ensure_ascii=False, allow_nan=False)
     (out / "linearisation.json").write_text(text + "\n", encoding="utf-8")
     plot_poles(found, out / "poles.png")
-    if found.inputs:
+    if found.inputs or found.driven:
         plot_responses(found, out / "responses.png")
     _show(found, equilibrium, manifest.positions, gains)
     say(f"wrote {out}")
+
+
+def _read_weights(
+    found: Linearisation, weight: float, states: Sequence[str], inputs: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the weights of inputs and states; the ones that are not given are W, and 1."""
+    names = [*found.freedoms, *(f"qd_{name}" for name in found.freedoms)]
+    own, given = read_numbers(states, names, "--weigh"), read_numbers(inputs, found.inputs, "--weigh-input")
+    R = np.array([given.get(name, weight) for name in found.inputs])
+    return R, np.array([own.get(name, 1.0) for name in names])
 
 
 def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains: NDArray[np.float64] | None) -> None:
@@ -165,6 +210,7 @@ def _summarise(found: Linearisation, positions: Sequence[str], gains: NDArray[np
         "freedoms": found.freedoms,
         "outputs": found.outputs,
         **{name: getattr(found, name).tolist() for name in ("M", "C", "K", "F", "A", "B", "G")},
+        "excitation": {name: getattr(found.excitation, name).tolist() for name in ("M", "C", "K", "G")},
         "modes": [
             {
                 "pole": [mode.pole.real, mode.pole.imag],

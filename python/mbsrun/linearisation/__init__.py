@@ -3,6 +3,7 @@
 from mbsrun.linearisation.equations import (
     BalanceError,
     Equilibrium,
+    Excitation,
     Linearisation,
     Mode,
     balance,
@@ -11,4 +12,14 @@ from mbsrun.linearisation.equations import (
     settle,
 )
 
-__all__ = ["BalanceError", "Equilibrium", "Linearisation", "Mode", "balance", "find_pose", "linearise", "settle"]
+__all__ = [
+    "BalanceError",
+    "Equilibrium",
+    "Excitation",
+    "Linearisation",
+    "Mode",
+    "balance",
+    "find_pose",
+    "linearise",
+    "settle",
+]

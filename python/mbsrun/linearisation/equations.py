@@ -7,10 +7,14 @@ coordinates q' = N qd, and a force on every joint Phi(q, qd, qdd) - S u - D tau 
 
 with the multipliers lam of the pose, so K has the stiffness of loaded loops. As first-order equations
 
-    d/dt (x, s) = A (x, s) + B u,    y = G (x, s),
+    d/dt (x, s) = A (x, s) + B u,    outputs = G (x, s),
 
-y being the changes of x and the displacements of sensors. A pole is controllable where (A - pole, B) keeps full rank
-(Popov, Belevitch, Hautus), and observable where (A - pole; G) does.
+which are the changes of x and the displacements of sensors. Where driven joints move by y, qd = Z s + W y', and
+
+    M s' + C s + K x + Md y'' + Cd y' + Kd y = F u,    Md = ZT Phi_qdd W,   Cd = ZT Phi_qd W,   Kd = ZT Phi_q N W.
+
+A pole is controllable where (A - pole, B) keeps full rank (Popov, Belevitch, Hautus), and observable where
+(A - pole; G) does.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from mbsgen.errors import MbsError
@@ -75,6 +79,16 @@ class Mode:
 
 
 @dataclass(frozen=True, eq=False)
+class Excitation:
+    """The part of the linear equations that reads the motion of driven joints, for e of them."""
+
+    M: Array  # (d, e)
+    C: Array
+    K: Array
+    G: Array  # (o, e): outputs that move with them by themselves
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """Linear equations about an equilibrium, for d freedoms, m inputs, o outputs."""
 
@@ -88,6 +102,7 @@ class Linearisation:
     K: Array
     F: Array  # (d, m)
     G: Array  # (o, 2 d)
+    excitation: Excitation
 
     @cached_property
     def A(self) -> Array:
@@ -131,6 +146,15 @@ class Linearisation:
         identity = np.eye(len(self.A))
         return np.array([self.G @ np.linalg.solve(2j * np.pi * f * identity - self.A, self.B) for f in frequencies])
 
+    def transmit(self, frequencies: Array) -> Complex:
+        """Return the transfer functions from the motion of driven joints to outputs: (frequencies, outputs, driven)."""
+        d, own = len(self.M), self.excitation
+        found = []
+        for p in 2j * np.pi * frequencies:
+            force = own.M * p**2 + own.C * p + own.K
+            found.append(own.G - self.G[:, :d] @ np.linalg.solve(self.M * p**2 + self.C * p + self.K, force))
+        return np.array(found)
+
     def find_zeros(self, output: int, entry: int) -> Complex:
         """Return the zeros of the transfer function from an input to an output."""
         size = len(self.A)
@@ -142,17 +166,38 @@ class Linearisation:
         finite = np.abs(found[1]) > RANK * np.abs(found).max(axis=0)
         return np.asarray(found[0][finite] / found[1][finite])
 
-    def regulate(self, weight: float) -> Array:
-        """Return the gains (m, 2 d) of u = -gains (x, s) that minimise the integral of |x|^2 + |s|^2 + weight |u|^2.
+    def regulate(self, R: ArrayLike, Q: ArrayLike = 1.0) -> Array:
+        """Return the gains (m, 2 d) of u = -gains z that minimise the integral of z'Q z + u'R u, z = (x, s).
 
-        Raises BalanceError where a pole that is not stable cannot be controlled.
+        A weight is a number, or one number for each entry, or a matrix: Q symmetric without negative eigenvalues, R
+        with positive ones. Raises ArgumentError for other weights, BalanceError where a pole that is not stable cannot
+        be controlled.
         """
+        Q, R = _read_weight("Q", Q, len(self.A)), _read_weight("R", R, self.B.shape[1])
         lost = [mode for mode in self.modes if mode.pole.real >= 0 and mode.controllable < LOST]
         if lost:
             named = ", ".join(f"{mode.pole:.3g}" for mode in lost)
             raise BalanceError(f"no input reaches the poles {named}; give the mechanism more inputs")
-        P = linalg.solve_continuous_are(self.A, self.B, np.eye(len(self.A)), weight * np.eye(self.B.shape[1]))
-        return np.asarray(self.B.T @ P / weight)
+        try:
+            P = linalg.solve_continuous_are(self.A, self.B, Q, R)
+        except np.linalg.LinAlgError:
+            raise BalanceError(
+                "no gains were found; give weights to more coordinates, or nearer to each other"
+            ) from None
+        return np.asarray(np.linalg.solve(R, self.B.T @ P))
+
+
+def _read_weight(name: str, weight: ArrayLike, size: int) -> Array:
+    """Return a weight as a matrix. Raises ArgumentError for one that is none."""
+    given = np.asarray(weight, dtype=float)
+    found = given * np.eye(size) if given.ndim == 0 else np.diag(given) if given.ndim == 1 else given
+    if found.shape != (size, size) or not np.isfinite(found).all():
+        raise ArgumentError(f"{name} has shape {given.shape}; give a number, ({size},) or ({size}, {size}) of numbers")
+    least = np.linalg.eigvalsh(found).min(initial=1.0)
+    is_wrong = least <= 0 if name == "R" else least < -LOST * np.abs(found).max()
+    if is_wrong or not np.allclose(found, found.T):
+        raise ArgumentError(f"{name} must be symmetric, without {'zero or ' * (name == 'R')}negative eigenvalues")
+    return found
 
 
 def linearise(kernels: Kernels, equilibrium: Equilibrium) -> Linearisation:
@@ -160,11 +205,14 @@ def linearise(kernels: Kernels, equilibrium: Equilibrium) -> Linearisation:
     manifest, q = kernels.manifest, equilibrium.q
     blocks = kernels("jac_impl", **_state(kernels, equilibrium))
     Z, N, freedoms = _list_motions(kernels, q)
-    d = Z.shape[1]
+    W, d = _list_driven_motions(kernels, q), Z.shape[1]
     G, outputs = [np.eye(d)], list(freedoms)
+    direct = [np.zeros((d, W.shape[1]))]
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
     if sensors:
-        G.append(kernels("jac_sensors", q=q)["jac_position_q"] @ N @ Z)
+        moved = kernels("jac_sensors", q=q)["jac_position_q"] @ N
+        G.append(moved @ Z)
+        direct.append(moved @ W)
         outputs += [f"{sensor}.{axis}" for sensor in sensors for axis in "xyz"]
     S = -blocks["jac_Phi_u"] if manifest.actuated else np.zeros((len(Z), 0))
     return Linearisation(
@@ -178,6 +226,12 @@ def linearise(kernels: Kernels, equilibrium: Equilibrium) -> Linearisation:
         K=Z.T @ blocks["jac_Phi_q"] @ N @ Z,
         F=Z.T @ S,
         G=np.hstack((np.vstack(G), np.zeros((len(outputs), d)))),
+        excitation=Excitation(
+            M=Z.T @ blocks["jac_Phi_qdd"] @ W,
+            C=Z.T @ blocks["jac_Phi_qd"] @ W,
+            K=Z.T @ blocks["jac_Phi_q"] @ N @ W,
+            G=np.vstack(direct),
+        ),
     )
 
 
@@ -287,26 +341,41 @@ def _list_motions(kernels: Kernels, q: Array) -> tuple[Array, Array, tuple[str, 
     N = np.eye(n)
     if manifest.configuration:
         N = kernels("jac_rates", q=q, qd=np.zeros(n))["jac_rate_qd"]
-    driven = list(manifest.driven)
-    chosen = [i for i in (closure.independent if closure.count else range(n)) if i not in driven]
+    chosen = _choose_freedoms(closure)
     if not chosen:
         raise BalanceError(
             f"driven joints determine the whole motion of {manifest.model}, so nothing moves about a pose; "
             "linearise the model without `driven`"
         )
-    given = [*chosen, *driven]
+    given = [*chosen, *manifest.driven]
     Z = np.array([closure.complete_velocities(q, given, row) for row in np.eye(len(given))[: len(chosen)]]).T
     return Z, N, tuple(names[i] for i in chosen)
 
 
-def find_pose(kernels: Kernels, values: Mapping[str, float]) -> Array:
-    """Return the model's own pose (nq,) with some coordinates at given values; loops give the others.
+def _choose_freedoms(closure: Closure) -> list[int]:
+    manifest = closure.manifest
+    every = closure.independent if closure.count else range(len(manifest.coordinates))
+    return [i for i in every if i not in manifest.driven]
 
-    Raises OpenError where loops cannot be closed.
+
+def _list_driven_motions(kernels: Kernels, q: Array) -> Array:
+    """Return W (n, e): the velocities of all joints where one driven joint moves, and freedoms stand still."""
+    manifest, closure = kernels.manifest, Closure(kernels)
+    chosen = _choose_freedoms(closure)
+    given = [*chosen, *manifest.driven]
+    rows = [closure.complete_velocities(q, given, row) for row in np.eye(len(given))[len(chosen) :]]
+    return np.array(rows).reshape(len(rows), len(manifest.coordinates)).T
+
+
+def find_pose(kernels: Kernels, values: Mapping[str, float], start: Array | None = None) -> Array:
+    """Return a pose (nq,) with some coordinates at given values; loops give the others.
+
+    The pose is the model's own, or the one to start from. Raises OpenError where loops cannot be closed.
     """
     manifest, closure = kernels.manifest, Closure(kernels)
     places = [manifest.positions.index(name) for name in values]
-    start = np.array(manifest.pose) if manifest.pose else neutral(manifest)
+    if start is None:
+        start = np.array(manifest.pose) if manifest.pose else neutral(manifest)
     q = start.copy()
     q[places] = list(values.values())
     q = normalise(q, manifest)

@@ -40,13 +40,14 @@ def plot_poles(found: Linearisation, path: Path) -> None:
 
 @styled
 def plot_responses(found: Linearisation, path: Path) -> None:
-    """Plot the transfer functions from each input to each freedom: magnitude and phase."""
+    """Plot the transfer functions from each input and each driven joint to each freedom: magnitude and phase."""
     frequencies = _choose_frequencies(found)
-    responses = found.respond(frequencies)
-    columns = max(1, len(found.inputs))
+    responses = np.concatenate((found.respond(frequencies), found.transmit(frequencies)), axis=2)
+    titles = [*(f"input {name}" for name in found.inputs), *(f"motion of {name}" for name in found.driven)]
+    columns = max(1, len(titles))
     figure = Figure(figsize=(4 + 3 * columns, 6), layout="constrained")
     plots = np.atleast_2d(figure.subplots(2, columns, sharex=True, squeeze=False))
-    for k, name in enumerate(found.inputs):
+    for k, title in enumerate(titles):
         magnitude, phase = plots[:, k]
         for i, output in enumerate(found.outputs[: min(MOST, len(found.freedoms))]):
             values = responses[:, i, k]
@@ -55,17 +56,21 @@ def plot_responses(found: Linearisation, path: Path) -> None:
             color, dashes = COLORS[i % len(COLORS)], DASHES[i % len(DASHES)]  # equal phases are both seen
             magnitude.loglog(frequencies, np.abs(values), color=color, linestyle=dashes, label=output)
             phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))), color=color, linestyle=dashes)
-        magnitude.set_title(f"input {name}", loc="left", fontsize="medium")
+        magnitude.set_title(title, loc="left", fontsize="medium")
         magnitude.legend(frameon=False, fontsize="small")
         phase.set_xlabel("frequency [Hz]")
         low, high = phase.get_ylim()
         phase.set_ylim(min(low, (low + high) / 2 - 100), max(high, (low + high) / 2 + 100))
         phase.yaxis.set_major_locator(MultipleLocator(45 if high - low < 400 else 90))
-    plots[0, 0].set_ylabel("magnitude [rad or m, for N m or N]")
+    plots[0, 0].set_ylabel(f"magnitude [rad or m, for {_name_causes(found)}]")
     plots[1, 0].set_ylabel("phase [degrees]")
     for axes in plots.flat:
         axes.grid(alpha=0.3)
     save_plot(figure, path)
+
+
+def _name_causes(found: Linearisation) -> str:
+    return " or ".join(("N m, N",) * bool(found.inputs) + ("rad, m",) * bool(found.driven))
 
 
 def _choose_frequencies(found: Linearisation) -> Array:

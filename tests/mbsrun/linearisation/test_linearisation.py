@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 from mbsrun.cli import cli
 from mbsrun.closure import Closure, OpenError
 from mbsrun.external import Mechanism, load
+from mbsrun.kernel import ArgumentError
 from mbsrun.linearisation import BalanceError, balance, find_pose, linearise, settle
 from mbsrun.models import INTEGRATED
 from tests.picture_kinds import find_kind
@@ -147,12 +149,122 @@ def test_the_regulator_minimises_its_integral() -> None:
     assert all(cost(best + 0.05 * rng.normal(size=best.shape)) > cost(best) for _ in range(5))
 
 
+@pytest.mark.parametrize("as_matrices", [False, True])
+def test_chosen_weights_are_the_ones_of_the_integral(as_matrices: bool) -> None:
+    """A mass m under a force has the gains sqrt(q/r) and sqrt(s/r + 2 m sqrt(q/r)), by Riccati's equation."""
+    q, s, r, m = 4.0, 0.5, 0.3, 2.0
+    found = linearise(kernels := _mass(m), balance(kernels, find_pose(kernels, {}), {}))
+    weights = (np.array([[r]]), np.diag([q, s])) if as_matrices else (r, [q, s])
+    stiffness = np.sqrt(q / r)
+    expected = [stiffness, np.sqrt(s / r + 2 * m * stiffness)]
+    assert found.regulate(*weights)[0] == pytest.approx(expected, rel=1e-9)
+    for wrong in ((0.0, 1.0), (r, [1.0, -1.0]), (r, [1.0, 2.0, 3.0]), (r, [[1.0, 1.0], [0.0, 1.0]])):
+        with pytest.raises(ArgumentError):
+            found.regulate(*wrong)
+
+
+MASS = """\
+name: mass
+gravity: [0, 0, -9.81]
+parameters: {{m: {{value: {m}, kind: runtime}}}}
+bodies:
+  - {{name: mass, joint: {{name: x, type: prismatic, axis: x}}, mass: m}}
+"""
+
+
+def _mass(m: float) -> Mechanism:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "mass.yaml")
+        path.write_text(MASS.format(m=m), encoding="utf-8")
+        return load(path, extent=INTEGRATED)
+
+
+SHAKEN = """\
+name: shaken
+gravity: [0, 0, -9.81]
+driven: [table]
+bodies:
+  - {name: table, joint: {name: table, type: prismatic, axis: x, actuated: false}, mass: 3}
+  - name: seat
+    parent: table
+    joint: {name: seat, type: prismatic, axis: x, stiffness: 50, damping: 1.5, actuated: false}
+    mass: 2
+frames:
+  - {name: head, body: seat}
+"""
+
+
+def test_a_shaken_base_transmits_as_the_textbook_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Relative to the base m w^2/(k - m w^2 + i c w); absolute, (k + i c w) by the same: the transmissibility."""
+    monkeypatch.chdir(tmp_path)
+    Path("shaken.yaml").write_text(SHAKEN, encoding="utf-8")
+    kernels = load(Path("shaken.yaml"), extent=INTEGRATED)
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {}), {}))
+    f = np.array([0.1, 0.8, 5.0])
+    w, (k, c, m) = 2 * np.pi * f, (50, 1.5, 2)
+    below, transmitted = k - m * w**2 + 1j * c * w, found.transmit(f)
+    assert found.outputs == ("seat", "head.x", "head.y", "head.z")
+    assert transmitted[:, 0, 0] == pytest.approx(m * w**2 / below, rel=1e-9)
+    assert transmitted[:, 1, 0] == pytest.approx((k + 1j * c * w) / below, rel=1e-9)
+    assert CliRunner().invoke(cli, ["linearise", "shaken.yaml", "-o", "out"]).exit_code == 0
+    written = json.loads(Path("out/linearisation.json").read_text(encoding="utf-8"))
+    assert written["excitation"] == {"M": [[2.0]], "C": [[0.0]], "K": [[0.0]], "G": [[0.0], [1.0], [0.0], [0.0]]}
+    assert Path("out/responses.png").exists()
+
+
+def test_a_shaken_loop_moves_as_its_driven_joint_does(tmp_path: Path) -> None:
+    """Slowly, the mechanism of a shaken four-bar on springs follows the driven joint: differences of equilibria."""
+    (tmp_path / "shaken.yaml").write_text(SHAKEN_LOOP, encoding="utf-8")
+    kernels = load(tmp_path / "shaken.yaml", extent=INTEGRATED)
+    at = settle(kernels, find_pose(kernels, {}), np.zeros(0))
+    found, step = linearise(kernels, at), 1e-4
+    places = [kernels.manifest.positions.index(name) for name in found.freedoms]
+    driven = kernels.manifest.positions.index(found.driven[0])
+    ends = []
+    for sign in (1, -1):
+        moved = at.q.copy()
+        moved[driven] += sign * step
+        ends.append(settle(kernels, Closure(kernels).move(at.q, [driven], moved[[driven]]), np.zeros(0)).q[places])
+    expected = (ends[0] - ends[1]) / (2 * step)
+    d = len(found.freedoms)
+    assert found.transmit(np.array([0.0]))[0, :d, 0] == pytest.approx(expected, rel=1e-5)
+    assert np.abs(expected).max() > 0.01
+
+
 def test_a_pose_that_nothing_keeps_is_refused() -> None:
     kernels = _load("double_pendulum")
     with pytest.raises(BalanceError, match=r"force of 5\.\d+ along q1 is not balanced; settle it"):
         balance(kernels, np.array([0.3, 0.0]), {})
     with pytest.raises(OpenError):
         balance(_load("four_bar"), np.zeros(3), {})
+
+
+SHAKEN_LOOP = """\
+name: shaken_loop
+gravity: [0, 0, -9.81]
+driven: [table]
+bodies:
+  - {name: table, joint: {name: table, type: prismatic, axis: x, actuated: false}, mass: 1}
+  - name: crank
+    parent: table
+    joint: {name: crank, type: revolute, axis: -y, actuated: false, stiffness: 20, rest: 1}
+    mass: 1
+    com: [0.1, 0, 0]
+  - name: coupler
+    parent: crank
+    joint: {name: pin, type: revolute, axis: -y, position: [0.2, 0, 0], actuated: false}
+    mass: 0.5
+    com: [0.3, 0, 0]
+  - name: rocker
+    joint: {name: rocker, type: revolute, axis: -y, position: [0.7, 0, 0], actuated: false}
+    mass: 1
+    com: [0.2, 0, 0]
+loops:
+  - {name: pin2, type: hinge, axis: y, from: {body: coupler, position: [0.6, 0, 0]},
+     to: {body: rocker, position: [0.4, 0, 0]}}
+independent: [table, crank]
+assembly: {table: 0, crank: 60 deg, pin: -45 deg, rocker: 80 deg}
+"""
 
 
 def test_the_command_writes_a_feedback_that_balances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,6 +287,15 @@ def test_the_command_writes_a_feedback_that_balances(tmp_path: Path, monkeypatch
     assert feedback.startswith("cart=3.16227")
     assert "(q_pole - 3.14159265359)" in feedback
     assert "(q_cart" not in feedback
+    options = ["--regulate", "0.1", "--weigh", "pole=10", "--weigh", "qd_cart=2", "--weigh-input", "cart=0.5"]
+    run = runner.invoke(cli, ["linearise", model, "--pose", "pole=pi", *options, "-o", "weighed"])
+    assert run.exit_code == 0
+    weighed = json.loads(Path("weighed/linearisation.json").read_text(encoding="utf-8"))
+    kernels = _load("cart_pole")
+    found = linearise(kernels, balance(kernels, find_pose(kernels, {"pole": np.pi}), {}))
+    assert weighed["gains"] == pytest.approx(found.regulate(0.5, [1, 10, 2, 1]), rel=1e-9)
+    alone = runner.invoke(cli, ["linearise", model, "--pose", "pole=pi", "--weigh", "pole=10"])
+    assert (alone.exit_code, "give it too" in alone.output) == (2, True)
     wrong = runner.invoke(cli, ["linearise", model, "--pose", "pol=1"])
     assert wrong.exit_code == 2
     assert "give NAME=NUMBER" in wrong.output

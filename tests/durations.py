@@ -1,0 +1,159 @@
+"""How long tests take, and the part of them that each command runs: `python -m tests.durations` renews the list.
+
+`durations.tsv` lists the functions of tests that take more than SHORT of processor time, all their cases together, with
+the fixtures that they share and with the programs that they start. From it, and from REST, each test has one of three
+marks:
+
+    quick    the others, and tests that nobody has measured yet: `make quick`
+    core     up to LONG: `make test`, with the quick ones
+    rest     longer ones, and the kinds of REST: `make rest`; `make check` runs everything
+
+The list is renewed from what `pytest --measure FILE` writes, for all tests or for some: `python -m tests.durations
+FILE...`. Times of tests that were not measured stay. A test that comes first pays for what others find in the cache, so
+measure `pytest -m quick` once more by itself, and add what it finds.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Generator, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FILE = Path(__file__).with_suffix(".tsv")
+SHORT = 0.15  # s of processor
+LONG = 15.0
+KEY = "processor time"  # of a test's report
+QUICK, CORE, REST_MARK = "quick", "core", "rest"
+
+# Folders and files of the tests that run in `make rest` alone, by kind; the others of a kind are marked by their times.
+REST: Mapping[str, tuple[str, ...]] = {
+    "documents and site": ("test_documentation.py", "test_notebooks.py", "test_website.py"),
+    "packages": ("test_packaging.py",),
+    "golden files of many models": ("test_golden.py",),
+    "random inputs": ("test_fuzz.py",),
+}
+
+
+def mark(nodeid: str, durations: Mapping[str, float]) -> str:
+    """Return the mark of a test."""
+    function = name_function(nodeid)
+    file = function.partition("::")[0].removeprefix("tests/")
+    if any(file.startswith(path) for paths in REST.values() for path in paths):
+        return REST_MARK
+    seconds = durations.get(function, 0.0)
+    return QUICK if seconds <= SHORT else CORE if seconds <= LONG else REST_MARK
+
+
+def name_function(nodeid: str) -> str:
+    """Return the function of a test, without its case."""
+    return nodeid.partition("[")[0]
+
+
+def read_durations(file: Path = FILE) -> dict[str, float]:
+    """Read the list: seconds by function."""
+    rows = (line.split("\t") for line in file.read_text("utf-8").splitlines())
+    return {name: float(seconds) for seconds, name in rows}
+
+
+def write_durations(durations: Mapping[str, float], file: Path = FILE) -> None:
+    """Write the functions that are not short, by name; two digits, so that little changes from run to run."""
+    lines = [f"{seconds:.2g}\t{name}\n" for name, seconds in sorted(durations.items()) if seconds > SHORT]
+    file.write_text("".join(lines), encoding="utf-8")
+
+
+def read_measured(files: Iterable[Path]) -> dict[str, float]:
+    """Add up the cases of functions in measurements, each with the fixtures that it shares with others, once."""
+    own: dict[str, dict[str, float]] = defaultdict(dict)
+    shared: dict[str, dict[str, float]] = defaultdict(dict)
+    fixtures: dict[str, float] = {}
+    for file in files:
+        for line in file.read_text("utf-8").splitlines():
+            found = json.loads(line)
+            function = name_function(found["test"])
+            own[function][found["test"]] = found["seconds"]
+            shared[function].update(dict.fromkeys(found["uses"]))
+            fixtures |= {name: max(x, fixtures.get(name, 0.0)) for name, x in found["fixtures"].items()}
+    return {
+        function: sum(cases.values()) + sum(fixtures.get(name, 0.0) for name in shared[function])
+        for function, cases in own.items()
+    }
+
+
+def measure_processor() -> float:
+    """Return the processor time of this process and of the programs that it has waited for [s]."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+class Measuring:
+    """A plugin of pytest that writes the processor time of each test, and of each fixture that tests share."""
+
+    def __init__(self, out: Path) -> None:
+        """Append to a file, one line a test."""
+        self.out = out
+        self.fixtures: dict[str, float] = {}  # set up during the present test
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Generator[None, object, object]:
+        """Take the time of a fixture."""
+        start, within = measure_processor(), sum(self.fixtures.values())
+        result = yield
+        if fixturedef.scope != "function":
+            nested = sum(self.fixtures.values()) - within
+            name = _name_fixture(fixturedef)
+            self.fixtures[name] = self.fixtures.get(name, 0.0) + measure_processor() - start - nested
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Take the time of a test."""
+        self.fixtures, start = {}, measure_processor()
+        result = yield
+        known = getattr(item, "_fixtureinfo").name2fixturedefs  # noqa: B009  # pytest has no public name for it
+        uses = [_name_fixture(x) for every in known.values() for x in every if x.scope != "function"]
+        seconds = measure_processor() - start - sum(self.fixtures.values())
+        told = {"test": item.nodeid, "seconds": seconds, "uses": uses, "fixtures": self.fixtures}
+        with self.out.open("a", encoding="utf-8") as file:  # one short write: workers do not mix their lines
+            file.write(json.dumps(told) + "\n")
+        return result
+
+
+def _name_fixture(fixturedef: Any) -> str:
+    return f"{fixturedef.baseid}::{fixturedef.argname}"
+
+
+def find_functions(folder: Path) -> set[str]:
+    """List the functions of tests below a folder, as pytest names them."""
+    return {name for file in folder.rglob("test_*.py") for name in _find_own(file)}
+
+
+def _find_own(file: Path) -> list[str]:
+    place = file.relative_to(FILE.parents[1]).as_posix()
+    return [f"{place}::{name}" for name in re.findall(r"^def (test_\w+)", file.read_text("utf-8"), re.MULTILINE)]
+
+
+def has_wanted(file: Path, wanted: str, durations: Mapping[str, float]) -> bool:
+    """Return whether a file has tests that the option -m chooses; any other choice may choose all."""
+    chosen = {"quick": {QUICK}, "core": {CORE}, "rest": {REST_MARK}, "not rest": {QUICK, CORE}}.get(wanted)
+    return chosen is None or any(mark(name, durations) in chosen for name in _find_own(file))
+
+
+def main(files: Iterable[str]) -> None:
+    """Renew the list by measurements; functions that are gone are left out."""
+    measured, known = read_measured(map(Path, files)), find_functions(FILE.parent)
+    durations = {**(read_durations() if FILE.exists() else {}), **measured}
+    write_durations({name: x for name, x in durations.items() if name in known})
+    marks = [mark(name, measured) for name in measured]
+    print(", ".join(f"{marks.count(x)} functions are {x}" for x in (QUICK, CORE, REST_MARK)))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
