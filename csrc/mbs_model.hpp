@@ -17,6 +17,7 @@
 #include "mbs_abi.h"
 
 namespace mbs {
+inline namespace MBS_PASTE(of_, MBS_REAL) { /* inline functions of another precision are other ones */
 
 /* A function that failed at a state: `status` is the joint, from 1, or a loop beyond the joints. */
 class failure : public std::runtime_error {
@@ -75,6 +76,7 @@ template <std::size_t Rows, std::size_t Columns, std::size_t Nonzeros> struct ma
 #endif
 };
 
+} // namespace of the precision
 } // namespace mbs
 
 #endif

@@ -70,6 +70,7 @@ from mbsgen.robots import option as robot_option
 from mbsgen.robots import read_finite, read_locks
 from mbsgen.scaling import PERIOD, find_crossing, grow
 from mbsgen.targets.languages import TARGETS
+from mbsgen.targets.symbols import describe_mangling
 
 _UNCUT = 10_000  # characters in a line, so that neither a pipe nor a narrow terminal cuts text off
 SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
@@ -264,6 +265,11 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
     type=float,
     help="Relative error allowed for functions: smaller effects are left out. By default, the scene's, or none.",
 )
+@click.option(
+    "--prefix",
+    metavar="NAME",
+    help="Let names in C begin with NAME; by default, the model's name. Models of one name need it in one program.",
+)
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder differs from the generated one.")
 @importing
 def generate_command(
@@ -278,6 +284,7 @@ def generate_command(
     derivatives: int,
     scene: Path | None,
     tolerance: float | None,
+    prefix: str | None,
     check: bool,
     choices: Choices,
 ) -> None:
@@ -298,6 +305,7 @@ def generate_command(
         derivatives=derivatives,
         scene=EVERYTHING if scene is None else scene,
         tolerance=tolerance,
+        prefix=prefix,
     )
     source = _read(model, choices)
     with _progress() as tell:
@@ -311,6 +319,8 @@ def generate_command(
         return
     write_folder({**product.files, **product.packages}, out)
     print_report(product.report)
+    if notice := describe_mangling(product.manifest.model, product.manifest.prefix):
+        click.echo(f"note: {notice}", err=True)
     click.echo(f"wrote {len(product.files) + len(product.packages)} files to {out}", err=True)
 
 

@@ -344,7 +344,8 @@ class Manifest(_Entry):
     format: int
     generator: str
     model: str  # the user's name
-    prefix: str  # its mangled form; every C name starts with it
+    prefix: str  # its mangled form, or a given one; every C name starts with it
+    symbols: str = ""  # the prefix of the symbols in object files, with a hash of the C
     model_hash: str  # SHA-256 of the tree and the options it was generated with
     mechanism: str = ""  # SHA-256 of the mechanism in the model file, independent of its wording and of the functions
     header: str

@@ -46,6 +46,7 @@ from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
 from mbsgen.targets.languages import find_targets
 from mbsgen.targets.names import mangle
+from mbsgen.targets.symbols import check_prefix
 from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import Verification, verify
 
@@ -106,6 +107,7 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
     tell("C")
     unit = _make_unit(trees, functions, verification, request)
     sources = write_c(unit)
+    unit = replace(unit, own=sources.own)
     shown = release(whole, request.scene, zeros=request.zeros) if request.runtime else staged
     described = _describe(trees.generated, unit, sources, staged, shown)
     evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
@@ -155,8 +157,9 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
 
 def _make_unit(trees: _Trees, functions: Functions, verification: Verification, request: Request) -> Unit:
     tree, approximation = trees.generated, trees.approximation
+    prefix = mangle(tree.name) if request.prefix is None else check_prefix(request.prefix)
     return Unit(
-        mangle(tree.name),
+        prefix,
         __version__,
         _hash(tree, functions.families),
         functions.families,
@@ -167,7 +170,7 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification, 
         groups=tuple(group for group in list_groups(tree) if group.name != "p" or functions.has_setup),
         tolerance=approximation.tolerance if approximation and approximation.taken else None,
         references=verification.references,
-        headers=tuple(name for x in find_targets(request.targets) for name in x.headers(mangle(tree.name))),
+        headers=tuple(name for x in find_targets(request.targets) for name in x.headers(prefix)),
     )
 
 
@@ -358,6 +361,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         generator=f"mbsgen {__version__}",
         model=tree.name,
         prefix=unit.prefix,
+        symbols=unit.own,
         model_hash=unit.model_hash,
         mechanism=identify_mechanism(staged),
         header=sources.header,

@@ -43,6 +43,7 @@ class Options:
     tolerance: float | None = None  # allowed relative error; None: the scene's
     reductions: Reductions = ALL  # what is done to lower the operation count
     size: CodeSize = MEASURED
+    prefix: str | None = None  # that names in C begin with; None: made of the model's name
 
 
 DEFAULT = Options()
@@ -68,6 +69,7 @@ class Request:
     scene: Scene = EVERYTHING  # the part of the model that is kept, and the tolerance
     reductions: Reductions = ALL
     size: CodeSize = MEASURED
+    prefix: str | None = None  # that names in C begin with; None: made of the model's name
 
     @property
     def tolerance(self) -> float | None:
@@ -115,4 +117,5 @@ def merge(options: Options, scene: Scene) -> Request:
         scene=replace(scene, tolerance=tolerance or None),
         reductions=options.reductions,
         size=options.size,
+        prefix=options.prefix,
     )

@@ -6,7 +6,7 @@ function with typed arguments, and a second one, in CasADi's contract, that call
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -18,9 +18,10 @@ from mbsgen.roles import Axis, Role
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.agreement import compare
 from mbsgen.targets.c_stages import Written, write_stages
-from mbsgen.targets.contract import Face, Slot, arguments, faces
+from mbsgen.targets.contract import Face, Slot, arguments, faces, name_function, name_symbol
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import wrap, write_literal
+from mbsgen.targets.symbols import OPEN, find_functions, seal, tag
 from mbsgen.targets.unit import Unit
 
 ABI_HEADER = "mbs_abi.h"
@@ -28,7 +29,9 @@ ABI_HEADER = "mbs_abi.h"
 _SOLVED = (Role.ACCELERATION, Role.CONDITION, Role.MULTIPLIER, Role.DRIVING_FORCE)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _LARGEST_DERIVATIVE = 10_000  # of derivatives likewise
-_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h", "mbs_check.c")  # from csrc; more where stages need them
+_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h")  # from csrc; more where stages need them
+# Ends of the names that CasADi's contract adds to a function.
+_ENDS = ("", *(f"_{x}" for x in "n_in n_out name_in name_out sparsity_in sparsity_out diff_in work".split()))
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Sources:
     header: str
     sources: tuple[str, ...]  # the C files of the kernels among them
     kernels: tuple[Kernel, ...]
+    own: str  # the prefix of all symbols, with the tag
 
 
 def write_c(unit: Unit) -> Sources:
@@ -55,6 +59,8 @@ def write_c(unit: Unit) -> Sources:
         "parameters": parameters,
         "design": design,
         "groups": unit.groups,
+        "own": tag(unit.prefix),
+        "open": OPEN,
     }
     sources = {view.file: lay_out("c/kernel.c", kernel=view, **common) for view in views}
     if parameters or design:
@@ -62,17 +68,44 @@ def write_c(unit: Unit) -> Sources:
     if unit.groups:
         sources[f"{unit.prefix}_names.c"] = lay_out("c/names.c", **common)
     copied = dict.fromkeys((*_COPIED, *(name for view in views for name in view.stages.headers)))
+    symbols = tuple(_list_symbols(unit, found))
     files = {
         header: lay_out("c/model.h", kernels=views, tolerance=unit.tolerance, loops=unit.has_loops, **common),
-        **{name: (resources.folder("csrc") / name).read_text(encoding="utf-8") for name in copied},
+        f"{unit.prefix}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
+        **{name: _read(name) for name in copied},
         **sources,
+        **_write_comparisons(unit.prefix, common),
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
         f"{unit.prefix}.pc": lay_out("c/model.pc", **common),
         "CMakeLists.txt": lay_out(
             "c/CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, headers=unit.headers, **common
         ),
     }
-    return Sources(files, header, tuple(sources), tuple(_describe(unit.prefix, f) for f in found))
+    files, own = seal(files, unit.prefix)
+    return Sources(files, header, tuple(sources), tuple(_describe(unit.prefix, f) for f in found), own)
+
+
+def _read(name: str) -> str:
+    return (resources.folder("csrc") / name).read_text(encoding="utf-8")
+
+
+def _list_symbols(unit: Unit, found: Sequence[Face]) -> Iterator[tuple[str, str]]:
+    """List the names that a program uses, each with the symbol that it stands for."""
+    own = tag(unit.prefix)
+    for face in found:
+        yield face.function, name_function(own, face.kernel)
+        symbol = name_symbol(own, face.family, face.tape)
+        yield from ((face.symbol + end, symbol + end) for end in _ENDS)
+    others = [f"NAMES_{group.name}" for group in unit.groups]
+    others += ["default_parameters"] * bool(unit.parameters) + ["default_design"] * bool(unit.design)
+    yield from ((f"{unit.prefix}_{name}", f"{own}_{name}") for name in others)
+
+
+def _write_comparisons(prefix: str, common: Mapping[str, object]) -> dict[str, str]:
+    """Write the functions that a check calls, with symbols of this folder."""
+    header, shared = f"{prefix}_check.h", find_functions([_read("mbs_check.h")])
+    text = lay_out("c/private.h", guard=f"{prefix}_CHECK", shared=shared, **common)
+    return {header: text, "mbs_check.c": f'#include "{header}"\n{_read("mbs_check.c")}'}
 
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:
@@ -153,6 +186,7 @@ def _argument(source: Input | Output | Wire, differentiable: bool = True) -> Arg
 class _Parameter:
     """An argument of the typed function."""
 
+    name: str
     declaration: str
     note: str
     macro: str  # the macro for the number of its nonzeros
@@ -192,7 +226,9 @@ class _View:
 
     file: str
     symbol: str
+    own_symbol: str  # with the tag
     function: str
+    own_function: str
     integer: str  # the integer type of CasADi's contract
     title: str
     flops: Flops
@@ -217,7 +253,9 @@ def _view(prefix: str, face: Face, part: int) -> _View:
     return _View(
         file=_file(prefix, face),
         symbol=face.symbol,
+        own_symbol=name_symbol(tag(prefix), face.family, face.tape),
         function=face.function,
+        own_function=name_function(tag(prefix), face.kernel),
         integer=face.family.integer,
         title=face.family.describe(face.tape),
         flops=counts.flops,
@@ -241,6 +279,7 @@ def _parameters(prefix: str, face: Face) -> tuple[_Parameter, ...]:
     def describe(argument: Input | Output | Wire, way: str, k: int, qualifier: str, passed: str) -> _Parameter:
         name, told_by = argument.name, f"{face.symbol}_sparsity_{way}({k})"
         return _Parameter(
+            name,
             f"{qualifier}mbs_real *MBS_RESTRICT {name}",
             _note(way, argument, told_by),
             f"{prefix}_{face.kernel}_NNZ_{name}",

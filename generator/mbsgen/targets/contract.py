@@ -138,8 +138,13 @@ def _face(family: Family, prefix: str, tape: Computation, inputs: tuple[Slot, ..
     held = {slot.name for slot in (*inputs, *outputs) if slot.sparsity.nnz}
     missing = [x.name for x in arguments(tape) if x.sparsity.nnz and x.name not in held]
     assert not missing, f"{tape.name}: CasADi's contract has no place for {missing}"
-    symbol, function = name_symbol(prefix, family, tape), f"{prefix}_compute_{tape.name}"
+    symbol, function = name_symbol(prefix, family, tape), name_function(prefix, tape.name)
     return Face(family, tape.name, symbol, function, tape, inputs, outputs)
+
+
+def name_function(prefix: str, kernel: str) -> str:
+    """Name the typed C function of a kernel."""
+    return f"{prefix}_compute_{kernel}"
 
 
 def name_symbol(prefix: str, family: Family, tape: Computation) -> str:

@@ -66,6 +66,7 @@ def write_cpp(unit: Unit) -> Mapping[str, str]:
     text = lay_out(
         "cpp/model.hpp",
         prefix=unit.prefix,
+        own=unit.own or unit.prefix,
         version=unit.version,
         model_hash=unit.model_hash,
         parameters=len(unit.parameters),

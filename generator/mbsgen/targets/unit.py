@@ -26,6 +26,7 @@ class Unit:
     tolerance: float | None = None  # allowed relative error of the functions; None: exact
     headers: tuple[str, ...] = ()  # that target languages add, to be installed
     part: int = LENGTH  # least lines of a part of a long function
+    own: str = ""  # the prefix of symbols in C, with the tag; known when the C is written
 
     @property
     def has_loops(self) -> bool:
