@@ -31,13 +31,6 @@
 #define MBS_APART
 #endif
 
-/* A function that gives way to a program's own of the same name, where the linker can: the `main` of a folder's programs. */
-#if defined(__GNUC__) && !defined(_WIN32)
-#define MBS_YIELDING __attribute__((weak))
-#else
-#define MBS_YIELDING
-#endif
-
 typedef MBS_REAL mbs_real;
 
 /* Pasting the name of the type chooses the function, and the suffix of a literal. */

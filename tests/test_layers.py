@@ -210,6 +210,7 @@ MBSRUN = Package(
         "commands.fmu": "mbsgen.targets",
         "controllers.writing": "mbsgen.targets",
         "controllers.making": "mbsgen.targets",
+        "controllers.sources": "mbsgen.targets",
         "controllers.emulation": "mbsgen.targets",
         "commands.controller": "mbsgen.output",
         "measuring.reference": "mbsgen.oracle",

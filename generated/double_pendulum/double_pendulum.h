@@ -8,10 +8,16 @@
  * be given. Inputs and results must not overlap. All functions are reentrant. -DMBS_REAL=float, for this header and the
  * C files alike, makes mbs_real a float.
  */
-#ifndef double_pendulum_H
+#ifdef double_pendulum_H
+#if double_pendulum_TAG != 0x91567c02
+#error "two models are called double_pendulum: generate one of them with --prefix NAME"
+#endif
+#else
 #define double_pendulum_H
+#define double_pendulum_TAG 0x91567c02
 
 #include "mbs_abi.h"
+#include "double_pendulum_symbols.h"
 
 #define double_pendulum_VERSION "0.1.0"
 

@@ -3,6 +3,35 @@
  * flops   69 (+ - * /, unary minus, sqrt, sin, cos: one each), 65 of them + - * /
  * equations 32
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(adj1_double_pendulum_exp1, adj1_double_pendulum_91567c02_exp1, casadi_int)
+
+int double_pendulum_91567c02_compute_adj1_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd);
+int double_pendulum_compute_adj1_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd);
+
+int double_pendulum_compute_adj1_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd)
+{
+    return double_pendulum_91567c02_compute_adj1_exp1(q, qd, adj_qdd, adj_q, adj_qd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

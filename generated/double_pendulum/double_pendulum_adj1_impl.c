@@ -3,6 +3,41 @@
  * flops   48 (+ - * /, unary minus, sqrt, sin, cos: one each), 44 of them + - * /
  * equations 22
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_91567c02_impl, casadi_int)
+
+int double_pendulum_91567c02_compute_adj1_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd,
+    mbs_real *MBS_RESTRICT adj_qdd);
+int double_pendulum_compute_adj1_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd,
+    mbs_real *MBS_RESTRICT adj_qdd);
+
+int double_pendulum_compute_adj1_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd,
+    mbs_real *MBS_RESTRICT adj_qdd)
+{
+    return double_pendulum_91567c02_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

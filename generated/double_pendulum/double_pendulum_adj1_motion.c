@@ -3,6 +3,38 @@
  * flops   47 (+ - * /, unary minus, sqrt, sin, cos: one each), 43 of them + - * /
  * equations 17
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_91567c02_motion, casadi_int)
+
+int double_pendulum_91567c02_compute_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd);
+int double_pendulum_compute_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd);
+
+int double_pendulum_compute_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT adj_q,
+    mbs_real *MBS_RESTRICT adj_qd)
+{
+    return double_pendulum_91567c02_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

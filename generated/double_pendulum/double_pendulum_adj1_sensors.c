@@ -3,6 +3,29 @@
  * flops   27 (+ - * /, unary minus, sqrt, sin, cos: one each), 23 of them + - * /
  * equations 12
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_91567c02_sensors, casadi_int)
+
+int double_pendulum_91567c02_compute_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT adj_q);
+int double_pendulum_compute_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT adj_q);
+
+int double_pendulum_compute_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT adj_q)
+{
+    return double_pendulum_91567c02_compute_adj1_sensors(q, adj_position, adj_q);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,29 @@
  * flops   24 (+ - * /, unary minus, sqrt, sin, cos: one each), 23 of them + - * /
  * equations 14
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_91567c02_condition, casadi_int)
+
+int double_pendulum_91567c02_compute_condition(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT elimination,
+    mbs_real *MBS_RESTRICT articulated);
+int double_pendulum_compute_condition(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT elimination,
+    mbs_real *MBS_RESTRICT articulated);
+
+int double_pendulum_compute_condition(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT elimination,
+    mbs_real *MBS_RESTRICT articulated)
+{
+    return double_pendulum_91567c02_compute_condition(q, elimination, articulated);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

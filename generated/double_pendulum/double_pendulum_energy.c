@@ -3,6 +3,41 @@
  * flops   48 (+ - * /, unary minus, sqrt, sin, cos: one each), 44 of them + - * /
  * equations 22
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_91567c02_energy, casadi_int)
+
+int double_pendulum_91567c02_compute_energy(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT kinetic,
+    mbs_real *MBS_RESTRICT potential,
+    mbs_real *MBS_RESTRICT momentum,
+    mbs_real *MBS_RESTRICT angular_momentum,
+    mbs_real *MBS_RESTRICT com);
+int double_pendulum_compute_energy(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT kinetic,
+    mbs_real *MBS_RESTRICT potential,
+    mbs_real *MBS_RESTRICT momentum,
+    mbs_real *MBS_RESTRICT angular_momentum,
+    mbs_real *MBS_RESTRICT com);
+
+int double_pendulum_compute_energy(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT kinetic,
+    mbs_real *MBS_RESTRICT potential,
+    mbs_real *MBS_RESTRICT momentum,
+    mbs_real *MBS_RESTRICT angular_momentum,
+    mbs_real *MBS_RESTRICT com)
+{
+    return double_pendulum_91567c02_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,29 @@
  * flops   29 (+ - * /, unary minus, sqrt, sin, cos: one each), 25 of them + - * /
  * equations 12
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_exp2, double_pendulum_91567c02_exp2, casadi_int)
+
+int double_pendulum_91567c02_compute_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT qdd);
+int double_pendulum_compute_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT qdd);
+
+int double_pendulum_compute_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT qdd)
+{
+    return double_pendulum_91567c02_compute_exp2(q, qd, qdd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,29 @@
  * flops   17 (+ - * /, unary minus, sqrt, sin, cos: one each), 10 of them + - * /
  * equations 11
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_91567c02_frames, casadi_int)
+
+int double_pendulum_91567c02_compute_frames(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT p,
+    mbs_real *MBS_RESTRICT R);
+int double_pendulum_compute_frames(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT p,
+    mbs_real *MBS_RESTRICT R);
+
+int double_pendulum_compute_frames(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT p,
+    mbs_real *MBS_RESTRICT R)
+{
+    return double_pendulum_91567c02_compute_frames(q, p, R);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,32 @@
  * flops   28 (+ - * /, unary minus, sqrt, sin, cos: one each), 24 of them + - * /
  * equations 12
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_91567c02_impl, casadi_int)
+
+int double_pendulum_91567c02_compute_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi);
+int double_pendulum_compute_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi);
+
+int double_pendulum_compute_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi)
+{
+    return double_pendulum_91567c02_compute_impl(q, qd, qdd, Phi);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,47 @@
  * flops   132 (+ - * /, unary minus, sqrt, sin, cos: one each), 127 of them + - * /
  * equations 59
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_adj1_double_pendulum_exp2, jac_adj1_double_pendulum_91567c02_exp2, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_adj1_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd);
+int double_pendulum_compute_jac_adj1_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd);
+
+int double_pendulum_compute_jac_adj1_exp2(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd)
+{
+    return double_pendulum_91567c02_compute_jac_adj1_exp2(q, qd, adj_qdd, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_qdd, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_qdd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

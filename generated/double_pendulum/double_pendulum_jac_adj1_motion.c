@@ -3,6 +3,50 @@
  * flops   67 (+ - * /, unary minus, sqrt, sin, cos: one each), 62 of them + - * /
  * equations 28
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_91567c02_motion, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega);
+int double_pendulum_compute_jac_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega);
+
+int double_pendulum_compute_jac_adj1_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT adj_v,
+    const mbs_real *MBS_RESTRICT adj_omega,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega)
+{
+    return double_pendulum_91567c02_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

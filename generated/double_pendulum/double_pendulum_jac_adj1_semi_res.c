@@ -3,6 +3,59 @@
  * flops   74 (+ - * /, unary minus, sqrt, sin, cos: one each), 65 of them + - * /
  * equations 44
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_adj1_double_pendulum_semi_res, jac_adj1_double_pendulum_91567c02_semi_res, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_adj1_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
+int double_pendulum_compute_jac_adj1_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
+
+int double_pendulum_compute_jac_adj1_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    const mbs_real *MBS_RESTRICT adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_qd,
+    mbs_real *MBS_RESTRICT jac_adj_q_qdd,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qd_qd,
+    mbs_real *MBS_RESTRICT jac_adj_qd_adj_Phi,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_q,
+    mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi)
+{
+    return double_pendulum_91567c02_compute_jac_adj1_semi_res(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

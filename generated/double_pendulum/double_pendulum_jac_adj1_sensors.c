@@ -3,6 +3,32 @@
  * flops   41 (+ - * /, unary minus, sqrt, sin, cos: one each), 37 of them + - * /
  * equations 18
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_91567c02_sensors, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_position);
+int double_pendulum_compute_jac_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_position);
+
+int double_pendulum_compute_jac_adj1_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT adj_position,
+    mbs_real *MBS_RESTRICT jac_adj_q_q,
+    mbs_real *MBS_RESTRICT jac_adj_q_adj_position)
+{
+    return double_pendulum_91567c02_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,32 @@
  * flops   78 (+ - * /, unary minus, sqrt, sin, cos: one each), 73 of them + - * /
  * equations 36
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_double_pendulum_exp1, jac_double_pendulum_91567c02_exp1, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_qdd_q,
+    mbs_real *MBS_RESTRICT jac_qdd_qd);
+int double_pendulum_compute_jac_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_qdd_q,
+    mbs_real *MBS_RESTRICT jac_qdd_qd);
+
+int double_pendulum_compute_jac_exp1(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_qdd_q,
+    mbs_real *MBS_RESTRICT jac_qdd_qd)
+{
+    return double_pendulum_91567c02_compute_jac_exp1(q, qd, jac_qdd_q, jac_qdd_qd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,38 @@
  * flops   38 (+ - * /, unary minus, sqrt, sin, cos: one each), 34 of them + - * /
  * equations 23
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_double_pendulum_impl, jac_double_pendulum_91567c02_impl, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd);
+int double_pendulum_compute_jac_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd);
+
+int double_pendulum_compute_jac_impl(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd)
+{
+    return double_pendulum_91567c02_compute_jac_impl(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,35 @@
  * flops   23 (+ - * /, unary minus, sqrt, sin, cos: one each), 17 of them + - * /
  * equations 14
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_91567c02_motion, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd);
+int double_pendulum_compute_jac_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd);
+
+int double_pendulum_compute_jac_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd)
+{
+    return double_pendulum_91567c02_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

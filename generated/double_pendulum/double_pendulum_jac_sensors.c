@@ -3,6 +3,26 @@
  * flops   17 (+ - * /, unary minus, sqrt, sin, cos: one each), 13 of them + - * /
  * equations 13
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_91567c02_sensors, casadi_int)
+
+int double_pendulum_91567c02_compute_jac_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT jac_position_q);
+int double_pendulum_compute_jac_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT jac_position_q);
+
+int double_pendulum_compute_jac_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT jac_position_q)
+{
+    return double_pendulum_91567c02_compute_jac_sensors(q, jac_position_q);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

@@ -3,6 +3,26 @@
  * flops   16 (+ - * /, unary minus, sqrt, sin, cos: one each), 12 of them + - * /
  * equations 10
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_91567c02_jacobian, casadi_int)
+
+int double_pendulum_91567c02_compute_jacobian(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT J);
+int double_pendulum_compute_jacobian(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT J);
+
+int double_pendulum_compute_jacobian(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT J)
+{
+    return double_pendulum_91567c02_compute_jacobian(q, J);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

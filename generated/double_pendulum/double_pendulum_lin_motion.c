@@ -3,6 +3,41 @@
  * flops   24 (+ - * /, unary minus, sqrt, sin, cos: one each), 17 of them + - * /
  * equations 15
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_91567c02_lin_motion, casadi_int)
+
+int double_pendulum_91567c02_compute_lin_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd);
+int double_pendulum_compute_lin_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd);
+
+int double_pendulum_compute_lin_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega,
+    mbs_real *MBS_RESTRICT jac_v_q,
+    mbs_real *MBS_RESTRICT jac_v_qd,
+    mbs_real *MBS_RESTRICT jac_omega_qd)
+{
+    return double_pendulum_91567c02_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

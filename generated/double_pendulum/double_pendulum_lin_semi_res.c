@@ -3,6 +3,41 @@
  * flops   54 (+ - * /, unary minus, sqrt, sin, cos: one each), 50 of them + - * /
  * equations 28
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_lin_semi_res, double_pendulum_91567c02_lin_semi_res, casadi_int)
+
+int double_pendulum_91567c02_compute_lin_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd);
+int double_pendulum_compute_lin_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd);
+
+int double_pendulum_compute_lin_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi,
+    mbs_real *MBS_RESTRICT jac_Phi_q,
+    mbs_real *MBS_RESTRICT jac_Phi_qd,
+    mbs_real *MBS_RESTRICT jac_Phi_qdd)
+{
+    return double_pendulum_91567c02_compute_lin_semi_res(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

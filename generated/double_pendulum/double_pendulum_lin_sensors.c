@@ -3,6 +3,29 @@
  * flops   18 (+ - * /, unary minus, sqrt, sin, cos: one each), 13 of them + - * /
  * equations 14
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_91567c02_lin_sensors, casadi_int)
+
+int double_pendulum_91567c02_compute_lin_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position,
+    mbs_real *MBS_RESTRICT jac_position_q);
+int double_pendulum_compute_lin_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position,
+    mbs_real *MBS_RESTRICT jac_position_q);
+
+int double_pendulum_compute_lin_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position,
+    mbs_real *MBS_RESTRICT jac_position_q)
+{
+    return double_pendulum_91567c02_compute_lin_sensors(q, position, jac_position_q);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

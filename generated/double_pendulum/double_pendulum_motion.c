@@ -3,6 +3,32 @@
  * flops   19 (+ - * /, unary minus, sqrt, sin, cos: one each), 15 of them + - * /
  * equations 9
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_91567c02_motion, casadi_int)
+
+int double_pendulum_91567c02_compute_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega);
+int double_pendulum_compute_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega);
+
+int double_pendulum_compute_motion(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT v,
+    mbs_real *MBS_RESTRICT omega)
+{
+    return double_pendulum_91567c02_compute_motion(q, qd, v, omega);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

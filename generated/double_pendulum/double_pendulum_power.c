@@ -3,6 +3,29 @@
  * flops   0 (+ - * /, unary minus, sqrt, sin, cos: one each), 0 of them + - * /
  * equations 0
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_power, double_pendulum_91567c02_power, casadi_int)
+
+int double_pendulum_91567c02_compute_power(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT power);
+int double_pendulum_compute_power(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT power);
+
+int double_pendulum_compute_power(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT power)
+{
+    return double_pendulum_91567c02_compute_power(q, qd, power);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

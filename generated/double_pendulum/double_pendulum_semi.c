@@ -3,6 +3,32 @@
  * flops   23 (+ - * /, unary minus, sqrt, sin, cos: one each), 19 of them + - * /
  * equations 14
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_91567c02_semi, casadi_int)
+
+int double_pendulum_91567c02_compute_semi(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT M,
+    mbs_real *MBS_RESTRICT c);
+int double_pendulum_compute_semi(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT M,
+    mbs_real *MBS_RESTRICT c);
+
+int double_pendulum_compute_semi(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    mbs_real *MBS_RESTRICT M,
+    mbs_real *MBS_RESTRICT c)
+{
+    return double_pendulum_91567c02_compute_semi(q, qd, M, c);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

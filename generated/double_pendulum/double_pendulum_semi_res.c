@@ -3,6 +3,32 @@
  * flops   31 (+ - * /, unary minus, sqrt, sin, cos: one each), 27 of them + - * /
  * equations 15
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_91567c02_semi_res, casadi_int)
+
+int double_pendulum_91567c02_compute_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi);
+int double_pendulum_compute_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi);
+
+int double_pendulum_compute_semi_res(
+    const mbs_real *MBS_RESTRICT q,
+    const mbs_real *MBS_RESTRICT qd,
+    const mbs_real *MBS_RESTRICT qdd,
+    mbs_real *MBS_RESTRICT Phi)
+{
+    return double_pendulum_91567c02_compute_semi_res(q, qd, qdd, Phi);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

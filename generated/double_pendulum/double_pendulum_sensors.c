@@ -3,6 +3,26 @@
  * flops   14 (+ - * /, unary minus, sqrt, sin, cos: one each), 9 of them + - * /
  * equations 8
  */
+#include "mbs_abi.h"
+
+#ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
+MBS_NAME_CASADI(double_pendulum_sensors, double_pendulum_91567c02_sensors, casadi_int)
+
+int double_pendulum_91567c02_compute_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position);
+int double_pendulum_compute_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position);
+
+int double_pendulum_compute_sensors(
+    const mbs_real *MBS_RESTRICT q,
+    mbs_real *MBS_RESTRICT position)
+{
+    return double_pendulum_91567c02_compute_sensors(q, position);
+}
+#endif
+
 #include <math.h>
 
 #include "double_pendulum.h"

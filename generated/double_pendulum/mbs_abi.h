@@ -97,6 +97,48 @@ typedef MBS_REAL mbs_real;
     int f##_diff_in(integer i); \
     int f##_work(integer *sz_arg, integer *sz_res, integer *sz_iw, integer *sz_w)
 
+/* The same function by a second name, under which programs find it in a library that they load. A folder's own C has
+ * tagged names, which no other folder's library can replace. */
+#define MBS_NAME_CASADI(name, own, integer) \
+    MBS_DECLARE_WITH(own, integer); \
+    MBS_DECLARE_WITH(name, integer); \
+    int name(const casadi_real **arg, casadi_real **res, integer *iw, casadi_real *w, int mem) \
+    { \
+        return own(arg, res, iw, w, mem); \
+    } \
+    integer name##_n_in(void) \
+    { \
+        return own##_n_in(); \
+    } \
+    integer name##_n_out(void) \
+    { \
+        return own##_n_out(); \
+    } \
+    const char *name##_name_in(integer i) \
+    { \
+        return own##_name_in(i); \
+    } \
+    const char *name##_name_out(integer i) \
+    { \
+        return own##_name_out(i); \
+    } \
+    const integer *name##_sparsity_in(integer i) \
+    { \
+        return own##_sparsity_in(i); \
+    } \
+    const integer *name##_sparsity_out(integer i) \
+    { \
+        return own##_sparsity_out(i); \
+    } \
+    int name##_diff_in(integer i) \
+    { \
+        return own##_diff_in(i); \
+    } \
+    int name##_work(integer *sz_arg, integer *sz_res, integer *sz_iw, integer *sz_w) \
+    { \
+        return own##_work(sz_arg, sz_res, sz_iw, sz_w); \
+    }
+
 /* Write the full matrix, row by row as C stores `A[rows][columns]`, or column by column as BLAS and LAPACK store it: from
  * its nonzeros, and their pattern as f##_sparsity_out gives it. */
 static inline void mbs_fill(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A, int by_rows)

@@ -1,3 +1,4 @@
+#include "mbs_private.h"
 /* Comparisons of kernels that must agree; mbs_check.h tells what each compares. */
 #include "mbs_check.h"
 

@@ -134,7 +134,8 @@ def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     for name, parts in scene.together:
         members = [by_name[part] for part in parts]
         _refuse_iterations(name, members)
-        jacs = [straight(family.jac) for family in members if family.jac is not None]
+        _refuse_clashes(name, members)
+        jacs = _differentiate_all(members)
         function = Function(name)
         value = merge([straight(family.value) for family in members], function)
         jac = merge(jacs, function.to(Order.JACOBIAN)) if jacs else None
@@ -143,12 +144,42 @@ def _finish(families: Sequence[Family], request: Request) -> list[Family]:
     return [*kept, *joined]
 
 
+def _differentiate_all(members: Sequence[Family]) -> list[Tape]:
+    """Return the Jacobians of all functions that are joined, or none: a missing block is a derivative of 0.
+
+    Functions such as the energy have no derivatives outside of a joined function.
+    """
+    if all(family.jac is None for family in members):
+        return []
+    written = ((straight(family.value), family.jac) for family in members)
+    return [
+        straight(jac) if jac is not None else straight(differentiate(value, differentiable(value)).jac)
+        for value, jac in written
+    ]
+
+
 def _refuse_iterations(name: str, members: Sequence[Family]) -> None:
     """Refuse to join functions that iterate. Raises OptionError."""
     found = [family.value.name for family in members if isinstance(family.value, Procedure)]
     if found:
         remedy = "generate it on its own"
         raise OptionError(f"together: {name}: {found[0]} is solved by an iteration, which cannot be joined; {remedy}")
+
+
+def _refuse_clashes(name: str, members: Sequence[Family]) -> None:
+    """Refuse to join functions of which one gives a number that another gives or reads. Raises OptionError."""
+    for own in members:
+        for other in members:
+            if other is own:
+                continue
+            given = {o.name for o in own.value.outputs}
+            # setup takes the parameters
+            read = given & {i.name for i in other.value.inputs if i.port.role is not Role.PARAMETER}
+            both = given & {o.name for o in other.value.outputs}
+            if found := sorted(read) or sorted(both):
+                verb = "reads" if read else "gives too"
+                finding = f"{own.value.name} gives {found[0]}, which {other.value.name} {verb}"
+                raise OptionError(f"together: {name}: {finding}; leave one of the two out")
 
 
 def _let_rest(family: Family) -> Family:

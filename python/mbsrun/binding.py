@@ -107,13 +107,19 @@ class Entry:
 
     @cached_property
     def wanted(self) -> dict[str, Port]:
-        """The inputs that the caller gives, by name."""
-        return {port.argument.name: port for port in self.inputs if not port.is_hidden}
+        """The inputs that the caller may give, by name."""
+        return {port.argument.name: port for port in self.inputs}
 
     @cached_property
     def takes_hidden(self) -> bool:
         """Return whether it needs run-time parameters."""
         return self.kernel.taking(Role.SETUP) is not None
+
+    @cached_property
+    def hidden(self) -> str | None:
+        """The name of the input that the set-up of parameters gives, if it needs them."""
+        found = self.kernel.taking(Role.SETUP)
+        return found.name if found else None
 
     @cached_property
     def design(self) -> str | None:

@@ -116,13 +116,15 @@ class Kernels:
         matrices even with one column. Any input may have a leading batch axis; results then have it too, and inputs
         without one are the same for all states. sparse: give the nonzeros only, column by column, shape (nnz,), of
         which `matrix` makes a matrix. Inputs without an entry may be left out; so may second parts of numbers, which
-        are 0 then, and `theta`, the differentiated parameters, where their present values are meant. Raises
-        ArgumentError for inputs that do not fit, KernelError where a state cannot be computed.
+        are 0 then, and `theta`, the differentiated parameters, and `h`, the result of `setup`, where the present values
+        of parameters are meant; a batch of `h` gives each state its parameters. Raises ArgumentError for inputs that do
+        not fit, KernelError where a state cannot be computed.
         """
         entry = self._binder.bind(name)
         if entry.design:
             inputs.setdefault(entry.design, self._design)
-        done = None if sparse else entry.call_once(inputs, self._hidden_for(entry))
+        own = entry.hidden is not None and entry.hidden in inputs
+        done = None if sparse or own else entry.call_once(inputs, self._hidden_for(entry))
         if done is None:
             results, status = self.attempt(name, sparse=sparse, **inputs)
             failed = np.flatnonzero(status)
@@ -142,6 +144,8 @@ class Kernels:
         entry = self._binder.bind(name)
         if entry.design:
             inputs.setdefault(entry.design, self._design)
+        if entry.hidden:
+            inputs.setdefault(entry.hidden, self._hidden)
         arrays = _collect(entry, inputs)
         batches = {array.shape[0] for port, array in arrays if array.ndim > len(port.shape)}
         if len(batches) > 1:
@@ -149,8 +153,7 @@ class Kernels:
                 f"{name}: the inputs have batches of {sorted(batches)} states; give all the same number"
             )
         given = [(port, _gather(name, port, array)) for port, array in arrays]
-        hidden = [(port, self._hidden[None]) for port in entry.inputs if port.is_hidden]
-        status, nonzeros = entry.call(self._binder.batch, given + hidden, batches.pop() if batches else 1)
+        status, nonzeros = entry.call(self._binder.batch, given, batches.pop() if batches else 1)
         results = {
             port.argument.name: values if sparse else _scatter(port, values)
             for port, values in zip(entry.outputs, nonzeros, strict=True)

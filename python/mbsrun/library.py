@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial, wraps
 from importlib.util import find_spec
 from pathlib import Path, PurePath
+from types import MappingProxyType
 from typing import TypeVar, TypeVarTuple
 
 from mbsgen.errors import MbsError
@@ -83,18 +84,21 @@ def compile_library(
     compiler: Compiler,
     *beside: Path,
     rows: Collection[str] = (),
+    replaced: Mapping[str, str] = MappingProxyType({}),
     **texts: str,
 ) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
     C files and headers that are not in the folder are looked for in the folders `beside` it. `texts` are more C files,
-    by their names without the ending. Files among `rows` work on rows of numbers, and are compiled without the flag
-    that is good for straight-line code alone. Compiled files are found in the cache; `prefix` is the model's part of
-    it, and files of SHARED are found for every model. Raises CompileError with the command and the compiler's message,
-    or for a name that cannot be a generated file's; CacheError.
+    by their names without the ending, and `replaced` are files in place of the folder's. Files among `rows` work on
+    rows of numbers, and are compiled without the flag that is good for straight-line code alone. Compiled files are
+    found in the cache; `prefix` is the model's part of it, and files of SHARED are found for every model. Raises
+    CompileError with the command and the compiler's message, or for a name that cannot be a generated file's;
+    CacheError.
     """
-    place, given = _find_place(folder, prefix), {f"{name}.c": text.encode() for name, text in texts.items()}
-    wanted = dict.fromkeys((*names, *given))
+    place, more = _find_place(folder, prefix), {f"{name}.c": text for name, text in texts.items()}
+    given = {name: text.encode() for name, text in {**replaced, **more}.items()}
+    wanted = dict.fromkeys((*names, *more))
     vectors = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != SCALAR))
     objects = [
         _plan(read_source((folder, *beside), name, given), place, vectors if name in rows else compiler)
@@ -103,14 +107,21 @@ def compile_library(
     return _link(objects, place / prefix, compiler)
 
 
-def write_graphs(folder: Path, prefix: str, names: Iterable[str], compiler: Compiler) -> list[str]:
+def write_graphs(
+    folder: Path,
+    prefix: str,
+    names: Iterable[str],
+    compiler: Compiler,
+    replaced: Mapping[str, str] = MappingProxyType({}),
+) -> list[str]:
     """Return the call graphs of C files of a folder, as GCC writes them; `stack` reads them.
 
     Graphs are found in the cache, as `compile_library` finds objects. Raises CompileError, also where the compiler
     writes no graphs; CacheError.
     """
     place, drawing = _find_place(folder, prefix), replace(compiler, flags=(*compiler.flags, GRAPHS))
-    items = [_plan(read_source((folder,), name, {}), place, drawing) for name in dict.fromkeys(names)]
+    given = {name: text.encode() for name, text in replaced.items()}
+    items = [_plan(read_source((folder,), name, given), place, drawing) for name in dict.fromkeys(names)]
     with ThreadPoolExecutor(count_cores()) as pool:
         return [path.read_text("utf-8") for path in pool.map(partial(_compile, suffix=".ci"), items)]
 

@@ -22,7 +22,7 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.pipeline import make
-from mbsgen.request import Options, Request, merge
+from mbsgen.request import OptionError, Options, Request, merge
 from mbsgen.tape.counts import count
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -148,6 +148,40 @@ def test_functions_wanted_together_share_what_they_can():
     assert count(step.value).paper < count(apart["impl"]).paper + count(apart["sensors"]).paper
     assert step.jac is not None
     assert {"jac_Phi_q", "jac_position_q"} <= {o.name for o in step.jac.outputs}
+
+
+@pytest.mark.parametrize(
+    "parts", [("impl", "energy"), ("exp1", "power"), ("semi_res", "power"), ("sensors", "frames", "condition")]
+)
+def test_functions_together_have_the_derivatives_of_all(parts: tuple[str, ...]):
+    """The energy has no derivatives alone; a block that is missing in a joined function would be a derivative of 0."""
+    scene = Scene(functions=(), together=(("step", parts),), derivatives=1)
+    product = make(MODELS / "double_pendulum.yaml", Options(scene=scene, count=False))  # compares with differences
+    value, jac = (product.manifest.kernel(name) for name in ("step", "jac_step"))
+    assert {o.of for o in jac.outputs} == {o.name for o in value.outputs}
+
+
+@pytest.mark.parametrize(
+    ("parts", "finding"),
+    [
+        (("exp1", "impl"), "exp1 gives qdd, which impl reads; leave one of the two out"),
+        (("exp1", "exp2"), "exp1 gives qdd, which exp2 gives too; leave one of the two out"),
+    ],
+)
+def test_functions_that_cannot_go_together_are_named(parts: tuple[str, ...], finding: str):
+    """One call has one value of each name."""
+    with pytest.raises(OptionError, match=finding):
+        write_families(
+            build_tree(read_model(MODELS / "double_pendulum.yaml")),
+            merge(Options(), Scene(functions=(), together=(("step", parts),))),
+        )
+
+
+def test_poses_go_together_with_parameters():
+    """Origins of frames are called p, as run-time parameters are, which setup takes."""
+    scene = Scene(functions=(), together=(("step", ("frames", "impl")),), derivatives=1)
+    product = make(MODELS / "double_pendulum.yaml", Options(scene=scene, count=False, runtime=True))
+    assert [o.name for o in product.manifest.kernel("step").outputs] == ["p", "R", "Phi"]
 
 
 def test_planar_motion_has_planar_equations():

@@ -352,3 +352,21 @@ def test_a_manifest_that_does_not_fit_its_library_is_told(
     (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(ArgumentError, match=told):
         load(folder)(manifest["kernels"][0]["name"], x=[1, 1, 1], y=[1, 1], z=[0])
+
+
+def test_each_state_of_a_batch_may_have_its_parameters(k: Kernels) -> None:
+    """A batch of `setup` gives `h` for each state, as a loop over objects with these parameters computes."""
+    values = np.array(list(k.parameters.values()))
+    batch = values * np.array([[1.0], [1.1], [0.9]])
+    h = k.setup(p=batch)["h"]
+    given = draw(sample_tape(), 3, states=3)
+    found = k("impl", **given, h=h)
+    for i, row in enumerate(batch):
+        own = k.with_parameters(**dict(zip(k.parameters, map(float, row), strict=True)))
+        state = {name: array[i] for name, array in given.items()}
+        alone, by_hand = own("impl", **state), k("impl", **state, h=h[i])
+        for name, array in found.items():
+            np.testing.assert_array_equal(array[i], alone[name])
+            np.testing.assert_array_equal(by_hand[name], alone[name])
+    with pytest.raises(ArgumentError, match=r"impl: h: shape \(1,\) given"):
+        k("impl", **given, h=[1.0])

@@ -78,7 +78,8 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     given = [o.port.role for tape in tapes.values() for o in tape.outputs]
     if not {*taken, *given}.isdisjoint(_LOOPS):
         raise OptionError("acados: it would integrate loops apart, since nothing keeps them closed; leave it out")
-    if any(_size(tape, Role.COORDINATE) > _size(tape, Role.VELOCITY) > 0 for tape in tapes.values()):
+    dynamics = [tape for tape in tapes.values() if tape.function in (residual, *explicit)]
+    if any(_size(tape, Role.COORDINATE) != tape.outputs[0].sparsity.rows for tape in dynamics):
         raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
 
     def measure(function: Function) -> int:

@@ -21,7 +21,7 @@ from mbsgen.targets.c_stages import Written, write_stages
 from mbsgen.targets.contract import Face, Slot, arguments, faces, name_function, name_symbol
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import wrap, write_literal
-from mbsgen.targets.symbols import OPEN, find_functions, seal, tag
+from mbsgen.targets.symbols import OPEN, PRIVATE, find_declared, seal, tag
 from mbsgen.targets.unit import Unit
 
 ABI_HEADER = "mbs_abi.h"
@@ -31,7 +31,10 @@ _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check
 _LARGEST_DERIVATIVE = 10_000  # of derivatives likewise
 _COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h")  # from csrc; more where stages need them
 # Ends of the names that CasADi's contract adds to a function.
-_ENDS = ("", *(f"_{x}" for x in "n_in n_out name_in name_out sparsity_in sparsity_out diff_in work".split()))
+_ENDS = (
+    "",
+    *(f"_{x}" for x in ["n_in", "n_out", "name_in", "name_out", "sparsity_in", "sparsity_out", "diff_in", "work"]),
+)
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ def write_c(unit: Unit) -> Sources:
         "groups": unit.groups,
         "own": tag(unit.prefix),
         "open": OPEN,
+        "private": PRIVATE,
     }
     sources = {view.file: lay_out("c/kernel.c", kernel=view, **common) for view in views}
     if parameters or design:
@@ -74,7 +78,7 @@ def write_c(unit: Unit) -> Sources:
         f"{unit.prefix}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
         **{name: _read(name) for name in copied},
         **sources,
-        **_write_comparisons(unit.prefix, common),
+        **_write_comparisons(common),
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
         f"{unit.prefix}.pc": lay_out("c/model.pc", **common),
         "CMakeLists.txt": lay_out(
@@ -101,11 +105,10 @@ def _list_symbols(unit: Unit, found: Sequence[Face]) -> Iterator[tuple[str, str]
     yield from ((f"{unit.prefix}_{name}", f"{own}_{name}") for name in others)
 
 
-def _write_comparisons(prefix: str, common: Mapping[str, object]) -> dict[str, str]:
+def _write_comparisons(common: Mapping[str, object]) -> dict[str, str]:
     """Write the functions that a check calls, with symbols of this folder."""
-    header, shared = f"{prefix}_check.h", find_functions([_read("mbs_check.h")])
-    text = lay_out("c/private.h", guard=f"{prefix}_CHECK", shared=shared, **common)
-    return {header: text, "mbs_check.c": f'#include "{header}"\n{_read("mbs_check.c")}'}
+    text = lay_out("c/private.h", shared=find_declared("mbs", [_read("mbs_check.h")]), **common)
+    return {PRIVATE: text, "mbs_check.c": f'#include "{PRIVATE}"\n{_read("mbs_check.c")}'}
 
 
 def _write_check(unit: Unit, found: Sequence[Face], common: Mapping[str, object]) -> str:

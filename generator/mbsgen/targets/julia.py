@@ -60,7 +60,12 @@ class _Names:
 
 def write_julia(unit: Unit) -> Mapping[str, str]:
     """Write the module of a model; return its file, path -> text."""
-    found = [face for family in unit.families for face in faces(family, unit.own or unit.prefix) if face.family.integer != "int"]
+    found = [
+        face
+        for family in unit.families
+        for face in faces(family, unit.own or unit.prefix)
+        if face.family.integer != "int"
+    ]
     setup = next((face for face in found if any(o.port.role is Role.SETUP for o in face.tape.outputs)), None)
     text = lay_out(
         "julia/model.jl",

@@ -9,20 +9,26 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from mbsgen.request import OptionError
 from mbsgen.targets.names import MAX_LENGTH, mangle
 
+PRIVATE = "mbs_private.h"  # gives the functions of C files that folders share the symbols of one folder
 DIGITS = 8  # of the tag, hexadecimal
 OPEN = "t" * DIGITS  # stands for the tag until the content is known
-_DECLARED = re.compile(r"^(?!static\b|typedef\b|return\b)[A-Za-z_][\w \t*]*?\b(mbs_\w+)\(", re.MULTILINE)
-_VARIABLES = re.compile(r"^extern (?!\")[^;(]*;", re.MULTILINE)
+_FUNCTION = r"^(?!static\b|typedef\b|return\b)[A-Za-z_][\w \t*]*?\b({}_\w+)\("
+_VARIABLES = re.compile(r"^extern [^\";(]*;", re.MULTILINE)
 
 
-def check_prefix(prefix: str) -> str:
-    """Return a prefix that a user gives. Raises OptionError where names cannot begin with it."""
-    if not prefix or mangle(prefix) != prefix:
+def check_prefix(prefix: str, taken: str = "", words: Collection[str] = ()) -> str:
+    """Return a prefix that a user gives, other than one that is taken, and than words of the C around it.
+
+    Raises OptionError where names cannot begin with it.
+    """
+    if taken and prefix == taken:
+        raise OptionError(f"prefix: names of the model begin with {taken}; give another one to the controller")
+    if not prefix or mangle(prefix) != prefix or prefix in words:
         finding = f"{prefix!r} cannot begin the names in C"
         remedy = f"give at most {MAX_LENGTH} letters, digits and single underscores, such as left_arm, and no word of C"
         raise OptionError(f"prefix: {finding}; {remedy}")
@@ -57,10 +63,16 @@ def _fill_in(text: str, prefix: str, sealed: str) -> str:
     return text.replace(tag(prefix), sealed).replace(f"0x{OPEN}", f"0x{number}")
 
 
-def find_functions(headers: Iterable[str]) -> tuple[str, ...]:
-    """Find the functions and variables of this project that headers in C declare, in their order."""
+def find_declared(prefix: str, headers: Iterable[str]) -> tuple[str, ...]:
+    """Find the functions and variables that headers in C declare, and whose names begin with a prefix, in order."""
+    function, variable = re.compile(_FUNCTION.format(prefix), re.MULTILINE), rf"[ *]({prefix}_\w+)(?=[,;\[])"
     found = dict[str, None]()
     for text in headers:
-        found |= dict.fromkeys(_DECLARED.findall(text))
-        found |= dict.fromkeys(name for line in _VARIABLES.findall(text) for name in re.findall(r"\*(mbs_\w+)", line))
+        found |= dict.fromkeys(function.findall(text))
+        found |= dict.fromkeys(name for line in _VARIABLES.findall(text) for name in re.findall(variable, line))
     return tuple(found)
+
+
+def hash_text(text: str) -> str:
+    """Return the tag of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]

@@ -8,7 +8,7 @@ import click
 
 from mbsgen.documents import read_document, refuse
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, keep_grid, output_folder, say
-from mbsrun.controllers.making import Made, UnsolvedError, make
+from mbsrun.controllers.making import Made, UnsolvedError, describe_name, make
 from mbsrun.controllers.refusals import find_refusals, locate
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.phases.placing import name_lines
@@ -52,6 +52,12 @@ Exit codes
     help="A solution.json of mbsrun solve to start from, in place of the guess that the problem describes.",
 )
 @click.option(
+    "--prefix",
+    metavar="NAME",
+    help="Let names in C begin with NAME; by default, the problem's name. Controllers of one name need it to share a C "
+    "file.",
+)
+@click.option(
     "--emulate",
     "emulated",
     is_flag=True,
@@ -61,7 +67,7 @@ Exit codes
 @click.pass_context
 @name_lines
 def controller_command(
-    context: click.Context, /, file: Path, out: Path | None, other: Path | None, *, emulated: bool
+    context: click.Context, /, file: Path, out: Path | None, other: Path | None, *, prefix: str | None, emulated: bool
 ) -> None:
     """Read, make, write, print."""
     from mbsgen.output import check_folder, write_folder
@@ -84,11 +90,13 @@ def controller_command(
     guess = None if other is None else find_guess(other, problem, plant)
     try:
         with MESSAGES.status("making the controller"):
-            made = make(problem, plant, models[-1], guess, emulated=emulated)
+            made = make(problem, plant, models[-1], guess, prefix=prefix, emulated=emulated)
     except UnsolvedError as error:
         say(f"{file}: {error}")
         context.exit(NOT_SOLVED)
     write_folder(made.files, out)
+    if notice := describe_name(made):
+        say(f"note: {notice}")
     _print_summary(made, out)
 
 

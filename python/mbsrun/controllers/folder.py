@@ -58,6 +58,7 @@ class Manifest(_Part):
     format: Literal["mbsrun controller 1"]
     generator: str
     prefix: str = Field(pattern=NAME)  # every name in C begins with it
+    symbols: str = Field(pattern=NAME)  # every symbol in the object files begins with it: the prefix, and a hash
     problem: str
     problem_hash: str
     model: str

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
 from mbsrun.controllers import folder as folders
+from mbsrun.controllers.sources import PLAIN
 from mbsrun.library import compile_library, find_compiler
 
 Array = NDArray[np.float64]
@@ -101,14 +102,13 @@ class Controller:
         self.manifest = folders.read(self.folder)
         self._name = self.manifest.prefix
         self._ffi: Any = cffi.FFI()
-        for header in ("mbs_stages.h", f"{self._name}.h"):
-            self._ffi.cdef(_declare(self.folder / header))
-        self._ffi.cdef(_INSIDE.format(self._name))
+        self._ffi.cdef(_declare(self.folder / "mbs_stages.h"))
+        self._ffi.cdef(self._tag(_declare(self.folder / f"{self._name}.h") + _INSIDE.format(self._name)))
         self._statuses = _name_statuses(self._ffi)
         compiler = find_compiler(os.environ)
         sources = self.manifest.sources
         rows = [name for name in sources if name.startswith("mbs_stages_")]
-        self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows)
+        self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows, replaced=PLAIN)
         self._library: Any = self._ffi.dlopen(str(self.library))
         size = self._call("bytes")
         self._memory = self._ffi.new("char[]", size + _ALIGNMENT)
@@ -222,7 +222,11 @@ class Controller:
     # --- the C side ---
 
     def _call(self, function: str, *arguments: Any) -> Any:
-        return getattr(self._library, f"{self._name}_{function}")(*arguments)
+        return getattr(self._library, f"{self.manifest.symbols}_{function}")(*arguments)
+
+    def _tag(self, declarations: str) -> str:
+        """Return declarations of functions by their symbols in the library."""
+        return re.sub(rf"\b{self._name}(?=_\w+\()", self.manifest.symbols, declarations)
 
     def _pass(self, array: Array) -> Any:
         return self._ffi.cast("double *", array.ctypes.data)

@@ -8,15 +8,18 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME, Kernel
 from mbsgen.roles import Role
@@ -70,11 +73,13 @@ def make(
     model: Path,
     guess: Trajectory | None = None,
     *,
+    prefix: str | None = None,
     emulated: bool = False,
 ) -> Made:
     """Make a controller; `emulated`: run it on an emulated microcontroller too, for the report.
 
-    Raises ProblemError, UnsolvedError, the errors of generation and compilation, and BareError.
+    `prefix`: names in C begin with it, in place of the problem's name. Raises ProblemError, UnsolvedError, the errors
+    of generation and compilation, and BareError.
     """
     refusals = find_refusals(problem, plant.manifest)
     if refusals:
@@ -93,7 +98,7 @@ def make(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
     design = Design(
-        name=choose_name(problem.name, kernels.manifest.prefix),
+        name=choose_name(problem.name, kernels.manifest.prefix, prefix),
         version=kernels.manifest.generator.split()[-1],
         problem=problem,
         problem_hash=hash_problem(problem),
@@ -104,7 +109,8 @@ def make(
         guess=place_guess(transcription, tables, start, plant),
         prediction=choose_prediction(kernels, tables),
     )
-    copied = merge(read_solver(), read_kernels(place, kernels.manifest, list_kernels(design)))
+    used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)
+    copied = merge(read_solver(), used)
     with tempfile.TemporaryDirectory() as building:
         return _finish(design, copied, Path(building), emulated)
 
@@ -153,13 +159,14 @@ def _load(made: Made, place: Path) -> Controller:
 def _assemble(design: Design, copied: Mapping[str, str], figures: Figures) -> Made:
     """Put all files together, with the manifest, the report and the files of builds."""
     from mbsgen.targets.layout import lay_out
+    from mbsgen.targets.symbols import seal
 
-    files = merge(copied, write_files(design, figures.cost))
+    files, symbols = seal(merge(copied, write_files(design, figures.cost)), design.name)
     programs = {f"{design.name}_{program}.c" for program in ("main", "check")}
     sources = tuple(sorted(name for name in files if name.endswith(".c") and name not in programs))
     lists = lay_out("controller/CMakeLists.txt", name=design.name, version=design.version, sources=sources)
     files |= {"CMakeLists.txt": lists, REPORT: write_report(design, figures)}
-    manifest = describe(design, sources, tuple(sorted((*files, FILE_NAME))), figures)
+    manifest = describe(design, symbols, sources, tuple(sorted((*files, FILE_NAME))), figures)
     return Made(files | {FILE_NAME: folders.write(manifest)}, manifest, UNKNOWN)
 
 
@@ -192,7 +199,9 @@ UNSOLVED = Figures(double=0, single=0, stack={}, compiler="", iterations=0, cost
 UNKNOWN = Result("not prepared", "", None, 0, 0.0, 0.0, 0.0)
 
 
-def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], figures: Figures) -> folders.Manifest:
+def describe(
+    design: Design, symbols: str, sources: tuple[str, ...], files: tuple[str, ...], figures: Figures
+) -> folders.Manifest:
     """Describe a controller."""
     manifest, layout = design.manifest, design.transcription.layout
     units = {c.name: c.unit for c in manifest.coordinates}
@@ -219,6 +228,7 @@ def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], f
         format=folders.FORMAT,
         generator=manifest.generator,
         prefix=design.name,
+        symbols=symbols,
         problem=design.problem.name,
         problem_hash=design.problem_hash,
         model=manifest.model,
@@ -233,7 +243,7 @@ def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], f
         scale=scale_cost(design.problem),
         barrier=choose_barrier(design.problem, figures.cost),
         memory=folders.Memory(double=figures.double, single=figures.single),
-        functions=name_functions(design),
+        functions=tuple(name.replace(design.symbols, symbols) for name in name_functions(design)),
         sources=sources,
         files=files,
     )
@@ -242,12 +252,43 @@ def describe(design: Design, sources: tuple[str, ...], files: tuple[str, ...], f
 # --- the problem ---------------------------------------------------------------------------------------------------
 
 
-def choose_name(problem: str, model: str) -> str:
-    """Return the name of a controller in C; no name of its model begins as it does."""
+def choose_name(problem: str, model: str, prefix: str | None = None) -> str:
+    """Return the name of a controller in C; no name of its model begins as it does. Raises OptionError for a prefix."""
     from mbsgen.targets.names import mangle
+    from mbsgen.targets.symbols import check_prefix
 
+    if prefix is not None:
+        return check_prefix(prefix, model, _list_words())
     name = mangle(problem)
-    return f"{name}_controller" if name == model else name
+    return f"{name}_controller" if name == model or name in _list_words() else name
+
+
+@cache
+def _list_words() -> frozenset[str]:
+    """List the words of the C around a controller, and of its headers, which cannot be the name of a type too."""
+    texts = (path.read_text(encoding="utf-8") for path in (resources.folder("templates") / "controller").glob("*.c.j2"))
+    code = (re.sub(r"/\*.*?\*/|\"[^\"\n]*\"|\{[{%].*?[}%]\}", " ", text, flags=re.DOTALL) for text in texts)
+    return frozenset(_KEYWORDS.split()) | {word for text in code for word in re.findall(r"[A-Za-z]\w*", text)}
+
+
+# Of C, and functions of its library that gcc knows, or that headers around controllers declare.
+_KEYWORDS = """
+auto break case char const continue default do double else enum extern float for goto if inline int long register
+restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true false
+class delete new namespace operator private public template this throw try using virtual
+abort abs acos asin atan atan2 atexit atof atoi bsearch calloc ceil clearerr cos cosh div exit exp fabs fclose feof
+fflush floor fmod fopen fprintf fputs fread free frexp fscanf fseek ftell fwrite getc getchar getenv gets index labs
+ldexp ldiv log log10 malloc memchr memcmp memcpy memmove memset modf perror pow printf putc putchar puts qsort raise
+rand random realloc remove rename rewind rindex round scanf signal sin sinh size_t sprintf sqrt srand sscanf strcat
+strcmp strcpy strlen system tan tanh tmpfile trunc ungetc
+"""
+
+
+def describe_name(made: Made) -> str:
+    """Return a notice where the names in C do not begin with the problem's name; else an empty text."""
+    from mbsgen.targets.symbols import describe_mangling
+
+    return describe_mangling(made.manifest.problem, made.manifest.prefix)
 
 
 def hash_problem(problem: Problem) -> str:

@@ -20,6 +20,7 @@ import cffi
 from mbsgen.manifest import Manifest
 from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import Emulation
+from mbsrun.controllers.sources import PLAIN
 from mbsrun.library import CompileError, Compiler, compile_library, write_graphs
 from mbsrun.ocp.stages import formulas
 from mbsrun.ocp.stages.calls import name_called
@@ -90,17 +91,17 @@ SINGLE = ("-O0", "-DMBS_STAGES_FLOAT")  # quick to compile, for counting bytes
 def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) -> int:
     """Return the bytes that a controller needs in single precision; it is compiled for this alone."""
     quick = replace(compiler, flags=(*compiler.flags, *SINGLE))
-    library = compile_library(place, manifest.prefix, manifest.sources, quick)
+    library = compile_library(place, manifest.prefix, manifest.sources, quick, replaced=PLAIN)
     ffi = cffi.FFI()
-    ffi.cdef(f"size_t {manifest.prefix}_bytes(void);")
-    return int(getattr(ffi.dlopen(str(library)), f"{manifest.prefix}_bytes")())
+    ffi.cdef(f"size_t {manifest.symbols}_bytes(void);")
+    return int(getattr(ffi.dlopen(str(library)), f"{manifest.symbols}_bytes")())
 
 
 def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) -> Mapping[str, int]:
     """Return the bytes of stack below each function of the interface; none where the compiler writes no call graphs."""
     name = manifest.prefix
     try:
-        graphs = read_graphs(write_graphs(place, name, manifest.sources, compiler))
+        graphs = read_graphs(write_graphs(place, name, manifest.sources, compiler, PLAIN))
     except CompileError:
         return {}
     callbacks = (*(f"{name}.c:find_{x}" for x in ("values", "jacobians", "hessian")), f"{name}.c:read_clock")
@@ -109,4 +110,4 @@ def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) 
     pointers["mbs_stages_recursion.c"] = list_tasks("mbs_stages_")
     rules = Rules(pointers, depth=2)
     roots = ["create", "solve", "prepare", "feedback", *(["predict"] if manifest.predicts else [])]
-    return {root: find_deepest(graphs, [f"{name}_{root}"], rules).bytes for root in roots}
+    return {root: find_deepest(graphs, [f"{manifest.symbols}_{root}"], rules).bytes for root in roots}

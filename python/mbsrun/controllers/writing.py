@@ -15,6 +15,7 @@ from mbsgen.manifest import Argument, Kernel, Manifest
 from mbsgen.roles import Role
 from mbsrun.controllers.arrays import Arrays, Wrap, repeat, split, write_kinds, write_real
 from mbsrun.controllers.fields import DESIGN, MASSES, NUMBERS, Sources
+from mbsrun.controllers.sources import PRIVATE, identify_solver, list_shared, name_kernel
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.methods import choose
 from mbsrun.ocp.problem import Problem
@@ -41,6 +42,18 @@ class Design:
     sources: Sources
     guess: Array
     prediction: tuple[Kernel, ...]  # kernels that give accelerations and rates; none: the model's own motion is unknown
+
+    @property
+    def symbols(self) -> str:
+        """Return the beginning of all symbols, with the place of the tag."""
+        from mbsgen.targets.symbols import tag
+
+        return tag(self.name)
+
+    @property
+    def kernel_symbols(self) -> str:
+        """Return the beginning of the symbols of kernels."""
+        return f"{self.symbols}_{self.manifest.prefix}"
 
 
 @dataclass(frozen=True)
@@ -97,6 +110,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     from mbsgen.targets.entries import identify
     from mbsgen.targets.layout import lay_out
     from mbsgen.targets.statements import wrap
+    from mbsgen.targets.symbols import OPEN
 
     name, sources, tables, problem = design.name, design.sources, design.tables, design.problem
     layout, manifest = design.transcription.layout, design.manifest
@@ -117,6 +131,11 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     given = tuple(_list_given(design))
     common = {
         "name": name,
+        "prefix": name,
+        "own": design.symbols,
+        "open": OPEN,
+        "private": PRIVATE,
+        "solver": identify_solver(),
         "version": design.version,
         "problem_hash": design.problem_hash,
         "model_hash": manifest.model_hash,
@@ -140,7 +159,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}.c": lay_out(
             "controller/controller.c",
             given=given,
-            setup=setup.symbol if setup else "",
+            setup=name_kernel(setup, manifest, design.kernel_symbols) if setup else "",
             setup_arguments=len(setup.inputs) if setup else 0,
             setup_place=_find_place(setup, Role.PARAMETER),
             masses=sources.place(MASSES) if setup else 0,
@@ -156,7 +175,19 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}_guess.c": lay_out("controller/guess.c", guess=wrap(map(write_real, design.guess)), **common),
         f"{name}.pc": lay_out("controller/controller.pc", **common),
     }
-    return {**parts, **_write_tables(design, common, wrap), **write_formulas(design)}
+    parts |= {**_write_tables(design, common, wrap), **write_formulas(design)}
+    symbols = [(text, text.replace(name, design.symbols, 1)) for text in _list_declared(name, parts)]
+    return {
+        **parts,
+        f"{name}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
+        PRIVATE: lay_out("c/private.h", shared=list_shared(), **common),
+    }
+
+
+def _list_declared(name: str, parts: Mapping[str, str]) -> tuple[str, ...]:
+    from mbsgen.targets.symbols import find_declared
+
+    return find_declared(name, (parts[f"{name}.h"], parts[f"{name}_tables.h"]))
 
 
 def _list_options(problem: Problem) -> Iterator[_Option]:
@@ -187,8 +218,8 @@ def choose_barrier(problem: Problem, cost: float, share: float = BARRIER) -> flo
 def write_formulas(design: Design) -> dict[str, str]:
     """Write the functions that are made of expressions."""
     return {
-        f"{name}.c": formulas.write(function.formula, name, function.derivative)
-        for function, name in zip(design.tables.functions, name_functions(design), strict=True)
+        f"{design.name}_formula{k}.c": formulas.write(function.formula, name, function.derivative)
+        for k, (function, name) in enumerate(zip(design.tables.functions, name_functions(design), strict=True))
         if isinstance(function, FormulaFunction)
     }
 
@@ -196,9 +227,9 @@ def write_formulas(design: Design) -> dict[str, str]:
 def name_functions(design: Design) -> tuple[str, ...]:
     """Name the functions of the tables in C."""
     return tuple(
-        f"{design.name}_formula{k}"
+        f"{design.symbols}_formula{k}"
         if isinstance(function, FormulaFunction)
-        else design.manifest.kernel(name_called(function)).symbol
+        else name_kernel(design.manifest.kernel(name_called(function)), design.manifest, design.kernel_symbols)
         for k, function in enumerate(design.tables.functions)
     )
 
@@ -319,4 +350,5 @@ def _write_call(kernel: Kernel, design: Design, given: Sequence[_Given]) -> _Cal
 
     result = next(k for k, a in enumerate(kernel.outputs) if a.role is role)
     to = nq if role is Role.ACCELERATION else 0
-    return _Call(kernel.symbol, tuple(map(write, kernel.inputs)), len(kernel.outputs), result, to)
+    own = name_kernel(kernel, design.manifest, design.kernel_symbols)
+    return _Call(own, tuple(map(write, kernel.inputs)), len(kernel.outputs), result, to)

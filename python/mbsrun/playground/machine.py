@@ -92,12 +92,12 @@ def describe_controller(folder: Path, manifest: Manifest) -> dict[str, Any]:
             "same model"
         )
     module = compile_module(
-        folder, found.prefix, found.sources, [f"{found.prefix}_{function}" for function in CONTROLLER]
+        folder, found.prefix, found.sources, [f"{found.symbols}_{function}" for function in CONTROLLER]
     )
     return {
         "kind": "controller",
         "name": f"predictive controller {found.problem}",
-        "prefix": found.prefix,
+        "prefix": found.symbols,
         "module": _encode(module),
         "bytes": len(module),
         "fields": [field.name for field in found.data],

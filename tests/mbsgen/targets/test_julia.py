@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from mbsgen import manifest
 from mbsgen.pipeline import Options, generate, make
 from mbsgen.targets.julia import write_string
 from mbsrun import load
@@ -39,9 +40,10 @@ def files(request: pytest.FixtureRequest) -> dict[str, str]:
 
 def test_each_call_passes_what_the_header_declares(files: dict[str, str]) -> None:
     """Names and sizes of the arguments, in their order, from both files."""
-    module = next(text for name, text in files.items() if name.endswith(".jl"))
-    header = files[next(name for name in files if name.endswith(".jl")).replace(".jl", ".h")]
-    calls = CALL.findall(module)
+    prefix = next(name for name in files if name.endswith(".jl")).removesuffix(".jl")
+    module, header = files[f"{prefix}.jl"], files[f"{prefix}.h"]
+    symbols = manifest.Manifest.model_validate_json(files[manifest.FILE_NAME]).symbols
+    calls = [(name.replace(symbols, prefix), types, text) for name, types, text in CALL.findall(module)]
     declared = {
         name: [re.split(r"[\s*]+", argument.strip())[-1] for argument in arguments.split(",")]
         for name, arguments in re.findall(r"^int (\w+_compute_\w+)\(([^;]*)\);", header, re.MULTILINE)
