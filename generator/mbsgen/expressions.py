@@ -25,14 +25,16 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Generic, Literal, TypeVar
 
 from mbsgen.errors import MbsError
 
-MAX_LENGTH = 500  # characters
-MAX_DEPTH = 40
-MAX_NODES = 200
+# Files are untrusted: limits keep what an expression costs, to parse and to differentiate, in proportion to its text.
+MAX_NODES = 4000  # so 4000 characters always pass
+MAX_LENGTH = 12_000  # characters: room for the spaces and brackets with which expressions are written
+MAX_DEPTH = 40  # walks over an expression recurse; sums and products that are longer are halved, again and again
 MAX_POWER = 16  # of one **
 MAX_DEGREE = 64  # of the whole: powers of powers, and products, in the same name or number
 MAX_DIGITS = 64  # characters of one number
@@ -140,7 +142,7 @@ def parse(text: str) -> Expression:
     nodes = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
     if nodes > MAX_NODES:
         raise ExpressionError(f"an expression of {nodes} terms", f"give at most {MAX_NODES}; name its parts")
-    expression = _convert(tree)
+    expression = _convert_plainly(tree)
     if (degree := measure(expression).degree) > MAX_DEGREE:
         raise ExpressionError(f"an expression of degree {degree}", f"give powers and products up to {MAX_DEGREE}")
     return expression
@@ -325,6 +327,8 @@ _DEGREES = re.compile(r"(?<=[\w.)])[ \t\n]+deg(?!\w)(?![ \t\n]*\()", re.ASCII)  
 _OPERATORS: Mapping[type[ast.operator], Literal["+", "-", "*", "/"]] = MappingProxyType(
     {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 )
+_FACTORS = (ast.Mult, ast.Div)
+_SHORT = 4  # terms of a sum, factors of a product, that are not halved
 
 
 def _check_tokens(text: str) -> None:
@@ -357,28 +361,74 @@ def read_double(digits: str) -> float:
     return value
 
 
-def _convert(node: ast.expr, depth: int = 1) -> Expression:
+class _DeepError(ExpressionError):
+    """An expression that is nested too deep."""
+
+
+def _convert_plainly(tree: ast.expr) -> Expression:
+    """Convert an expression in the order in which it is written, unless it is nested too deep for that."""
+    try:
+        return _convert(tree)
+    except (_DeepError, RecursionError):  # recursion: of a finding that shows a part without a meaning
+        pass
+    try:
+        return _convert(tree, halved=True)
+    except RecursionError:
+        raise _DeepError(f"an expression nested deeper than {MAX_DEPTH}", "name its parts") from None
+
+
+def _convert(node: ast.expr, depth: int = 1, *, halved: bool = False) -> Expression:
     if depth > MAX_DEPTH:
-        raise ExpressionError(f"an expression nested deeper than {MAX_DEPTH}", "name its parts")
+        raise _DeepError(f"an expression nested deeper than {MAX_DEPTH}", "name its parts")
+    convert = partial(_convert, halved=halved)
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             return Number(float(value))
         case ast.Name(id=name):
             return Constant(name) if name in CONSTANTS else Name(name)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return Negation(_convert(operand, depth + 1))
+            return Negation(convert(operand, depth + 1))
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return _convert(operand, depth + 1)
+            return convert(operand, depth + 1)
         case ast.BinOp(left=base, op=ast.Pow(), right=exponent):
-            return Power(_convert(base, depth + 1), _exponent(exponent))
+            return Power(convert(base, depth + 1), _exponent(exponent))
+        case ast.BinOp(op=op) if halved and type(op) in _OPERATORS and len(chain := _unroll(node)) > _SHORT:
+            inverse: Literal["-", "/"] = "-" if isinstance(op, (ast.Add, ast.Sub)) else "/"
+            below = depth + len(chain).bit_length()
+            return _halve([(symbol == inverse, convert(term, below)) for symbol, term in chain], inverse)[1]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return Operation(_OPERATORS[type(op)], _convert(left, depth + 1), _convert(right, depth + 1))
+            return Operation(_OPERATORS[type(op)], convert(left, depth + 1), convert(right, depth + 1))
         case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
             _check_call(function, len(arguments))
-            return Call(function, tuple(_convert(argument, depth + 1) for argument in arguments))
+            return Call(function, tuple(convert(argument, depth + 1) for argument in arguments))
     raise ExpressionError(
         f"{_quote(ast.unparse(node))} has no meaning here", "use numbers, names, + - * / ** ( ) and functions"
     )
+
+
+def _unroll(node: ast.expr) -> list[tuple[str, ast.expr]]:
+    """List the terms of a sum, or the factors of a product, each with the sign that stands before it."""
+    kinds = (ast.Add, ast.Sub) if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Add, ast.Sub)) else _FACTORS
+    terms = []
+    while isinstance(node, ast.BinOp) and isinstance(node.op, kinds):
+        terms.append((_OPERATORS[type(node.op)], node.right))
+        node = node.left
+    return [("", node), *reversed(terms)]
+
+
+def _halve(terms: Sequence[tuple[bool, Expression]], inverse: Literal["-", "/"]) -> tuple[bool, Expression]:
+    """Add up terms, or multiply factors, by halves; each comes with whether it is subtracted, or divided by.
+
+    Returns the same of the whole; a first term that is added makes it added.
+    """
+    if len(terms) == 1:
+        return terms[0]
+    plain: Literal["+", "*"] = "+" if inverse == "-" else "*"
+    middle = len(terms) // 2
+    (is_minus, left), (is_also, right) = _halve(terms[:middle], inverse), _halve(terms[middle:], inverse)
+    if is_minus == is_also:
+        return is_minus, Operation(plain, left, right)
+    return False, Operation(inverse, right, left) if is_minus else Operation(inverse, left, right)
 
 
 def _exponent(node: ast.expr) -> int:

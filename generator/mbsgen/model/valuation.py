@@ -17,7 +17,7 @@ from mbsgen.model.model import Parameter, Placement, Triple
 from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_digits, to_double
 from mbsgen.model.tree import Kind
 
-MAX_TERMS = 1000  # of an expression, with all that the parameters in it stand for
+MAX_TERMS = 5000  # of an expression, with all that the parameters in it stand for
 LARGEST = 1e150  # products of two numbers do not overflow
 SMALLEST = 1e-150  # of an angle; its sine has a square that does not vanish
 GENERIC = 0.7390851332151607  # for a run-time parameter that is 0 now, and may be anything later
