@@ -151,6 +151,7 @@ static int advance(mbs_stages *s, mbs_stages_phase *p)
     int failed;
     if (lower_barrier(s, p))
         return MBS_STAGES_OUT_OF_DIGITS;
+    mbs_stages_tighten(s, p);
     if (mbs_stages_phase_hessian(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
     p->theta = mbs_stages_sum(s->rows, p->c);

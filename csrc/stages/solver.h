@@ -124,6 +124,7 @@ struct mbs_stages {
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
+    real relaxation; /* by how much bounds give now */
     real farther;   /* the barrier parameter of a warm start whose first step is short; 0 after the first step */
     int has_units;  /* some variables have a scale other than 1 */
     char *failed; /* stages whose callback gave no result */
@@ -189,6 +190,10 @@ void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs
 /* solve.c: the first point; bounds of all variables and slacks; the iterate for the caller */
 int mbs_stages_start(mbs_stages *s);
 int mbs_stages_set_bounds(mbs_stages *s);
+real mbs_stages_relaxation(const mbs_stages *s, real mu);
+
+/* Let bounds give as little as the barrier parameter allows. */
+void mbs_stages_tighten(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_centre(mbs_stages_phase *p, int i);
 void mbs_stages_write_point(mbs_stages *s);
 
