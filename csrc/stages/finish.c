@@ -12,7 +12,7 @@ static int is_late(const mbs_stages *s)
 }
 
 /* The cost of distances, KAPPA mu, is not in the conditions; it does not vanish where mu stays. */
-static int is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance)
+int mbs_stages_is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance)
 {
     const real most = s->options.violation_tolerance, stays = (real)1.01 * MBS_STAGES_KAPPA * mbs_stages_least_barrier(s);
     return e->scaled <= (tolerance > stays ? tolerance : stays) && e->violation <= most && e->complementarity / s->cost_scale <= most;
@@ -20,7 +20,7 @@ static int is_solved(const mbs_stages *s, const mbs_stages_errors *e, real toler
 
 static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
 {
-    p->acceptable = is_solved(s, e, s->options.acceptable_tolerance) ? p->acceptable + 1 : 0;
+    p->acceptable = mbs_stages_is_solved(s, e, s->options.acceptable_tolerance) ? p->acceptable + 1 : 0;
     return s->options.acceptable_iterations > 0 && p->acceptable >= s->options.acceptable_iterations;
 }
 
@@ -38,7 +38,7 @@ int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors
 {
     if (is_least(s, p))
         return MBS_STAGES_SOLVED;
-    if (is_solved(s, e, s->options.tolerance))
+    if (mbs_stages_is_solved(s, e, s->options.tolerance))
         return MBS_STAGES_SOLVED;
     if (is_acceptable(s, p, e))
         return MBS_STAGES_ACCEPTABLE;
@@ -59,7 +59,7 @@ int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
         return status;
     mbs_stages_find_lagrangian(s, p);
     e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
-    return is_solved(s, &e, s->options.acceptable_tolerance) ? MBS_STAGES_ACCEPTABLE : status;
+    return mbs_stages_is_solved(s, &e, s->options.acceptable_tolerance) ? MBS_STAGES_ACCEPTABLE : status;
 }
 
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)

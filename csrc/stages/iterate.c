@@ -75,7 +75,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 /* Keep z near mu / distance, and the distance from 0. */
 static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
 {
-    const real least = MBS_STAGES_APART * (real_abs(*bound) > 1 ? real_abs(*bound) : 1);
+    const real least = MBS_STAGES_APART * mbs_stages_bound_size(*bound);
     real distance = sign * (*x - *bound);
     if (!(distance > MBS_STAGES_EPSILON * mu)) {
         *bound -= sign * least;
@@ -151,7 +151,6 @@ static int advance(mbs_stages *s, mbs_stages_phase *p)
     int failed;
     if (lower_barrier(s, p))
         return MBS_STAGES_OUT_OF_DIGITS;
-    mbs_stages_tighten(s, p);
     if (mbs_stages_phase_hessian(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
     p->theta = mbs_stages_sum(s->rows, p->c);
@@ -190,6 +189,8 @@ int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
         status = mbs_stages_check(s, p, &errors);
         if (status == MBS_STAGES_RUNNING)
             status = advance(s, p);
+        if (status == MBS_STAGES_SOLVED && !p->elastic)
+            mbs_stages_polish(s, p);
         if (status != MBS_STAGES_RUNNING)
             return mbs_stages_settle(s, p, status);
     }

@@ -89,10 +89,9 @@ static int load(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     int k, i;
-    p->mu = mbs_stages_least_barrier(s);
-    s->relaxation = mbs_stages_relaxation(s, p->mu);
     if (mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
+    p->mu = mbs_stages_least_barrier(s);
     load_variables(s, p);
     for (i = 0; i < s->rows; ++i)
         p->y[i] = s->point.y[i] * s->cost_scale / s->row_scale[i];

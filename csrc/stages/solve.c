@@ -6,8 +6,6 @@
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
 #define LEAST_SCALE ((real)1e-8)
-#define FAR ((real)10)   /* products of distance and multiplier below mu, that a tighter bound made */
-#define GIVE ((real)0.01) /* of bounds, beside the barrier parameter */
 #define MOST ((real)2e-4) /* barrier parameter that a warm start needs for its violation: larger ones leave the plan */
 
 static const real NONE = 2 * MBS_STAGES_INFINITE;
@@ -26,18 +24,6 @@ mbs_stages_options mbs_stages_default_options(void)
     o.push = (real)0.01;
     o.relax = few ? (real)3e-5 : (real)1e-8;
     return o;
-}
-
-/* Bounds give by `relax`, so that there is an interior where bounds, and rows beside them, leave one point alone: where a
- * motion ends at a limit, for instance. Multipliers there would be infinite; now they are mu / relaxation. Once mu has
- * fallen below `relax` / GIVE, the relaxation is GIVE mu, and these multipliers stay at 1 / GIVE. So a solution violates
- * bounds by some 1e-11 of their size. */
-real mbs_stages_relaxation(const mbs_stages *s, real mu)
-{
-    const real small = GIVE * mu < s->options.relax ? GIVE * mu : s->options.relax;
-    if (!(s->options.relax > 0))
-        return 0;
-    return small > MBS_STAGES_APART ? small : MBS_STAGES_APART;
 }
 
 static real bound(const real *bounds, int i, real none, real factor)
@@ -84,8 +70,7 @@ static int set_scales(mbs_stages *s)
 
 static real relaxed(real bound, real amount)
 {
-    const real size = real_abs(bound) > 1 ? real_abs(bound) : 1;
-    return mbs_stages_has(bound) ? bound + amount * size : bound;
+    return mbs_stages_has(bound) ? bound + amount * mbs_stages_bound_size(bound) : bound;
 }
 
 /* Bounds of variables or slacks from `at` on; returns how many are equal, or -1 if they are no bounds. */
@@ -100,8 +85,8 @@ static int set_bounds(mbs_stages *s, int at, int n, const real *lower, const rea
         if (!(a <= b) || a >= MBS_STAGES_INFINITE || b <= -MBS_STAGES_INFINITE)
             return -1;
         s->fixed[at + i] = a == b;
-        p->lower[at + i] = a == b ? a : relaxed(a, -s->relaxation);
-        p->upper[at + i] = a == b ? b : relaxed(b, s->relaxation);
+        p->lower[at + i] = a == b ? a : relaxed(a, -s->options.relax);
+        p->upper[at + i] = a == b ? b : relaxed(b, s->options.relax);
         equal += a == b;
     }
     return equal;
@@ -128,48 +113,6 @@ int mbs_stages_set_bounds(mbs_stages *s)
             return -1;
     }
     return 0;
-}
-
-/* A number that is outside of its bounds, or much nearer to one than its multiplier says, goes to mu / z from it.
- * Returns whether it goes. */
-static int pull_inside(mbs_stages_phase *p, int i)
-{
-    const int below = mbs_stages_has(p->lower[i]), above = mbs_stages_has(p->upper[i]);
-    const real most = below && above ? (p->upper[i] - p->lower[i]) / 2 : NONE;
-    const real a = p->zl[i] > 0 ? p->mu / p->zl[i] : most, b = p->zu[i] > 0 ? p->mu / p->zu[i] : most;
-    if (below && !(p->x[i] - p->lower[i] > a / FAR))
-        p->x[i] = p->lower[i] + (a < most ? a : most);
-    else if (above && !(p->upper[i] - p->x[i] > b / FAR))
-        p->x[i] = p->upper[i] - (b < most ? b : most);
-    else
-        return 0;
-    return 1;
-}
-
-static int relax(mbs_stages *s, real relaxation)
-{
-    s->relaxation = relaxation;
-    return mbs_stages_set_bounds(s);
-}
-
-/* Where the rows have no values at the numbers that must go, bounds stay as they are. */
-void mbs_stages_tighten(mbs_stages *s, mbs_stages_phase *p)
-{
-    const real before = s->relaxation, after = mbs_stages_relaxation(s, p->mu), cost = p->cost;
-    int i, moved = 0;
-    if (p->elastic || !(after < before))
-        return;
-    memcpy(p->trial, p->x, (size_t)p->size * sizeof *p->x);
-    memcpy(p->trial_c, p->c, (size_t)s->rows * sizeof *p->c);
-    relax(s, after);
-    for (i = 0; i < p->size; ++i)
-        moved |= !s->fixed[i] && pull_inside(p, i);
-    if (!moved || mbs_stages_phase_values(s, p, p->x, &p->cost, p->c) == 0)
-        return;
-    memcpy(p->x, p->trial, (size_t)p->size * sizeof *p->x);
-    memcpy(p->c, p->trial_c, (size_t)s->rows * sizeof *p->c);
-    p->cost = cost;
-    relax(s, before);
 }
 
 static void start_variables(mbs_stages *s)
@@ -365,7 +308,6 @@ int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p)
     if (!(mu > p->mu))
         return 0;
     p->mu = mu;
-    relax(s, mbs_stages_relaxation(s, p->mu));
     start_warm(s, p);
     if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
         return -1;
@@ -379,17 +321,17 @@ int mbs_stages_start(mbs_stages *s)
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
     const int keeps = o->warm && s->has_scales;
-    if ((!keeps && set_scales(s)) || relax(s, o->relax))
+    if ((!keeps && set_scales(s)) || mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
     if (!keeps && scale_functions(s))
         return MBS_STAGES_CALLBACK_FAILED;
     s->has_scales = 1;
-    p->mu = first_barrier(s);
-    if (relax(s, mbs_stages_relaxation(s, p->mu))) /* bounds that are nearly equal may become equal by scaling */
+    if (!keeps && mbs_stages_set_bounds(s)) /* bounds that are nearly equal may become equal by scaling */
         return MBS_STAGES_BAD_PROBLEM;
     if (start_slacks(s))
         return MBS_STAGES_CALLBACK_FAILED;
+    p->mu = first_barrier(s);
     s->farther = 0;
     if (!o->warm)
         start_bounds(s, p);

@@ -40,6 +40,12 @@ static inline int mbs_stages_has(real bound)
     return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
+/* What a relative change of a bound refers to. */
+static inline real mbs_stages_bound_size(real bound)
+{
+    return real_abs(bound) > 1 ? real_abs(bound) : 1;
+}
+
 /* Pairs (violation, barrier function) that no later iterate may be worse than in both. */
 typedef struct {
     int count;
@@ -124,7 +130,6 @@ struct mbs_stages {
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
-    real relaxation; /* by how much bounds give now */
     real farther;   /* the barrier parameter of a warm start whose first step is short; 0 after the first step */
     int has_units;  /* some variables have a scale other than 1 */
     char *failed; /* stages whose callback gave no result */
@@ -182,7 +187,11 @@ int mbs_stages_restore(mbs_stages *s);
 int mbs_stages_restored(mbs_stages *s);
 real mbs_stages_worst_violation(const mbs_stages *s);
 
+/* polish.c: a solution within bounds that give, put back on the bounds */
+void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p);
+
 /* finish.c */
+int mbs_stages_is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance);
 int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e);
 int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status);
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e);
@@ -190,10 +199,6 @@ void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs
 /* solve.c: the first point; bounds of all variables and slacks; the iterate for the caller */
 int mbs_stages_start(mbs_stages *s);
 int mbs_stages_set_bounds(mbs_stages *s);
-real mbs_stages_relaxation(const mbs_stages *s, real mu);
-
-/* Let bounds give as little as the barrier parameter allows. */
-void mbs_stages_tighten(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_centre(mbs_stages_phase *p, int i);
 void mbs_stages_write_point(mbs_stages *s);
 
