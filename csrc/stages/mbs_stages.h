@@ -127,7 +127,7 @@ typedef struct {
     mbs_stages_real least_barrier;        /* solve for this barrier parameter, in units of the cost; 0: as low as the
                                            * tolerance asks for (in real time: 1e-4) */
     mbs_stages_real relax;                /* bounds that are not equal give by this part of their size, or of 1, while
-                                           * a solve goes on: 1e-8 (float: 3e-5) */
+                                           * a solve goes on: 1e-8 (float: 1e-5) */
     int follow;                           /* 1: where a trial is refused, inner variables are solved for anew, as if
                                            * they were functions of the others: 0 */
     mbs_stages_real most_violation;       /* in real time: the violation of scaled rows from which on a plan has

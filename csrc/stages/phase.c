@@ -7,6 +7,7 @@
 #include <string.h>
 
 #define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
+#define FORGIVEN ((real)100) /* most that errors are scaled by: multipliers that diverge are no solution */
 
 real mbs_stages_sum(int n, const real *c)
 {
@@ -221,7 +222,8 @@ real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, con
 static real size_of(real sum, int count)
 {
     const real mean = count > 0 ? sum / (real)count : 0;
-    return mean > USUAL ? mean / USUAL : 1;
+    const real size = mean > USUAL ? mean / USUAL : 1;
+    return size < FORGIVEN ? size : FORGIVEN;
 }
 
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu)

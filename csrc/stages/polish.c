@@ -10,7 +10,6 @@
 
 #include <string.h>
 
-#define DEAR ((real)1e-6) /* share of the cost that the last digits of bounds should not decide */
 #define STEPS 3
 
 /* How far the caller's bound is from the one that gives. */
@@ -80,7 +79,7 @@ static int evaluate(mbs_stages *s, mbs_stages_phase *p)
 static int make_step(mbs_stages *s, mbs_stages_phase *p)
 {
     real dual, length;
-    if (mbs_stages_phase_hessian(s, p) || mbs_stages_newton_factorise(s, p) || p->added > 0)
+    if (mbs_stages_phase_hessian(s, p) || mbs_stages_newton_factorise(s, p))
         return -1;
     mbs_stages_stationarity(s, p, 1, p->slope);
     mbs_stages_newton_solve(s, p, p->c, &p->step);
@@ -116,7 +115,7 @@ void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
 {
     const real price = find_price(s, p), cost = p->cost;
     int i;
-    if (!(price > 0) || price > DEAR * real_abs(cost))
+    if (!(price > 0) || price > MBS_STAGES_DEAR * real_abs(cost))
         return;
     keep(s, p, 0);
     tighten(s, p);

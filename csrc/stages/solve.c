@@ -22,7 +22,7 @@ mbs_stages_options mbs_stages_default_options(void)
     o.iterations = 3000;
     o.scaled = 1;
     o.push = (real)0.01;
-    o.relax = few ? (real)3e-5 : (real)1e-8;
+    o.relax = few ? (real)1e-5 : (real)1e-8;
     return o;
 }
 

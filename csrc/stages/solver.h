@@ -15,6 +15,7 @@
 #define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
 #define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
 #define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
+#define MBS_STAGES_DEAR 1e-3f /* share of the cost that the last digits of bounds should not decide */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
@@ -25,6 +26,7 @@
 #define MBS_STAGES_ZERO 1.5e-8
 #define MBS_STAGES_GROWTH 5e4
 #define MBS_STAGES_SMALL 1e-4
+#define MBS_STAGES_DEAR 1e-6
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)

@@ -129,14 +129,17 @@ class Transcription:
         return states
 
     def _list_given_states(self, problem: Problem) -> Indices:
-        """List the states that the problem adds where it gives their values, at the start and at the end.
+        """List the states where the problem gives their values, at the start and at the end, within their bounds.
 
         They need no bounds. A value on a bound would leave no interior to methods of interior points.
         """
-        extras = self.layout.extras
+        extras, layout = self.layout.extras, self.layout
         starts, ends = [extras.states[0]], [extras.states[-1]]
+        motions = [layout.mesh[0]], [layout.mesh[-1]]
         if self.scheme.ends_interval and extras.point_states.size:
             ends.append(extras.point_states[-1, -1])  # the same state again
+        if self.scheme.ends_interval and layout.points.size:
+            motions[1].append(layout.points[-1, -1])
         found = [
             index[i]
             for i, state in enumerate(problem.every_state)
@@ -144,7 +147,26 @@ class Transcription:
             for index in indices
             if least == most
         ]
+        bounds = problem.bounds.q + self._pick(problem.bounds.qd)
+        for indices, values in zip(motions, (self._list_start(problem), self._list_end(problem)), strict=True):
+            kept = [i for i, value in values.items() if bounds[i][0] <= value <= bounds[i][1]]
+            found += [index[i] for index in indices for i in kept]
         return np.array(found, dtype=np.int64)
+
+    def _list_start(self, problem: Problem) -> dict[int, float]:
+        """Return the given values of a mechanism's first state, (q, velocities), by entry."""
+        nq, velocities = self.layout.nq, self.layout.motions.velocities
+        whole = {i: value for i, value in enumerate(problem.start_q) if i not in problem.free_start}
+        moving = enumerate(velocities)
+        return whole | {nq + k: problem.start_qd[i] for k, i in moving if nq + i not in problem.free_start}
+
+    def _list_end(self, problem: Problem) -> dict[int, float]:
+        """Return the given values of a mechanism's last state, without quaternions, by entry."""
+        nq, motions, end = self.layout.nq, self.layout.motions, problem.end
+        resting = [i for i in motions.independent if i not in motions.driven]
+        places = {i: value for i, value in end.coordinates if find_quaternion(self.quaternions, i) is None}
+        speeds = dict(end.velocities) | (dict.fromkeys(resting, 0.0) if end.velocity_zero else {})
+        return places | {nq + motions.velocities.index(i): value for i, value in speeds.items()}
 
     def _bound_inputs(self, problem: Problem) -> list[tuple[Indices, Array]]:
         """List the inputs and controls with their bounds."""
