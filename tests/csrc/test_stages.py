@@ -18,7 +18,20 @@ import pytest
 from mbsrun.library import find_compiler
 from tests.csrc.stage_problems import assemble, far_guesses, free, nonlinear, too_weak
 from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem, random_sizes
-from tests.csrc.stages import STRICT, Answer, Array, Kind, Library, Problem, Quadratic, Solver, clashes, close, sources
+from tests.csrc.stages import (
+    INFINITE,
+    STRICT,
+    Answer,
+    Array,
+    Kind,
+    Library,
+    Problem,
+    Quadratic,
+    Solver,
+    clashes,
+    close,
+    sources,
+)
 
 
 @pytest.fixture(params=["library", "single"], ids=["double", "float"])
@@ -85,6 +98,42 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
     assert max(problem.residuals(*answer.point)) < 1e-8
     if seed % 2 == 0:
         assert close(answer.w, solution["x"], 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_solutions_keep_their_bounds_to_the_last_digits(library: Library, seed: int) -> None:
+    """Bounds give in a solve. Where that decides little, whole steps put the solution back; else it stays."""
+    problem = random_problem(np.random.default_rng(seed), [(2, 3, 1, 2)] * 8 + [(2, 1, 0, 0)], bounds=0.6, width=0.05)
+    exact, loose = Solver(library, problem).solve(), Solver(library, problem).solve(relax=1e-4)
+    sizes = np.maximum(np.minimum(np.abs(problem.lower), np.abs(problem.upper)), 1.0)
+    for answer, most in ((exact, 1e-11), (loose, 1e-4)):
+        assert answer.status == "solved"
+        assert (np.maximum(problem.lower - answer.w, answer.w - problem.upper) <= most * sizes).all()
+    assert loose.result.cost < exact.result.cost * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("least", [1.0, 1.0 - 1e-9])
+def test_an_interior_may_be_empty(library: Library, least: float) -> None:
+    """min (v - 3)^2 + (w - 3)^2 with v + w = 2, v <= 1, w <= 1, and rows for v >= `least` and v <= 1: v = w = 1."""
+    problem = Quadratic(
+        [(0, 2, 1, 2)],
+        [np.eye(2) * 2],
+        [np.full(2, -6.0)],
+        [np.zeros((0, 2))],
+        [np.zeros(0)],
+        [np.array([[1.0, 1.0]])],
+        [np.array([-2.0])],
+        [np.array([[1.0, 0.0], [1.0, 0.0]])],
+        np.full(2, -INFINITE),
+        np.ones(2),
+        np.array([least, -INFINITE]),
+        np.array([INFINITE, 1.0]),
+        np.zeros(2),
+    )
+    answer = Solver(library, problem).solve()
+    assert answer.status == "solved"
+    assert close(answer.w, np.ones(2), 3e-8)
+    assert answer.result.iterations < 20
 
 
 def test_corrected_products_save_iterations(library: Library) -> None:

@@ -512,21 +512,34 @@ def test_cost_is_the_stated_one(arm: Peer, reach: Problem, rng: np.random.Genera
 
 
 def test_bounds_hold_at_mesh_and_collocation_points(arm: Peer, reach: Problem) -> None:
-    """Bounds of coordinates and velocities at all N (d + 1) + 1 points, bounds of inputs in all intervals."""
+    """Bounds of coordinates and velocities at all N (d + 1) + 1 points where they are unknown, of inputs everywhere."""
     free = (-np.inf, np.inf)
     bounds = Bounds(reach.bounds.q, ((-7.0, 8.0), *(free,) * 5), ((-1.0, 2.0), *(free,) * 3))
     problem = replace(small(reach, Family.RADAU, 4), bounds=bounds)
     transcription = transcribe(problem, arm)
     lower, upper = (transcription.unpack(x) for x in transcription.variable_bounds(problem))
-    for q_lower, q_upper in ((lower.q, upper.q), (lower.point_q, upper.point_q)):
+    assert np.isneginf(lower.q[0]).all()
+    assert np.isposinf(upper.qd[[0, -1]]).all()
+    assert np.isposinf(upper.point_qd[-1, -1]).all()
+    for q_lower, q_upper in ((lower.q[1:], upper.q[1:]), (lower.point_q, upper.point_q)):
         assert (q_lower == np.array(reach.bounds.q)[:, 0]).all()
         assert (q_upper == np.array(reach.bounds.q)[:, 1]).all()
-    assert (lower.point_qd[..., 0] == -7).all()
-    assert (upper.qd[:, 0] == 8).all()
+    assert (lower.point_qd.reshape(-1, 6)[:-1, 0] == -7).all()
+    assert (upper.qd[1:-1, 0] == 8).all()
     assert (lower.u[:, 0] == -1).all()
     assert (upper.u[:, 0] == 2).all()
     assert np.isneginf(lower.point_qdd).all()
     assert np.isposinf(upper.u[:, 1:]).all()
+
+
+def test_given_values_beyond_their_bounds_keep_these(arm: Peer, reach: Problem) -> None:
+    """So a start or an end that contradicts a bound is a contradiction for the solver, too."""
+    start = (reach.bounds.q[0][1] + 0.1, *reach.start_q[1:])
+    problem = replace(small(reach, Family.RADAU, 4), start_q=start)
+    transcription = transcribe(problem, arm)
+    lower, upper = (transcription.unpack(x) for x in transcription.variable_bounds(problem))
+    assert (lower.q[0, 0], upper.q[0, 0]) == reach.bounds.q[0]
+    assert np.isposinf(upper.q[0, 1:]).all()
 
 
 def test_values_alone_do_not_shape_the_program(reach: Problem) -> None:
