@@ -35,6 +35,7 @@ def solve_file(
     choose: Callable[[Problem], Problem],
     solver: str | None,
     threads: int | None = None,
+    fallback: bool | None = None,
     accuracy: float | None = None,
     wish: Wish | None = None,
 ) -> int:
@@ -49,6 +50,8 @@ def solve_file(
         problem = replace(problem, solver=problem.solver.with_method(solver))
     if threads is not None:
         problem = replace(problem, solver=replace(problem.solver, threads=threads))
+    if fallback is not None:
+        problem = replace(problem, solver=replace(problem.solver, fallback=fallback))
     if accuracy is not None:
         problem = _ask(problem, accuracy)
     has_own = any(phase.problem.guess.solution is not None for phase in problem.phases)
@@ -73,6 +76,8 @@ def solve_file(
         written = write_files(outcome, plants, out)
     for name, value in summarise_phases(outcome).items():
         click.echo(write_line(name, value, 24))
+    if outcome.run.instead:
+        say(f"note: {outcome.run.instead}")
     say(f"wrote {list_written(out, written)}")
     shortcomings = list_phased_shortcomings(outcome)
     for shortcoming in shortcomings:

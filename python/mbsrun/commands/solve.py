@@ -136,6 +136,11 @@ Exit codes
 @click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default mbs, the project's own.")
 @click.option(
+    "--fallback/--no-fallback",
+    default=None,
+    help="Whether IPOPT solves what mbs does not; by default where no method is named.",
+)
+@click.option(
     "--threads", type=click.IntRange(1, MAX_THREADS), help="The number of threads of a solve by mbs; by default 1."
 )
 @click.option(
@@ -226,6 +231,8 @@ def solve_command(
         written = _write(outcome, plant, out)
     for name, value in summarise(outcome).items():
         click.echo(write_line(name, value, 14))
+    if outcome.run.instead:
+        say(f"note: {outcome.run.instead}")
     say(f"wrote {list_written(out, written)}")
     shortcomings = list_shortcomings(outcome)
     if sensitivities and not outcome.sensitivities:
@@ -248,14 +255,14 @@ def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish |
     given = [f"--{name}" for name in SINGLE if choices.pop(name) is not None]
     if given:
         raise click.UsageError(f"{', '.join(given)}: for problems of one phase")
-    solver, threads, accuracy = (choices.pop(name) for name in ("solver", "threads", "refine"))
+    solver, threads, fallback, accuracy = (choices.pop(name) for name in ("solver", "threads", "fallback", "refine"))
     if accuracy is not None:
         _check_accuracy(accuracy)
 
     def choose(problem: Problem) -> Problem:
         return _choose_way(problem, **choices)
 
-    return solve_file(file, out, other, choose, solver, threads, accuracy, wish)
+    return solve_file(file, out, other, choose, solver, threads, fallback, accuracy, wish)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -271,6 +278,7 @@ def _choose(
     problem: Problem,
     solver: str | None,
     threads: int | None,
+    fallback: bool | None,
     refine: float | None,
     **ways: Any,
 ) -> Problem:
@@ -283,6 +291,8 @@ def _choose(
         problem = problem.with_solver(solver)
     if threads is not None:
         problem = replace(problem, solver=replace(problem.solver, threads=threads))
+    if fallback is not None:
+        problem = replace(problem, solver=replace(problem.solver, fallback=fallback))
     if refine is not None:
         _check_accuracy(refine)
         rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds

@@ -22,6 +22,7 @@ from mbsrun.models import find_folder
 from mbsrun.ocp.attempts import is_higher
 from mbsrun.ocp.cluster import open_workers
 from mbsrun.ocp.executor import LocalExecutor, Worker
+from mbsrun.ocp.judging import OTHER, tell_both, wants_other
 from mbsrun.ocp.methods import choose
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
@@ -199,5 +200,8 @@ def _repeat(
     if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
         motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
         found = worker.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
+    if isinstance(found, Failure) and wants_other(study.problem.solver, found.run):
+        asked = replace(study, problem=study.problem.with_solver(OTHER), method=OTHER)
+        found = tell_both(found, worker.solve(Order(asked, trial, motion)))
     found = replace(found, problem=study.state(trial.task))
     return found if isinstance(found, Failure) else replace(found, starts=starts)

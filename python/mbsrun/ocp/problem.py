@@ -277,6 +277,12 @@ class SolverOptions:
     method: SolverName | None = None  # None: see `methods.choose`
     options: tuple[tuple[str, float | int | str], ...] = ()  # by name, as `methods` admits them
     threads: int = 1  # of a solve
+    fallback: bool | None = None  # whether IPOPT solves what `mbs` does not; None: where no method is named
+
+    @property
+    def falls_back(self) -> bool:
+        """Return whether IPOPT solves what `mbs` does not."""
+        return self.method is None if self.fallback is None else self.fallback
 
     def with_method(self, method: SolverName) -> SolverOptions:
         """Return the same options for a method; another one drops the options of the former one.

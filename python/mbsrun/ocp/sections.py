@@ -306,6 +306,7 @@ class SolverSection(Section):
     method: Annotated[str, AfterValidator(_check_solver)] | None = Field(default=None, examples=["ipopt"])
     options: dict[str, bool | int | float | str] = Field(default={}, examples=[{}])
     threads: int = Field(default=SolverOptions.threads, ge=1, le=MAX_THREADS, examples=[2])
+    fallback: bool | None = Field(default=None, examples=[False])
 
 
 class UnknownSection(Section):

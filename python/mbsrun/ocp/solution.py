@@ -34,6 +34,10 @@ class Run:
     cpu_seconds: float = 0.0  # the same, of processor time, which other programs do not lengthen
     cpu_seconds_evaluating: float = 0.0
     method: str = ""  # of the solver, where it was asked
+    decrease: float | None = None  # what the cost could still fall by, to first order, by the judge; None: unknown
+    reach: float | None = None  # the same for its gradient alone, without constraints
+    gap: float | None = None  # of a convex program: its cost above the minimum, at most
+    instead: str = ""  # which method was asked first, and how that ended
 
     @property
     def cpu_seconds_solving(self) -> float:

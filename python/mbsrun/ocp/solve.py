@@ -25,6 +25,7 @@ from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.guess import Pose, adapt, make_guess
+from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
@@ -89,8 +90,18 @@ class Solver:
         """Solve a problem of the same structure from a guess on its grid; `watch` is called in every iteration.
 
         A guess in which the solver finds nothing to improve may be a saddle or a maximum as well, so it is moved a
-        little and solved again. Raises ProblemError for a problem with faults, ValueError for one of another structure.
+        little and solved again. A judge refuses answers whose cost can still fall. Where `mbs` has no answer, IPOPT is
+        asked, if the options permit it; the run says so.
+        Raises ProblemError for a problem with faults, ValueError for one of another structure.
         """
+        first = self._solve(problem, guess, watch)
+        if isinstance(first, Solution) or not wants_other(problem.solver, first.run):
+            return first
+        found = tell_both(first, self._solve(problem.with_solver(OTHER), guess, watch))
+        return replace(found, problem=replace(found.problem, solver=problem.solver))
+
+    def _solve(self, problem: Problem, guess: Trajectory, watch: Watch | None) -> Solution | Failure:
+        """Solve by one method."""
         problem = replace(problem, loops=problem.loops or self._loops)
         check_problem(problem, self.plant.manifest)
         _check_states(problem, self.plant)
@@ -104,7 +115,8 @@ class Solver:
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         freed = free_targets(problem, self.plant, guess.q[-1])
-        run, found, clash = search(x, lambda x: self._call(freed, x, watch))
+        outcome = search(x, lambda x: self._call(freed, x, watch))
+        run, found, clash = outcome.run, outcome.x, outcome.clash
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._describe(problem, run, found, clash)
@@ -114,9 +126,14 @@ class Solver:
             return Failure(problem, run, finding, remedy)
         try:
             solution = self._solution(problem, run, found)
+            run, cause = examine(self.program, outcome, problem.solver, max(map(abs, problem.cost.weights)))
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
+        if cause:
+            finding, remedy = explain(run.status, run.iterations)
+            return Failure(problem, run, f"{finding}, {cause}", remedy)
+        solution = replace(solution, run=run)
         gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
         if gap > most:
             finding, remedy = explain(OPEN, run.iterations)
@@ -148,15 +165,16 @@ class Solver:
         except NoNumbersError:
             return ""
 
-    def _call(self, problem: Problem, x: Array, watch: Watch | None) -> tuple[Run, Array, tuple[int, ...]]:
-        """Run the solver from x; return the run, the variables, and the rows that stay violated."""
+    def _call(self, problem: Problem, x: Array, watch: Watch | None) -> Outcome:
+        """Run the solver from x."""
         lower, upper = self.transcription.variable_bounds(problem)
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)
 
         start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else report(watch))
-        run, found, clash = call(self._solver(problem), start)
-        return replace(run, method=methods.choose(choose_method(problem, self.plant))), found, clash
+        outcome = call(self._solver(problem), start)
+        run = replace(outcome.run, method=methods.choose(choose_method(problem, self.plant)))
+        return replace(outcome, run=run)
 
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         """Read the motion that a search ended at. Raises NoNumbersError where there is none."""
@@ -215,16 +233,13 @@ class Values:
     completed: Array  # all variables
 
 
-Outcome = tuple[Run, Array, tuple[int, ...]]  # the run, the variables, and the rows that stay violated
-
-
 def search(x: Array, call: Callable[[Array], Outcome]) -> Outcome:
     """Call a solver from x; where it finds nothing to improve there, call it again from points nearby."""
     outcome = call(x)
-    if outcome[0].status == SOLVED and outcome[0].iterations == 0:
+    if outcome.run.status == SOLVED and outcome.run.iterations == 0:
         nudge = NUDGE * np.maximum(np.abs(x), 1.0) * np.random.default_rng(0).uniform(-1.0, 1.0, x.size)
         outcome = call(x + nudge)
-        if outcome[0].status == SOLVED:  # a saddle may be met again from one side, but not from the other
+        if outcome.run.status == SOLVED:  # a saddle may be met again from one side, but not from the other
             outcome = call(x - nudge)
     return outcome
 
@@ -236,7 +251,7 @@ def call(solver: methods.Solver, start: Start) -> Outcome:
     seconds = time.perf_counter() - begin - answer.preparing
     cpu_seconds = time.process_time() - cpu_begin - answer.cpu_preparing
     run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
-    return run, answer.x, answer.clash
+    return Outcome(run, answer.x, answer.clash, answer.multipliers, start)
 
 
 def report(watch: Watch) -> Callable[[Iterate], None]:

@@ -791,6 +791,7 @@ class _Reading(PartReading):
             method=section.method,
             options=tuple(self.options(section)),
             threads=self.threads(section),
+            fallback=section.fallback,
         )
 
     def threads(self, section: SolverSection) -> int:

@@ -14,6 +14,8 @@ INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver
 INVALID = "Invalid_Number_Detected"  # the solver's word, or ours where it found a point at which kernels fail
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
+NOT_OPTIMAL = "Not_Optimal"  # the same, but the judge finds that the cost can still fall
+NOT_FEASIBLE = "Not_Feasible"  # the same, but constraints are violated
 ELSEWHERE = "Loops_Elsewhere"  # the same, but the mechanism may be assembled otherwise than the guess
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
@@ -55,6 +57,15 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
         JUMPED: (
             "the points found lie on two branches of the loops, and no motion leads from one to the other in this form",
             "take loops: multipliers",
+        ),
+        NOT_OPTIMAL: (
+            "the method called it solved after {iterations} iterations, but small changes that keep all constraints "
+            "lower the cost",
+            "try another guess or another solver.method",
+        ),
+        NOT_FEASIBLE: (
+            "the method called it solved after {iterations} iterations, but constraints are violated",
+            "try another guess or another solver.method",
         ),
         ELSEWHERE: (
             "with the unknowns found, the mechanism may be assembled otherwise than it is guessed",

@@ -87,6 +87,11 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
 def list_program(run: Run, size: Size, duration: tuple[str, str]) -> Iterator[tuple[str, str]]:
     """List the lines on a solve and on its program."""
     yield "status", describe_run(run)
+    if run.instead:
+        yield "  instead", run.instead
+    if run.decrease is not None:
+        convex = "" if run.gap is None else "; the program is convex, so this is its gap of duality"
+        yield "optimality", f"small changes lower the cost by {run.decrease:.1e} at most, to first order{convex}"
     yield "time", f"{run.seconds:.2f} s"
     parts = f"{run.cpu_seconds_evaluating:.2f} s for functions and derivatives"
     yield (

@@ -52,6 +52,9 @@ class SolvingController:
             remedy = "give these joints actuators in the model, and references or constraints that they follow"
             raise ProblemError(problem.name, [("driven", finding, remedy)])
         self.period, self.horizon = period, horizon
+        problem = replace(
+            problem, solver=replace(problem.solver, fallback=False)
+        )  # a sample waits for one method alone
         self._plant, self._problem, self._next = plant, self._shape(problem, 0.0), problem
         self._solver: Solver | None = None
         self._plan: Trajectory | None = None

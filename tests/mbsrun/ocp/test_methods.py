@@ -87,7 +87,7 @@ def test_expressions_of_casadi_need_ipopt() -> None:
 def test_what_later_solves_share_is_no_time_of_a_search() -> None:
     """Such as the tables of stages."""
     answer = Answer(np.zeros(1), SOLVED, 3, preparing=1000.0, cpu_preparing=500.0)
-    run, *_ = call(lambda _: answer, Start(np.zeros(1), *[np.zeros(0)] * 5))
+    run = call(lambda _: answer, Start(np.zeros(1), *[np.zeros(0)] * 5)).run
     assert -1000.0 <= run.seconds < -900.0
     assert -500.0 <= run.cpu_seconds < -400.0
 

@@ -138,6 +138,11 @@ class NumpyProgram:
         """Return x: nothing is condensed."""
         return x
 
+    @property
+    def has_curved_rows(self) -> bool:
+        """Return whether rows have second derivatives, by the patterns of their functions."""
+        return any(scatter.row.size > 0 for block in self._blocks for scatter in block.hessian_scatters)
+
     def terms(self, x: Array, p: Array) -> Array:
         """Return c: the terms of the cost, without their weights."""
         c = np.array([x @ (H @ x) / 2 for H in self.program.H])

@@ -44,10 +44,11 @@ def choose(solver: SolverOptions, *, calls_casadi: bool = False) -> SolverName:
 
 def settle(solver: SolverOptions, *, calls_casadi: bool = False) -> SolverOptions:
     """Return options with their method chosen."""
-    return replace(solver, method=choose(solver, calls_casadi=calls_casadi))
+    return replace(solver, method=choose(solver, calls_casadi=calls_casadi), fallback=solver.falls_back)
 
 
 def warm(solver: SolverOptions) -> SolverOptions:
     """Return options for starts near a solution; what is given stays."""
     method = choose(solver)
-    return replace(solver, method=method, options=tuple((dict(METHODS[method].warm) | dict(solver.options)).items()))
+    options = tuple((dict(METHODS[method].warm) | dict(solver.options)).items())
+    return replace(solver, method=method, options=options, fallback=solver.falls_back)

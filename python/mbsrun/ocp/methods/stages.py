@@ -90,7 +90,7 @@ def make_stages(order: Order) -> Solver:
         finally:
             with lock:
                 free[key].append(solver)
-        answer = _answer(program, tables[key].data, outcome)
+        answer = _answer(program, tables[key].data, outcome, order.scaling)
         if answer.status == INFEASIBLE and _count_equations(start) > np.count_nonzero(start.lower < start.upper):
             answer = replace(answer, status=OVERDETERMINED)
         return replace(answer, preparing=preparing[0], cpu_preparing=preparing[1])
@@ -137,13 +137,51 @@ def _complete(program: Prepared, x: Array) -> Array:
         return whole
 
 
-def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome) -> Answer:
+def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome, scaling: float) -> Answer:
     x = np.zeros(program.variables)
     known = tables.variables >= 0
     x[tables.variables[known]] = outcome.w[known]
     status = STATUSES.get(outcome.status, outcome.status)
     clash = tuple(row for clash in outcome.clashes if (row := _find_row(tables, clash)) >= 0)
-    return Answer(x[program.kept], status, outcome.iterations, outcome.evaluating, outcome.cpu_evaluating, clash=clash)
+    return Answer(
+        x[program.kept],
+        status,
+        outcome.iterations,
+        outcome.evaluating,
+        outcome.cpu_evaluating,
+        multipliers=_read_multipliers(program, tables, outcome) / scaling,
+        clash=clash,
+    )
+
+
+def _read_multipliers(program: Program, tables: StageProgram, outcome: binding.Outcome) -> Array:
+    """Return multipliers of the program's rows.
+
+    A row that gives a next state has the factor -1 / a in the tables, where a is the coefficient of that state. A row
+    that is a first state gives bounds of it, which have its multiplier.
+    """
+    y = outcome.y
+    kinds = [tables.kinds[kind] for kind in tables.kind_of_stage]
+    first = np.cumsum([0, *(kind.nx + kind.nv for kind in kinds)])
+    nexts = [*(kind.nx for kind in kinds[1:]), 0]
+    sizes = np.array([(kind.ne, after, kind.ng) for kind, after in zip(kinds, nexts, strict=True)])
+    part = np.repeat(np.tile(np.arange(3), len(kinds)), sizes.ravel())
+    found = np.zeros(program.constraints)
+    for number, rows in enumerate((tables.rows_e, tables.rows_d, tables.rows_g)):
+        own = y[part == number]
+        if number == 1:
+            following = [np.arange(first[k + 1], first[k + 1] + nexts[k]) for k in range(len(kinds) - 1)]
+            states = tables.variables[np.concatenate([_NONE, *following])]
+            known = (rows >= 0) & (states >= 0)
+            coefficients = np.asarray(program.A[rows[known], states[known]]).ravel()
+            own, rows = -own[known] / coefficients, rows[known]
+        np.add.at(found, rows[rows >= 0], own[rows >= 0])
+    variable, row = tables.fixed.T
+    found[row] += outcome.z[variable]
+    return found[program.kept_rows]
+
+
+_NONE = np.zeros(0, dtype=np.int64)
 
 
 def _find_row(tables: StageProgram, clash: binding.Clash) -> int:

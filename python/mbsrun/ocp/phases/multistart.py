@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbsrun.ocp.judging import wants_other
 from mbsrun.ocp.multistart import GUESS, Watch, Wish, end_at_interrupt
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
@@ -58,19 +59,24 @@ def solve_phases_from_many(
     if isinstance(ready, PhasedFailure):
         return Starts(wish.seed, wish.starts, (_sum_up(0, GUESS, ready),)), ready
     solver, guess = ready
+    alone = solver.with_solver(replace(solver.problem.solver, fallback=False))
     ended, end = [False], time.monotonic() + wish.seconds
     with end_at_interrupt(lambda: ended.__setitem__(0, True)):
         for k in range(wish.starts):
             if ended[0] or time.monotonic() > end:
                 break
             draw = _Draw(KINDS[(k - 1) % len(KINDS)], (wish.seed, k))
-            found = solver.solve(draw.move(guess, solver.problem, solver.plants) if k else guess)
+            found = alone.solve(draw.move(guess, solver.problem, solver.plants) if k else guess)
             results.append(_sum_up(k, draw.kind if k else GUESS, found))
             if best is None or _is_lower(found, best):
                 best = found
             watch(Starts(wish.seed, wish.starts, tuple(results)))
     starts = Starts(wish.seed, wish.starts, tuple(results))
-    return starts, replace(best, search=starts) if isinstance(best, PhasedSolution) else best
+    if isinstance(best, PhasedFailure) and wants_other(solver.problem.solver, best.run):
+        best = solver.solve(guess)
+    if isinstance(best, PhasedSolution):
+        best = replace(best, search=starts, solver=solver.problem.solver)
+    return starts, best
 
 
 def _is_lower(found: PhasedSolution | PhasedFailure, best: PhasedSolution | PhasedFailure) -> bool:

@@ -104,7 +104,8 @@ def _solve(
         scheme, T = schemes.build(phase.problem.family, phase.problem.degree), float(own.trajectory.t[-1])
         motions.append(resample(own.trajectory, *phase.problem.grid.times(T, scheme.points)))
     known = zip((unknown.name for unknown in before.unknowns), before.unknown_values, strict=True)
-    near = replace(problem, solver=methods.warm(replace(problem.solver, method=before.run.method)))
+    chosen = replace(problem.solver, method=before.run.method, fallback=problem.solver.falls_back)
+    near = replace(problem, solver=methods.warm(chosen))
     outcome = PhasedSolver(near, plants).solve(Guess(tuple(motions), tuple(known)), watch)
     if isinstance(outcome, PhasedFailure):
         guess = guess_phases(problem, plants)

@@ -20,6 +20,7 @@ from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
 from mbsrun.ocp.functions import Array
+from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases, name_phase
 from mbsrun.ocp.phases.guess import Unreached, adapt_guess, guess_phases, solve_links
@@ -42,7 +43,6 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.solution import Run, Size
 from mbsrun.ocp.solve import (
     OPENED,
-    Outcome,
     Values,
     Watch,
     call,
@@ -113,8 +113,23 @@ class PhasedSolver:
     def solve(self, guess: Guess, watch: Watch | None = None) -> PhasedSolution | PhasedFailure:
         """Solve from a guess on the grids of the phases; `watch` is called in every iteration.
 
-        Contacts by complementarity are relaxed in steps; a step that fails is left out.
+        Contacts by complementarity are relaxed in steps; a step that fails is left out. Where `mbs` has no answer,
+        IPOPT is asked, if the options permit it; the run says so.
         """
+        first = self._solve_relaxed(guess, watch)
+        if isinstance(first, PhasedSolution) or not wants_other(self.problem.solver, first.run):
+            return first
+        found = tell_both(first, self.with_solver(self.problem.solver.with_method(OTHER))._solve_relaxed(guess, watch))
+        return replace(found, solver=self.problem.solver) if isinstance(found, PhasedSolution) else found
+
+    def with_solver(self, solver: SolverOptions) -> PhasedSolver:
+        """Return a solver of the same program by other options."""
+        other = copy(self)
+        other.problem = replace(self.problem, solver=solver)
+        other._options, other._solvers = other._choose_method(), []
+        return other
+
+    def _solve_relaxed(self, guess: Guess, watch: Watch | None) -> PhasedSolution | PhasedFailure:
         for phases in [*list_relaxed([phase.problem for phase in self.problem.phases])][:-1]:
             found = self._relax(phases)._solve(guess, watch)
             if isinstance(found, PhasedSolution):
@@ -146,7 +161,8 @@ class PhasedSolver:
         except NoNumbersError as lack:
             finding = f"the guess has no numbers: {lack}"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        run, found, _ = search(x, lambda x: self._call(self._find_method(), x, watch))
+        outcome = search(x, lambda x: self._call(self._find_method(), x, watch))
+        run, found = outcome.run, outcome.x
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations)
             named = self._name_violated(found)
@@ -155,10 +171,15 @@ class PhasedSolver:
                 return PhasedFailure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
             return PhasedFailure(problem, run, finding, remedy)
         try:
-            solution = self._read(*self._balance_impacts(run, found))
+            run, found = self._balance_impacts(run, found)
+            run, cause = examine(self.program, replace(outcome, run=run, x=found), problem.solver, problem.weight)
+            solution = self._read(run, found)
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return PhasedFailure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
+        if cause:
+            finding, remedy = explain(run.status, run.iterations)
+            return PhasedFailure(problem, run, f"{finding}, {cause}", remedy)
         for part in solution.phases:
             gap, most = part.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
             if gap > most:
@@ -243,8 +264,8 @@ class PhasedSolver:
         own, problem = self.transcription, self.problem
         bounds = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
         start = Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch))
-        run, found, clash = call(solver, start)
-        return replace(run, method=methods.choose(self._options)), found, clash
+        outcome = call(solver, start)
+        return replace(outcome, run=replace(outcome.run, method=methods.choose(self._options)))
 
     def _name_violated(self, x: Array) -> str:
         """Describe the rows that stay violated, the worst first, and the bounds and ranges at their limits."""

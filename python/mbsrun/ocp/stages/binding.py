@@ -264,6 +264,8 @@ class Outcome:
     evaluating: float  # s in functions and derivatives, of the thread that took most
     cpu_evaluating: float  # of all threads
     clashes: tuple[Clash, ...]
+    y: Array  # multipliers of rows: of each stage's equations, dynamics and inequalities
+    z: Array  # multipliers of bounds of variables: of upper ones, less of lower ones
 
 
 class Evaluator:
@@ -352,7 +354,9 @@ class Solver:
             Clash(clash.stage, int(clash.kind), clash.row)
             for clash in (result.clash[i] for i in range(min(result.clashes, len(result.clash))))
         )
-        return Outcome(memory.w.copy(), status, result.stage, result.iterations, *memory.team.seconds, clashes)
+        seconds, stage = memory.team.seconds, result.stage
+        z = memory.above - memory.below
+        return Outcome(memory.w.copy(), status, stage, result.iterations, *seconds, clashes, memory.y.copy(), z)
 
     def _prepare(self, numbers: Numbers) -> Workspace:
         """Set the bounds; make the solver where other ones are equal than before."""
@@ -413,7 +417,15 @@ class Workspace:
         self.memory = make_memory(size)
         self.solver = lib.mbs_stages_create(problem, ffi.cast("void *", self.memory.ctypes.data), size)
         point = lib.mbs_stages_iterate(self.solver)
-        self.w = np.frombuffer(ffi.buffer(point.w, 8 * point.variables), dtype=np.float64)
+        self.w, self.below, self.above, self.y = (
+            np.frombuffer(ffi.buffer(part, 8 * size), dtype=np.float64)
+            for part, size in (
+                (point.w, point.variables),
+                (point.below, point.variables),
+                (point.above, point.variables),
+                (point.y, point.rows),
+            )
+        )
 
 
 class _Observer:
