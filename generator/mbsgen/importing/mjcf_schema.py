@@ -126,8 +126,8 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
             f"class conaffinity contype density fromto group mass mesh pos rgba size type {_TURNS}",
             "",
             "shellinertia",
-            "adhesion castshadow condim fitscale fluidcoef fluidshape friction gap hfield margin material name priority "
-            "solimp solmix solref surfacevel user",
+            "adhesion castshadow condim fitscale fluidcoef fluidshape friction gap hfield margin material name "
+            "priority solimp solmix solref surfacevel user",
             "plugin=unchecked",
         ),
         "site": _list(f"class fromto name pos {_TURNS}", idle="group material mesh rgba size type user"),

@@ -217,7 +217,7 @@ def find(path: str) -> Entry | None:
 
 
 def test_the_list_has_what_the_schema_has() -> None:
-    """Each element, and each attribute of each that is not treated as a whole; and no more, except for older versions."""
+    """Each element, and each attribute of an element without one treatment as a whole; else only older ones."""
     seen: dict[str, set[str]] = {}
     for path, attributes in list_schema().items():
         entry = find(path)
