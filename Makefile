@@ -58,6 +58,7 @@ fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz mechanisms $(FUZZ) $(FUZZ_MECHANISMS)
 	$(BIN)/python -m tests.fuzz loops $(FUZZ) $(FUZZ_LOOPS)
 	$(BIN)/python -m tests.fuzz problems $(FUZZ) $(FUZZ_PROBLEMS)
+	$(BIN)/python -m tests.fuzz mjcf $(FUZZ)
 	$(BIN)/python -m tests.fuzz bounds $(FUZZ) $(FUZZ_BOUNDS)
 
 lint: $(VENV)/installed-dev

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, phased, problems, touching
+from mbsgen.model.model import Law
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, touching
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
 
@@ -49,6 +50,22 @@ def test_the_search_starts_from_files_that_are_accepted(name: str, tmp_path: Pat
         folder = tmp_path / str(k)
         folder.mkdir()
         assert inputs.attempt(kind, file, content, folder) == (True, "")
+
+
+def test_files_of_mjcf_are_read_as_mujoco_reads_them() -> None:
+    """Drawn from the schema; each that is read without a warning has MuJoCo's residual, limits and friction."""
+    tally = mjcf_files.search(COUNT, seed=0)
+    assert tally.findings == []
+    assert tally.agreed > COUNT / 2
+
+
+def test_the_comparison_sees_another_spring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that loses springs is found."""
+    body = '<body><joint name="joint1" axis="0 1 0" stiffness="3"/><geom size="0.1" pos="1 0 0"/></body>'
+    (tmp_path / "machine.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert mjcf_files.examine(tmp_path / "machine.xml") == ""
+    monkeypatch.setattr("mbsgen.importing.mjcf.make_law", lambda *_: Law())
+    assert "residual" in mjcf_files.examine(tmp_path / "machine.xml")
 
 
 def test_files_with_nothing_in_them_are_changed() -> None:

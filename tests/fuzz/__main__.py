@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, phased, problems, touching
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, touching
 
 
 @click.group()
@@ -69,6 +69,15 @@ def problems_command(count: int, seed: int, keep: Path | None) -> None:
         click.echo(f"{title}:")
         failed = run(search, count // 4, seed, keep) or failed
     sys.exit(failed)
+
+
+@cli.command("mjcf")
+@click.option("--count", default=1000, show_default=True, help="Files to try.")
+@click.option("--seed", default=0, show_default=True, help="The first seed; each file has the next.")
+@click.option("--keep", type=click.Path(path_type=Path), help="A folder for the files that disagree.")
+def mjcf_command(count: int, seed: int, keep: Path | None) -> None:
+    """Draw files of MJCF from its schema: what is imported without a warning moves as in MuJoCo."""
+    sys.exit(run(mjcf_files.search, count, seed, None if keep is None else keep.resolve()))
 
 
 @cli.command("bounds")

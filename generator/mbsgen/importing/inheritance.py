@@ -21,6 +21,13 @@ _ACTUATORS = frozenset(  # a class has one default for all of them
     )
 )  # fmt: skip
 _ACTUATOR = "actuator"
+SERVO = frozenset(  # attributes by which an actuator has a gain, a bias or a state
+    (
+        "gainprm", "gaintype", "biasprm", "biastype", "dynprm", "dyntype", "actdim", "kp", "kv", "dampratio",
+        "timeconst", "area", "diameter", "bias",
+    )
+)  # fmt: skip
+_ROWS = ("size", "stiffness", "damping", "gear")  # of which a file may give the first numbers, and inherit the others
 
 
 def include_files(root: Element, bounds: Path | None, findings: Findings) -> Element:
@@ -103,7 +110,11 @@ class Defaults:
         settings = self._classes.setdefault(name, {tag: dict(own) for tag, own in self._classes[outer].items()})
         for element in section.children:
             if element.tag != "default":
-                settings.setdefault(_find_kind(element.tag), {}).update(element.attributes)
+                kind = _find_kind(element.tag)
+                settings[kind] = _override(settings.get(kind, {}), element.attributes)
+                if kind == _ACTUATOR and element.tag != "general":  # it sets them anew
+                    kept = {key: text for key, text in settings[kind].items() if key not in SERVO}
+                    settings[kind] = kept if element.tag == "motor" else {**kept, "gaintype": element.tag}
         for inner in section.all("default"):
             self._read(inner, name)
 
@@ -116,7 +127,7 @@ class Defaults:
         if name not in self._classes:
             self.check(element, name)
             name = MAIN
-        return {**self._classes[name].get(_find_kind(tag or element.tag), {}), **element.attributes}
+        return _override(self._classes[name].get(_find_kind(tag or element.tag), {}), element.attributes)
 
     def check(self, element: Element, name: str) -> str:
         """Return an existing class; a fault where there is none of the name."""
@@ -126,6 +137,16 @@ class Defaults:
         remedy = f"did you mean {abbreviate(meant)}?" if meant else "define it under <default>"
         self._findings.fault(element, f"there is no default class {abbreviate(name)}", remedy)
         return MAIN
+
+
+def _override(inherited: Mapping[str, str], own: Mapping[str, str]) -> dict[str, str]:
+    """Return inherited attributes with an element's own; a shorter row keeps the end of the inherited one."""
+    found = {**inherited, **own}
+    for key in _ROWS:
+        if key in inherited and key in own:
+            words = own[key].split()
+            found[key] = " ".join([*words, *inherited[key].split()[len(words) :]])
+    return found
 
 
 def _find_kind(tag: str) -> str:

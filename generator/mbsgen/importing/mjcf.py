@@ -293,6 +293,9 @@ class _Scene:
                     self._findings.fault(part.element, "a free joint within the tree", remedy)
                 moves += self._move_freely(part.element, pose)
                 self._tell_start(part.element, pose)
+                align = part.element.attributes.get("align", "auto")
+                if (self._settings.compiler.get("alignfree", "false") if align == "auto" else align) == "true":
+                    self._findings.tell(part.element, "align: coordinates are of the body's frame in the file")
                 self._warn_of_six(part.element, attributes, "a free joint")
                 continue
             position = self._findings.numbers(part.element, "pos", (0.0, 0.0, 0.0), attributes=attributes)

@@ -13,17 +13,11 @@ from dataclasses import dataclass, field
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
-from mbsgen.importing.inheritance import MAIN, Defaults
+from mbsgen.importing.inheritance import MAIN, SERVO, Defaults
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mjcf_settings import Settings, read_limits
 
 JOINTS = ("joint", "freejoint")
-SERVO = frozenset(  # attributes by which a `general` has a gain, a bias or a state
-    (
-        "gainprm", "gaintype", "biasprm", "biastype", "dynprm", "dyntype", "actdim", "kp", "kv", "dampratio",
-        "timeconst", "area", "diameter", "bias",
-    )
-)  # fmt: skip
 TERMS = 3  # of a polynomial
 
 

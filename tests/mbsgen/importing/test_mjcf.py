@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
-from mbsgen.expressions import FLOATS, Number
+from mbsgen.expressions import FLOATS, Expression, Number
 from mbsgen.expressions import evaluate as evaluate_expression
 from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
@@ -77,6 +77,10 @@ def only_joint(imported: Imported, name: str) -> Joint:
     found = body(imported, name).joint
     assert isinstance(found, Joint)
     return found
+
+
+def value_of(number: Expression) -> float:
+    return float(evaluate_expression(number, {}, FLOATS))
 
 
 def warnings(imported: Imported) -> list[str]:
@@ -487,3 +491,47 @@ def test_forces_of_balls_and_yielding_springs_are_warned_of(tmp_path: Path) -> N
     assert "springyield: the spring is elastic beyond it" in "".join(warnings(import_model(path)))
     path = write(tmp_path, pendulum('<joint type="free" name="j"/>') + '<actuator><motor joint="j"/></actuator>')
     assert "the actuator of a free joint is left out" in "".join(warnings(import_model(path)))
+
+
+def test_a_shorter_row_keeps_the_end_of_the_inherited_one(tmp_path: Path) -> None:
+    """As MuJoCo's compiled model, for springs, dampers, gears and sizes; classes inherit from outer ones so."""
+    import mujoco
+
+    classes = (
+        '<default><joint stiffness="1 2 3" damping="4 5 6"/><geom type="box" size="0.1 0.2 0.3"/>'
+        '<default class="inner"><joint stiffness="7"/><geom size="0.4"/></default></default>'
+    )
+    inner = (
+        '<body name="rod" childclass="inner"><joint name="j" damping="8 9"/><geom pos="1 0 0" size="0.5 0.6"/></body>'
+    )
+    path = write(tmp_path, classes + world(inner))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert [*model.geom_size[0], *model.jnt_stiffnesspoly[0], *model.dof_dampingpoly[0]] == [0.5, 0.6, 0.3, 2, 3, 9, 6]
+    imported = import_model(path)
+    law = only_joint(imported, "rod").law
+    assert (law.stiffness, law.damping) == (Number(7.0), Number(8.0))
+    found = evaluate_expression(law.force, {"q": 2.0, "qd": -1.0}, FLOATS)
+    assert found == -(2 * 2.0**2 + 3 * 2.0**3) + 9 * 1.0 + 6 * 1.0
+    np.testing.assert_allclose(value_of(body(imported, "rod").mass), 8 * 0.5 * 0.6 * 0.3 * 1000, rtol=1e-14)
+
+
+def test_a_general_actuator_may_inherit_a_gain(tmp_path: Path) -> None:
+    """From the default of `position` in its class, even an empty one; a default of `motor` takes it away."""
+    moving = pendulum('<joint name="j"/>')
+    for defaults, is_servo in (("<position/>", True), ('<general gainprm="3"/>', True), ("<position/><motor/>", False)):
+        path = write(
+            tmp_path,
+            f"<default>{defaults}</default>{moving}<actuator><general joint='j'/></actuator>",
+        )
+        assert any("gains and dynamics" in line for line in warnings(import_model(path))) == is_servo
+
+
+def test_aligned_free_bodies_keep_the_frame_of_the_file(tmp_path: Path) -> None:
+    """MuJoCo turns the body's frame then; the notice says whose coordinates there are."""
+    for settings, joint, told in (
+        ('<compiler alignfree="true"/>', "<freejoint/>", True),
+        ('<compiler alignfree="true"/>', '<freejoint align="false"/>', False),
+        ("", '<freejoint align="true"/>', True),
+    ):
+        imported = import_model(write(tmp_path, settings + pendulum(joint)))
+        assert any("align: coordinates are of the body's frame" in notice.text for notice in imported.notices) == told
