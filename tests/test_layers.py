@@ -175,8 +175,8 @@ MBSRUN = Package(
         "lab.ends",
         "lab.digits lab.integration lab.optimisation lab.runs",
         "lab.interpretation",
-        "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.locks lab.loops "
-        "lab.modelling lab.orientations",
+        "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.limits lab.locks "
+        "lab.loops lab.modelling lab.orientations",
         "lab.cases lab.maps",
         "lab",
         "commands.console",

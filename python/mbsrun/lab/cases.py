@@ -16,6 +16,7 @@ from mbsrun.lab import (
     expressions,
     inertias,
     integration,
+    limits,
     locks,
     loops,
     modelling,
@@ -381,5 +382,17 @@ CASES: tuple[Case, ...] = (
         "Energy to 1e-6 by adaptive methods, to 1e-3 by RK4 with 50 steps in a contact; where steps are too long, a "
         "warning.",
         (Trial("bounces", events.measure_bounces),),
+    ),
+    Case(
+        "F36",
+        "ends on limits",
+        "Two masses that come to rest where their rails and a row end, never backwards, in four forms; and random "
+        "motions, cranes and arms at their limits, with rows twice, fixed variables and no interior.",
+        "Costs as in closed form, to 1e-6. Every problem that IPOPT solves is solved by default, and no lower cost is "
+        "nearby, to 1e-6. `mbs` alone is right, or has no answer.",
+        (
+            Trial("two masses", limits.measure_masses),
+            Trial("random problems", limits.measure_random, is_long=True),
+        ),
     ),
 )

@@ -25,6 +25,7 @@ from mbsrun.lab import (
     expressions,
     integration,
     interpretation,
+    limits,
     locks,
     loops,
     maps,
@@ -72,6 +73,7 @@ SLICE: dict[str, str | Measure] = {  # of each case a short trial, or a smaller 
     "F26": "lengths",
     "F28": "1 ms",
     "F30": "a spring",
+    "F36": partial(limits.measure_masses, intervals=(8,)),
 }
 ELSEWHERE = (  # in tests/mbsgen/failures, simulation and ocp; and below, in part
     *("F09", "F12", "F19", "F21", "F22"),
@@ -89,7 +91,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
 
 
 def test_every_case_is_run() -> None:
-    assert [case.id for case in CASES] == [f"F{k:02}" for k in range(1, 36)]
+    assert [case.id for case in CASES] == [f"F{k:02}" for k in range(1, 37)]
     assert all(case.trials for case in CASES)
     for case in CASES:
         assert len({trial.name for trial in case.trials}) == len(case.trials)
