@@ -84,25 +84,21 @@ def compile_library(
     compiler: Compiler,
     *beside: Path,
     rows: Collection[str] = (),
-    replaced: Mapping[str, str] = MappingProxyType({}),
-    **texts: str,
+    given: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Compile C files of a folder, as many at once as there are processors, and link them to one shared library.
 
-    C files and headers that are not in the folder are looked for in the folders `beside` it. `texts` are more C files,
-    by their names without the ending, and `replaced` are files in place of the folder's. Files among `rows` work on
-    rows of numbers, and are compiled without the flag that is good for straight-line code alone. Compiled files are
-    found in the cache; `prefix` is the model's part of it, and files of SHARED are found for every model. Raises
-    CompileError with the command and the compiler's message, or for a name that cannot be a generated file's;
-    CacheError.
+    C files and headers that are not in the folder are looked for in the folders `beside` it; `given` are the texts of
+    files that take the place of all of these. Files among `rows` work on rows of numbers, and are compiled without the
+    flag that is good for straight-line code alone. Compiled files are found in the cache; `prefix` is the model's part
+    of it, and files of SHARED are found for every model. Raises CompileError with the command and the compiler's
+    message, or for a name that cannot be a generated file's; CacheError.
     """
-    place, more = _find_place(folder, prefix), {f"{name}.c": text for name, text in texts.items()}
-    given = {name: text.encode() for name, text in {**replaced, **more}.items()}
-    wanted = dict.fromkeys((*names, *more))
+    place, texts = _find_place(folder, prefix), {name: text.encode() for name, text in given.items()}
     vectors = replace(compiler, flags=tuple(flag for flag in compiler.flags if flag != SCALAR))
     objects = [
-        _plan(read_source((folder, *beside), name, given), place, vectors if name in rows else compiler)
-        for name in wanted
+        _plan(read_source((folder, *beside), name, texts), place, vectors if name in rows else compiler)
+        for name in dict.fromkeys(names)
     ]
     return _link(objects, place / prefix, compiler)
 
@@ -112,7 +108,7 @@ def write_graphs(
     prefix: str,
     names: Iterable[str],
     compiler: Compiler,
-    replaced: Mapping[str, str] = MappingProxyType({}),
+    given: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
     """Return the call graphs of C files of a folder, as GCC writes them; `stack` reads them.
 
@@ -120,8 +116,8 @@ def write_graphs(
     writes no graphs; CacheError.
     """
     place, drawing = _find_place(folder, prefix), replace(compiler, flags=(*compiler.flags, GRAPHS))
-    given = {name: text.encode() for name, text in replaced.items()}
-    items = [_plan(read_source((folder,), name, given), place, drawing) for name in dict.fromkeys(names)]
+    texts = {name: text.encode() for name, text in given.items()}
+    items = [_plan(read_source((folder,), name, texts), place, drawing) for name in dict.fromkeys(names)]
     with ThreadPoolExecutor(count_cores()) as pool:
         return [path.read_text("utf-8") for path in pool.map(partial(_compile, suffix=".ci"), items)]
 

@@ -108,7 +108,7 @@ class Controller:
         compiler = find_compiler(os.environ)
         sources = self.manifest.sources
         rows = [name for name in sources if name.startswith("mbs_stages_")]
-        self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows, replaced=PLAIN)
+        self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows, given=PLAIN)
         self._library: Any = self._ffi.dlopen(str(self.library))
         size = self._call("bytes")
         self._memory = self._ffi.new("char[]", size + _ALIGNMENT)

@@ -91,7 +91,7 @@ SINGLE = ("-O0", "-DMBS_STAGES_FLOAT")  # quick to compile, for counting bytes
 def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) -> int:
     """Return the bytes that a controller needs in single precision; it is compiled for this alone."""
     quick = replace(compiler, flags=(*compiler.flags, *SINGLE))
-    library = compile_library(place, manifest.prefix, manifest.sources, quick, replaced=PLAIN)
+    library = compile_library(place, manifest.prefix, manifest.sources, quick, given=PLAIN)
     ffi = cffi.FFI()
     ffi.cdef(f"size_t {manifest.symbols}_bytes(void);")
     return int(getattr(ffi.dlopen(str(library)), f"{manifest.symbols}_bytes")())

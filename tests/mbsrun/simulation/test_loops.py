@@ -366,6 +366,20 @@ def test_a_parallelogram_passes_its_singular_pose(parallelogram: Mechanism, sett
     assert np.abs(motion.q[-1] - level(turn(0.1, 8.0, 1.5))).max() < 1e-3
 
 
+@pytest.mark.parametrize("keeping", [Keeping.PROJECTION, Keeping.MASS_PROJECTION, Keeping.PARTITIONING])
+def test_a_jump_of_velocities_stops(pendulum: Mechanism, keeping: Keeping) -> None:
+    """Closing the loop may not change velocities by a tenth in a step: the step was too long, and lost the motion.
+
+    A step of 0.2 s with Euler's method leaves the circle by 0.6 m; in steps of 2 ms it stays.
+    """
+    for step, is_complete in ((0.2, False), (2e-3, True)):
+        settings = Settings(0.4, "euler", step=step, output_step=0.2, loops=keeping)
+        motion = simulate(pendulum, rest(pendulum), [1, 0], [0, -3.0], settings)
+        assert motion.is_complete is is_complete
+        if not is_complete:
+            assert "to close it would change the velocities by a tenth in one step" in str(motion.halt)
+
+
 def test_baumgarte_warns_of_a_singular_pose(parallelogram: Mechanism, pendulum: Mechanism) -> None:
     """Its terms do not know the branches that meet there."""
     settings = Settings(0.5, "rk4", loops=Keeping.BAUMGARTE)

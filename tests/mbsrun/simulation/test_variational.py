@@ -160,6 +160,30 @@ def test_steps_in_c_are_the_ones_in_python(
     assert np.ptp(first.qd[:, -3]) > 1e-2
 
 
+@pytest.mark.parametrize("name", ["top", "pinned"])
+def test_slow_steps_in_c_are_the_ones_in_python(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Below an angle of 1e-3 in a step, functions of the angle are at their limits, such as 1/12 of its square.
+
+    Half of it changes velocities by 1e-8 of their size, a thousand times the rounding of Newton's method.
+    """
+    kernels = request.getfixturevalue(name)
+    q = [0.0] * (len(kernels.manifest.positions) - 1) + [1.0]
+    qd = [0.0] * (len(kernels.manifest.coordinates) - 3) + [0.1, 0.4, -0.3]
+    motions = []
+    for is_taken in (True, False):
+        if not is_taken:
+            monkeypatch.setattr(rattle, "is_taken", lambda *_: False)
+        settings = Settings(0.02, "variational", step=1e-3, output_step=1e-3)
+        motions.append(simulate(kernels, hold(np.zeros(len(kernels.manifest.inputs))), q, qd, settings))
+    first, other = motions
+    assert first.is_complete
+    assert other.is_complete
+    assert np.abs(first.q - other.q).max() < 1e-12
+    assert np.abs(first.qd - other.qd).max() < 1e-11
+
+
 def test_moments_act_with_order_2(top: Mechanism) -> None:
     """A moment over time, and a law of the velocities: a quarter of the error, and the work is accounted for."""
 

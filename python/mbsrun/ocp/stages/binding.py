@@ -191,7 +191,10 @@ class Tables:
     def _compile_formulas(self, texts: Mapping[str, str]) -> Mapping[str, int]:
         if not texts:
             return {}
-        library = compile_library(resources.folder("csrc"), "mbs_formulas", [], find_compiler(os.environ), **texts)
+        files = {f"{name}.c": text for name, text in texts.items()}
+        library = compile_library(
+            resources.folder("csrc"), "mbs_formulas", files, find_compiler(os.environ), given=files
+        )
         ffi = cffi.FFI()
         for name in texts:
             ffi.cdef(f"int {name}(const double **arg, double **res, long long *iw, double *w, int mem);")

@@ -1,0 +1,114 @@
+"""Least solutions in C: the order of columns, ranks, solutions and weights against NumPy."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import cffi
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbsgen import resources
+from mbsrun.library import compile_library, find_compiler
+
+Array = NDArray[np.float64]
+EPS = float(np.finfo(float).eps)
+
+INTERFACE = """
+typedef struct {
+    long long n, e, rank;
+    double *A, *factor, *size, *y;
+    long long *column;
+} mbs_least;
+double mbs_least_factorise(mbs_least *system, double tolerance);
+double mbs_least_solve(const mbs_least *system, const double *g, double *x);
+void mbs_least_weigh(const mbs_least *system, const double *x, double *lam);
+"""
+
+
+@dataclass(frozen=True)
+class Least:
+    """The C functions, and their types."""
+
+    ffi: Any
+    lib: Any
+
+    def factorise(self, B: Array, tolerance: float) -> tuple[Any, Array, list[int], list[Any]]:
+        """Decompose the equations B x = g; return the struct, the sizes of the pivots, the order, and the memory."""
+        e, n = B.shape
+        A, order = np.array(B, order="C"), np.zeros(e, dtype=np.int64)
+        rest = [np.zeros(e), np.zeros(2 * e), np.zeros(n)]
+        system = self.ffi.new("mbs_least *")
+        system.n, system.e = n, e
+        system.A, system.factor, system.size, system.y = (self.ffi.from_buffer("double[]", x) for x in (A, *rest))
+        system.column = self.ffi.from_buffer("long long[]", order)
+        self.lib.mbs_least_factorise(system, tolerance)
+        pivots = np.abs([A[i, i] for i in range(system.rank)])
+        return system, pivots, [int(k) for k in order], [A, order, *rest]
+
+
+@pytest.fixture(scope="module")
+def least() -> Least:
+    library = compile_library(resources.folder("csrc"), "least", ["mbs_least.c"], find_compiler(os.environ))
+    ffi = cffi.FFI()
+    ffi.cdef(INTERFACE)
+    return Least(ffi, ffi.dlopen(str(library)))
+
+
+@pytest.mark.parametrize("small", [1e-4, 1e-8, 1e-10])
+def test_the_longest_rest_comes_next(least: Least, small: float) -> None:
+    """Each pivot is the length of its column's rest, the longest of all rests, though almost all of it has cancelled.
+
+    Columns share one direction and differ by parts of 1, 1/2, 1/4 ... of `small`. A length that is carried on by
+    subtraction has an error of epsilon, above the square of these parts, so it must be computed anew.
+    """
+    rng = np.random.default_rng(4)
+    n, e = 9, 6
+    for _ in range(20):
+        basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        parts = rng.permutation(small * 0.5 ** np.arange(e - 1))
+        B = np.vstack([basis[0], *(0.99 * basis[0] + part * basis[k + 1] for k, part in enumerate(parts))])
+        system, pivots, order, _memory = least.factorise(B, 1e-14)
+        assert system.rank == e
+        assert order[0] == 0
+        wanted = [1 + k for k in np.argsort(-parts)]
+        assert order[1:] == wanted
+        np.testing.assert_allclose(pivots[1:], np.sort(parts)[::-1], rtol=100 * EPS / small)
+
+
+def test_solutions_are_of_least_norm(least: Least) -> None:
+    """As the pseudoinverse gives them; weights give the solution back, as B^T lam."""
+    rng = np.random.default_rng(5)
+    for n, e in ((5, 2), (7, 7), (9, 4)):
+        B, g = rng.normal(size=(e, n)), rng.normal(size=e)
+        system, _, _, _memory = least.factorise(B, 1e-10)
+        x, lam = np.zeros(n), np.zeros(e)
+        worst = least.lib.mbs_least_solve(
+            system, least.ffi.from_buffer("double[]", g), least.ffi.from_buffer("double[]", x)
+        )
+        least.lib.mbs_least_weigh(system, least.ffi.from_buffer("double[]", x), least.ffi.from_buffer("double[]", lam))
+        condition = np.linalg.cond(B)
+        assert worst == 0
+        np.testing.assert_allclose(x, np.linalg.pinv(B) @ g, rtol=0, atol=100 * EPS * condition * np.linalg.norm(x))
+        np.testing.assert_allclose(B.T @ lam, x, rtol=0, atol=100 * EPS * condition**2 * np.linalg.norm(x))
+
+
+def test_dependent_equations_are_left_out_and_judged(least: Least) -> None:
+    """The rank is the one of the equations; the largest error of the ones left out is returned."""
+    rng = np.random.default_rng(6)
+    B = rng.normal(size=(3, 6))
+    B = np.vstack([B, B[0] - 2 * B[1]])
+    g = np.array([1.0, 2.0, 3.0, 1.0 - 4.0])
+    system, _, order, _memory = least.factorise(B, 1e-10)
+    assert system.rank == 3
+    x = np.zeros(6)
+    room = least.ffi.from_buffer("double[]", x)
+    assert least.lib.mbs_least_solve(system, least.ffi.from_buffer("double[]", g), room) < 1e-13
+    np.testing.assert_allclose(B @ x, g, rtol=0, atol=1e-13)
+    g[order[3]] += 0.5
+    assert least.lib.mbs_least_solve(system, least.ffi.from_buffer("double[]", g), room) == pytest.approx(
+        0.5, rel=1e-12
+    )
