@@ -46,6 +46,7 @@ MBSGEN = Package(
         "formulations",
         "assembly.mechanism",
         "assembly.poses assembly.choice",
+        "assembly.readings",
         "assembly.assemble assembly.findings",
         "assembly",
         "request",

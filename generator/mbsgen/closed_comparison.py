@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.assembly.mechanism import Mechanism
-from mbsgen.assembly.poses import walk
+from mbsgen.assembly.poses import find_solved, walk
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.symbols import to_double
@@ -107,8 +107,10 @@ def draw_states(tree: Tree) -> list[tuple[Array, Array]]:
     assert tree.closure is not None, "the tree is assembled"
     mechanism, rng = Mechanism(tree), np.random.default_rng(7)
     states = []
-    for q in islice(walk(mechanism, np.array(tree.closure.pose)), STATES):
-        J, qd = mechanism.J(q), rng.uniform(-1, 1, mechanism.n)
+    kept, slack = find_solved(tree.closure)
+    own = slice(None) if kept is None else list(kept)
+    for q in islice(walk(mechanism, np.array(tree.closure.pose), kept, slack), STATES):
+        J, qd = mechanism.J(q)[own], rng.uniform(-1, 1, mechanism.n)
         for _ in range(2):  # the second time for rounding
             qd = qd - np.linalg.pinv(J, rcond=1e-9) @ (J @ qd)
         states.append((q, qd))

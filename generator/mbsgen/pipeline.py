@@ -16,7 +16,8 @@ from sympy import Expr, Symbol
 from mbsgen import __version__, manifest
 from mbsgen.appearance import describe_appearance, write_formulas
 from mbsgen.approximation.choice import Approximation, approximate
-from mbsgen.assembly import AssemblyError, assemble, list_held
+from mbsgen.assembly import AssemblyError, assemble, list_held, list_redundant
+from mbsgen.assembly import release as release_tree
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
 from mbsgen.equations import Motion as Equations
 from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive, derive_stepwise
@@ -140,7 +141,9 @@ class _Trees:
 
 def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     """Build the tree that functions are generated of, and the trees that the report counts."""
-    written, parametric = assemble(build_tree(staged)), build_parametric(whole, request.scene)
+    written, parametric = _assemble(build_tree(staged)), build_parametric(whole, request.scene)
+    if not (written.loops or written.constraints):
+        parametric = release_tree(parametric)
     if request.scene.locked and (held := list_held(written)):
         shown = ", ".join(map(abbreviate, held))
         warnings.warn(f"with the locked joints of the scene, loops keep {shown} at rest", ModelWarning, stacklevel=3)
@@ -191,7 +194,24 @@ def _write_files(
 def read_tree(model: Path | Model) -> Tree:
     """Read a model file, or a file to import, as a Tree with closed loops. Raises InputError with every fault."""
     with _locating(model):
-        return assemble(build_tree(read(model)))
+        return _assemble(build_tree(read(model)))
+
+
+def _assemble(tree: Tree) -> Tree:
+    """Assemble a tree, and say which equations of its loops are left out although they are not exactly redundant."""
+    found = assemble(tree)
+    name = abbreviate(tree.name)
+    if (tree.loops or tree.constraints) and not (found.loops or found.constraints):
+        text = f"{name}: its loops and constraints restrict no joint, and are left out"
+        warnings.warn(text, ModelWarning, stacklevel=3)
+    elif found.closure is not None and found.closure.distance:
+        text = (
+            f"{name}: within {found.closure.distance:.1e} (rad, or of the loop's size), these equations follow from "
+            f"others: {', '.join(list_redundant(found))}. They are left out (degrees of freedom: "
+            f"{len(found.closure.independent)}); `loop_tolerance: 0` keeps them"
+        )
+        warnings.warn(text, ModelWarning, stacklevel=3)
+    return found
 
 
 @contextmanager
@@ -285,9 +305,8 @@ def convert(robot: Path, choices: Mapping[str, Any]) -> tuple[str, tuple[str, ..
     format that is imported.
     """
     if not is_foreign(robot):
-        raise OptionError(
-            f"{robot}: --base, --sensor, --lock, --lock-massless and --mimic are for files of {list_formats()}"
-        )
+        options = "--base, --sensor, --lock, --lock-massless, --mimic and --loop-tolerance"
+        raise OptionError(f"{robot}: {options} are for files of {list_formats()}")
     imported = import_model(robot, Choices(**choices))
     return write_imported(imported), tuple(str(notice) for notice in imported.notices if notice.alters)
 

@@ -282,7 +282,8 @@ def notes_of_loops(report: Report) -> list[str]:
     count = f"{found.freedoms} degree{'' if found.freedoms == 1 else 's'}"
     notes = [f"{found.coordinates} coordinates and {equations} leave {count} of freedom."]
     if found.redundant:
-        notes.append(f"These equations follow from the others: {', '.join(f'`{x}`' for x in found.redundant)}.")
+        within = f" within {found.distance:.1e} (rad, or of the loop's size)" if found.distance else ""
+        notes.append(f"These equations follow from the others{within}: {', '.join(f'`{x}`' for x in found.redundant)}.")
     by = "as the model says" if found.is_chosen else "since they determine the others best; joints with inputs first"
     names = ", ".join(f"`{x}`" for x in found.independent)
     notes.append(
@@ -321,6 +322,7 @@ def write_json(report: Report) -> str:
         data["loops"] = {
             "freedoms": report.loops.freedoms,
             "redundant": list(report.loops.redundant),
+            **({"distance": report.loops.distance} if report.loops.distance else {}),
             "independent": list(report.loops.independent),
             "regularity": report.loops.regularity,
             "assemblies": [list(pose) for pose in report.loops.assemblies],

@@ -30,6 +30,11 @@ OPTIONS = (
         show_default=True,
         help="Couple joints that follow others, lock them where the other is at 0, or free them.",
     ),
+    option(
+        "--loop-tolerance",
+        type=click.FloatRange(0, 0.005),
+        help="Leave out equations of loops that follow from others within this; by default, by the file's digits.",
+    ),
 )
 
 

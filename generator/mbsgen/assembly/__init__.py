@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mbsgen.assembly.assemble import AssemblyError, assemble
-from mbsgen.assembly.findings import Findings, describe, list_held
+from mbsgen.assembly.assemble import AssemblyError, assemble, release
+from mbsgen.assembly.findings import Findings, describe, list_held, list_redundant
 from mbsgen.assembly.poses import reach
 
-__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held", "reach"]
+__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held", "list_redundant", "reach", "release"]

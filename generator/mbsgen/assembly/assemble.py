@@ -15,18 +15,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from sympy import Expr, Symbol
 
 from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
-from mbsgen.assembly.mechanism import Array, Mechanism
-from mbsgen.assembly.poses import OPEN, Attempt, close, find_pose, rank, walk
+from mbsgen.assembly.mechanism import Array, Mechanism, place_roughly
+from mbsgen.assembly.poses import NEAR, OPEN, Attempt, close, find_pose, rank, walk
+from mbsgen.assembly.readings import Reading, is_weak, list_readings
 from mbsgen.documents import Place, abbreviate
 from mbsgen.errors import MbsError
 from mbsgen.model.findings import Finding
 from mbsgen.model.symbols import exact, to_double
-from mbsgen.model.tree import Closure, Cut, Kind, Tree
+from mbsgen.model.tree import Closure, Cut, Kind, Tree, coordinate_symbol
 
 PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
 CHANGES = (1e-2, 1e-3, 1e-4)  # parts of run-time parameters, or sizes where they are 0; the first that lets loops close
+GROWTH = 3.0  # of the residuals of equations that a reading leaves out, at other numbers
 BROKEN = 10 * OPEN  # residual of a redundant equation at other numbers; where it still holds, it is at most some OPEN
 
 
@@ -39,41 +42,94 @@ class AssemblyError(MbsError):
 
 
 def assemble(tree: Tree) -> Tree:
-    """Return a tree with its closure; a tree without loops as it is. Raises AssemblyError."""
+    """Return a tree with its closure; a tree without loops as it is. Raises AssemblyError.
+
+    Where no equation restricts the joints, the loops and constraints are left out.
+    """
     if not tree.is_constrained:
         return tree
-    mechanism = Mechanism(tree)
-    attempt = find_pose(mechanism, _start(tree))
+    mechanism, rough = Mechanism(tree), place_roughly(tree)
+    if undefined := _find_undefined(tree, rough):
+        raise AssemblyError(tree.name, undefined)
+    reading = _choose_reading(mechanism, rough)
+    if len(reading.kept) < len(mechanism.equations):
+        _check_redundancy(tree, mechanism, reading)
+    if not reading.kept and mechanism.equations:
+        return assemble(release(tree))
+    dependent = _choose_dependent(tree, reading.poses[0][list(reading.kept)])
+    independent = tuple(i for i in range(mechanism.n) if i not in dependent)
+    pose, kept = tuple(float(x) for x in reading.places[0]), reading.kept
+    units = mechanism.size, mechanism.unit, *mechanism.choose_pulls(reading.places[0], kept)
+    return replace(tree, closure=Closure(pose, kept, independent, dependent, reading.distance, *units))
+
+
+def release(tree: Tree) -> Tree:
+    """Return a tree without its loops and constraints."""
+    return replace(tree, loops=(), constraints=(), chosen=(), rough=())
+
+
+def _choose_reading(mechanism: Mechanism, rough: Array) -> Reading:
+    """Choose between all equations as exact as doubles, and readings by the digits of the file.
+
+    Of the readings within the tolerance, it is the one with the fewest equations. Raises AssemblyError where none fits.
+    """
+    tree = mechanism.tree
+    exactly, faults = _read_exactly(mechanism, rough)
+    if exactly is not None and not is_weak(mechanism, exactly.poses, len(exactly.kept)):
+        return exactly
+    readings = [*list_readings(mechanism, rough, None if exactly is None else len(exactly.kept))]
+    if fitting := [reading for reading in readings if reading.distance <= tree.loop_tolerance]:
+        return fitting[-1]
+    if readings and tree.loop_tolerance:
+        raise AssemblyError(tree.name, _name_readings(mechanism, exactly, faults, readings[-1]))
+    if exactly is None:
+        raise AssemblyError(tree.name, faults)
+    return exactly
+
+
+def _read_exactly(mechanism: Mechanism, rough: Array) -> tuple[Reading | None, Sequence[Finding]]:
+    """Return the reading with all equations, and what is wrong with it."""
+    attempt = find_pose(mechanism, rough)
     if not attempt.is_closed:
-        raise AssemblyError(tree.name, _name_gaps(mechanism, attempt))
+        return None, _name_gaps(mechanism, attempt)
+    if undefined := _find_undefined(mechanism.tree, attempt.q):
+        raise AssemblyError(mechanism.tree.name, undefined)
     places = [*walk(mechanism, attempt.q)]
     poses = [mechanism.J(q) for q in places]
     ranks = [rank(J) for J in poses]
     if ranks[0] < max(ranks):
-        raise AssemblyError(tree.name, [_name_singularity(ranks[0], max(ranks))])
+        return None, [_name_singularity(ranks[0], max(ranks))]
     kept = choose_rows([J for J, r in zip(poses, ranks, strict=True) if r == max(ranks)], max(ranks))
-    if len(kept) < len(mechanism.equations):
-        _check_redundancy(tree, mechanism, places, kept)
-    dependent = _choose_dependent(tree, poses[0][list(kept)])
-    independent = tuple(i for i in range(mechanism.n) if i not in dependent)
-    pose = tuple(float(x) for x in attempt.q)
-    return replace(tree, closure=Closure(pose, kept, independent, dependent))
+    if len(kept) == mechanism.n:
+        finding = "the loops leave no joint free to move"
+        return None, [Finding(_find_key(mechanism.tree), finding, "take a loop away, or one with fewer equations")]
+    return Reading(tuple(places), tuple(poses), kept, 0.0), ()
 
 
-def _start(tree: Tree) -> Array:
-    """Return the author's rough pose."""
-    given = {tree.bodies[number - 1].joint.name: value for number, value in tree.rough}
-    for quaternion in tree.quaternions:
-        turns = [given.get(tree.bodies[i - 1].joint.name, 0.0) for i in quaternion.bodies[-3:]]
-        given |= dict(zip(quaternion.coordinates[-4:], _make_quaternion(np.array(turns)), strict=True))
-    return np.array([given.get(name, rest) for name, rest in zip(tree.coordinates, tree.neutral, strict=True)])
+def _find_key(tree: Tree) -> Place:
+    return ("loops",) if tree.loops else ("constraints",)
 
 
-def _make_quaternion(turn: Array) -> Array:
-    """Return the quaternion, its scalar last, of a turn: its angle times its axis, along x, y, z."""
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle else turn
-    return np.array([*(math.sin(angle / 2) * axis), math.cos(angle / 2)])
+def _find_undefined(tree: Tree, q: Array) -> list[Finding]:
+    """Find constraints without a value or a derivative at a pose."""
+    found = []
+    for k, constraint in enumerate(tree.constraints, len(tree.loops)):
+        alone = Mechanism(replace(tree, loops=(), constraints=(constraint,)))
+        what = "no value" if not np.isfinite(alone.h(q)).all() else "no derivative"
+        if what == "no derivative" and np.isfinite(alone.slopes(q)).all():
+            continue
+        names = [name for name in tree.coordinates if coordinate_symbol(name) in constraint.equation.free_symbols]
+        pose = ", ".join(f"{abbreviate(x)} = {q[tree.coordinates.index(x)]:.6g}" for x in names)
+        place, owner = _place(tree, k)
+        finding = f"{owner}: {abbreviate(str(_show(constraint.equation, names)))} has {what} at {pose}"
+        remedy = "give a rough pose under `assembly:` at which it has one, and near which the loops close"
+        found.append(Finding((*place, "equation"), finding, remedy))
+    return found
+
+
+def _show(equation: Expr, names: Sequence[str]) -> Expr:
+    """Return an equation with plain names."""
+    return equation.xreplace({coordinate_symbol(name): Symbol(name) for name in names})
 
 
 def _place(tree: Tree, number: int) -> tuple[Place, str]:
@@ -122,7 +178,29 @@ def _name_singularity(found: int, expected: int) -> Finding:
     return Finding(("loops",), finding, "give a rough pose of another assembly under `assembly:`")
 
 
-def _check_redundancy(tree: Tree, mechanism: Mechanism, places: Sequence[Array], kept: Sequence[int]) -> None:
+def _name_readings(
+    mechanism: Mechanism, exactly: Reading | None, faults: Sequence[Finding], other: Reading
+) -> list[Finding]:
+    """Name two readings, between which the digits of the file do not decide."""
+    place = faults[0].place if faults else _find_key(mechanism.tree)
+    first = faults[0].finding if exactly is None else f"all equations as they stand leave {_count(exactly.freedoms)}"
+    finding = (
+        f"{first}; but {', '.join(other.name_redundant(mechanism))} follow from the others within "
+        f"{other.distance:.1e} (rad, or of the loop's size), and without them there {_count(other.freedoms, verb=True)}"
+    )
+    enough = f"{1.2 * other.distance:.0e}" if float(f"{1.2 * other.distance:.0e}") > other.distance else str(NEAR)
+    remedy = f"give `loop_tolerance: {enough}` to leave them out, or mend the axes and lengths"
+    if exactly is not None:
+        remedy = f"give `loop_tolerance: {enough}` to leave them out, `loop_tolerance: 0` to keep them"
+    return [Finding(place, finding, remedy)]
+
+
+def _count(freedoms: int, *, verb: bool = False) -> str:
+    text = f"{freedoms} degree{'' if freedoms == 1 else 's'} of freedom"
+    return f"{'is' if freedoms == 1 else 'are'} {text}" if verb else text
+
+
+def _check_redundancy(tree: Tree, mechanism: Mechanism, reading: Reading) -> None:
     """Refuse equations that are redundant for the present numbers of run-time parameters alone.
 
     The kept equations are solved at other numbers, from several poses: at one pose, a number may have no effect. Near
@@ -132,6 +210,8 @@ def _check_redundancy(tree: Tree, mechanism: Mechanism, places: Sequence[Array],
     own = [p for p in tree.parameters if p.kind is not Kind.CONSTANT]
     if not own:
         return
+    kept, places = reading.kept, reading.places
+    broken = max(BROKEN, GROWTH * max(float(np.abs(mechanism.h(q)).max(initial=0.0)) for q in places))
     parts = np.random.default_rng(2).uniform(-1, 1, len(own))
     for change in CHANGES:
         other = Mechanism(
@@ -141,7 +221,7 @@ def _check_redundancy(tree: Tree, mechanism: Mechanism, places: Sequence[Array],
         closed = [left for left in found if left[list(kept)].max(initial=0.0) <= OPEN]
         if closed:
             left = np.max(closed, axis=0)
-            if left.max(initial=0.0) > BROKEN:
+            if left.max(initial=0.0) > broken:
                 raise AssemblyError(tree.name, [_name_redundancy(mechanism, int(left.argmax()), "")])
             return
     first = next(k for k in range(len(mechanism.equations)) if k not in kept)
@@ -164,9 +244,6 @@ def _choose_dependent(tree: Tree, J: Array) -> tuple[int, ...]:
     places = {body.joint.name: i for i, body in enumerate(tree.bodies, 1)}
     numbers = [places[name] for name in names]
     free = len(names) - J.shape[0]
-    if not free:
-        finding = "the loops leave no joint free to move"
-        raise AssemblyError(tree.name, [Finding(("loops",), finding, "take a loop away, or one with fewer equations")])
     if len(tree.driven) > free:
         finding = f"{len(tree.driven)} driven joints, where {free} determine all others"
         raise AssemblyError(tree.name, [Finding(("driven",), finding, "drive fewer joints")])

@@ -18,11 +18,11 @@ NEARLY = 0.999  # likewise of columns, whose weights decide
 REGULAR = 1e-6  # the least singular value of the dependent columns, as a part of the largest one of J
 
 
-def choose_rows(poses: Sequence[Array], count: int) -> tuple[int, ...]:
-    """Choose independent rows of J, given at several poses."""
+def choose_rows(poses: Sequence[Array], count: int, noise: float = NOISE) -> tuple[int, ...]:
+    """Choose independent rows of J, given at several poses; rows below `noise` of the largest count by their size."""
     sizes = [np.linalg.norm(J, axis=1, keepdims=True) for J in poses]
     left = [
-        J / np.maximum(size, max(NOISE * size.max(initial=0.0), 1e-300)) for J, size in zip(poses, sizes, strict=True)
+        J / np.maximum(size, max(noise * size.max(initial=0.0), 1e-300)) for J, size in zip(poses, sizes, strict=True)
     ]
     return tuple(sorted(_choose(left, count, np.ones(left[0].shape[0]), ENOUGH)))
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsgen.assembly.choice import measure
-from mbsgen.assembly.mechanism import Array, Mechanism
-from mbsgen.assembly.poses import Attempt, close, null_space, walk
+from mbsgen.assembly.mechanism import Array, Mechanism, name_equations
+from mbsgen.assembly.poses import Attempt, close, find_solved, null_space, walk
+from mbsgen.formulations.closure import list_equations
 from mbsgen.model.tree import Motion, Tree
 
 STARTS = 48  # from which other assemblies are searched for
@@ -28,6 +29,7 @@ class Findings:
     is_chosen: bool  # by the author
     regularity: float  # the least singular value of the dependent columns of J, as a part of J's largest
     assemblies: tuple[tuple[float, ...], ...]  # poses with the same independent coordinates; the first is computed with
+    distance: float = 0.0  # within which the redundant equations hold: in rad, or of the size of a loop
 
     @property
     def freedoms(self) -> int:
@@ -40,18 +42,24 @@ def describe(tree: Tree) -> Findings | None:
     if tree.closure is None or not (tree.loops or tree.constraints):
         return None
     mechanism, closure, names = Mechanism(tree), tree.closure, [joint.name for joint in tree.joints]
-    owners = [*(loop.name for loop in tree.loops), *(constraint.name for constraint in tree.constraints)]
-    every = enumerate(mechanism.equations)
     J = mechanism.J(np.array(closure.pose))[list(closure.kept)]
     return Findings(
-        tuple(f"{owners[k]}.{equation}" for i, (k, equation) in every if i not in closure.kept),
+        list_redundant(tree),
         len(closure.kept),
         len(names),
         tuple(names[i] for i in closure.independent),
         bool(tree.chosen),
         measure(J, closure.dependent),
         tuple(find_assemblies(mechanism)),
+        closure.distance,
     )
+
+
+def list_redundant(tree: Tree) -> tuple[str, ...]:
+    """Name the equations of an assembled tree that follow from others."""
+    closure = tree.closure
+    assert closure is not None, "the tree is assembled"
+    return name_equations(tree, (i for i, _ in enumerate(list_equations(tree)) if i not in closure.kept))
 
 
 def list_held(tree: Tree) -> tuple[str, ...]:
@@ -60,8 +68,10 @@ def list_held(tree: Tree) -> tuple[str, ...]:
         return ()
     mechanism, names = Mechanism(tree), [joint.name for joint in tree.joints]
     moves = np.zeros(len(names), bool)
-    for q in walk(mechanism, np.array(tree.closure.pose)):
-        moves |= np.linalg.norm(null_space(mechanism.J(q)), axis=1) > RESTING
+    kept, slack = find_solved(tree.closure)
+    own = slice(None) if kept is None else list(kept)
+    for q in walk(mechanism, np.array(tree.closure.pose), kept, slack):
+        moves |= np.linalg.norm(null_space(mechanism.J(q)[own]), axis=1) > RESTING
     return tuple(name for name, is_moving in zip(names, moves, strict=True) if not is_moving)
 
 
@@ -76,19 +86,21 @@ def find_assemblies(mechanism: Mechanism) -> list[tuple[float, ...]]:
     found = [first]
     if mechanism.tree.quaternions or len(closure.dependent) > LARGEST:
         return [closure.pose]
+    kept, slack = find_solved(closure)
     draw, held = np.random.default_rng(3), list(closure.independent)
     turns = np.array([joint.motion is Motion.REVOLUTE for joint in mechanism.tree.joints])
     for _ in range(STARTS):
-        start = np.where(turns, draw.uniform(-np.pi, np.pi, first.size), first + draw.standard_normal(first.size))
+        shifts = first + mechanism.steps * draw.standard_normal(first.size)
+        start = np.where(turns, draw.uniform(-np.pi, np.pi, first.size), shifts)
         start[held] = first[held]
-        attempt = close(mechanism, start, held=held)
-        if attempt.is_closed and all(_differ(attempt, other, turns) for other in found):
+        attempt = close(mechanism, start, kept, held=held, slack=slack)
+        if attempt.is_closed and all(_differ(mechanism, attempt, other, turns) for other in found):
             found.append(_wind(attempt.q, turns, held))
     return [closure.pose, *(tuple(float(x) for x in q) for q in found[1:])]
 
 
-def _differ(attempt: Attempt, other: Array, turns: Array) -> bool:
-    gap = attempt.q - other
+def _differ(mechanism: Mechanism, attempt: Attempt, other: Array, turns: Array) -> bool:
+    gap = (attempt.q - other) / mechanism.steps
     gap[turns] = np.remainder(gap[turns] + np.pi, 2 * np.pi) - np.pi
     return bool(np.abs(gap).max() > APART)
 

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsgen.assembly.mechanism import Array, Mechanism
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Closure, Tree
 
 STEPS = 100
 LONGEST = 0.5  # of a step, rad or m, so that distant poses are approached slowly
 SHORTEST = 1e-9  # of a step: the next one is at the rounding
 OPEN = 1e-9  # largest residual of a closed equation, m or rad, where sizes are about 1
 RANK = 1e-9  # of the largest singular value: smaller ones are 0
+NEAR = 0.005  # rad, or of a loop's size: equations that are open by more along a motion do not follow from others
 SPREADS = (0.0, *(0.1,) * 4, *(0.3,) * 8, *(1.0,) * 16, *(3.0,) * 32)  # of the starts, about the rough pose
 EFFORT = 100_000_000  # operations of all attempts together, so that a large model is refused in a quarter of a minute
 FEWEST = 3  # attempts, however large the model is
@@ -36,11 +37,12 @@ class Attempt:
     q: Array
     h: Array
     senses: Array
+    limits: Array  # of the residuals of a closed pose
 
     @property
     def is_closed(self) -> bool:
         """Return whether all equations hold, with axes that point the same way."""
-        return self.gap <= OPEN and bool((self.senses > 0).all())
+        return bool((np.abs(self.h) <= self.limits).all() and (self.senses > 0).all())
 
     @property
     def gap(self) -> float:
@@ -49,12 +51,13 @@ class Attempt:
         return worst if np.isfinite(worst) else float("inf")
 
 
-def find_pose(mechanism: Mechanism, rough: Array) -> Attempt:
-    """Close all loops near a rough pose: from it, then from starts about it. Return the best attempt."""
+def find_pose(mechanism: Mechanism, rough: Array, *, weak: float = RANK, slack: float = OPEN) -> Attempt:
+    """Close all loops near a rough pose: from it, then from starts about it. Return the best attempt; see `close`."""
     draw = np.random.default_rng(0)
     best: Attempt | None = None
     for spread in SPREADS[: count_starts(mechanism.operations)]:
-        found = close(mechanism, rough + spread * draw.standard_normal(rough.size))
+        start = rough + spread * mechanism.steps * draw.standard_normal(rough.size)
+        found = close(mechanism, start, weak=weak, slack=slack)
         if found.is_closed:
             return found
         if best is None or found.gap < best.gap:
@@ -69,9 +72,19 @@ def count_starts(operations: int) -> int:
 
 
 def close(
-    mechanism: Mechanism, start: Array, kept: Sequence[int] | None = None, *, held: Sequence[int] = ()
+    mechanism: Mechanism,
+    start: Array,
+    kept: Sequence[int] | None = None,
+    *,
+    held: Sequence[int] = (),
+    weak: float = RANK,
+    slack: float = OPEN,
 ) -> Attempt:
-    """Close all loops, or solve the kept equations alone, by steps of least length; held coordinates stay."""
+    """Close all loops, or solve the kept equations alone, by steps of least length; held coordinates stay.
+
+    Directions along which J is weaker than a part of its largest are not followed. Equations that are not kept may stay
+    open by `slack`, and all of them where weak directions are left out.
+    """
     q = _normalise(mechanism, start)
     own = list(range(len(mechanism.equations))) if kept is None else list(kept)
     for _ in range(STEPS):
@@ -79,42 +92,51 @@ def close(
         H[:, list(held)] = 0.0
         if not (np.isfinite(h).all() and np.isfinite(H).all()):
             break
-        step = -np.linalg.lstsq(H, h, rcond=RANK)[0] if h.size else np.zeros(q.size)
+        step = -np.linalg.lstsq(H, h, rcond=weak)[0] if h.size else np.zeros(q.size)
         length = float(np.abs(step).max(initial=0.0))
-        q = _normalise(mechanism, q + step * min(1.0, LONGEST / max(length, LONGEST)))
+        q = _normalise(mechanism, q + mechanism.steps * step * min(1.0, LONGEST / max(length, LONGEST)))
         if length < SHORTEST:
             break
-    return Attempt(q, mechanism.h(q), mechanism.senses(q))
+    limits = np.full(len(mechanism.equations), slack)
+    limits[own if weak == RANK else []] = OPEN
+    return Attempt(q, mechanism.h(q), mechanism.senses(q), limits)
 
 
 def reach(tree: Tree, wanted: Mapping[int, float]) -> Array | None:
     """Return a closed pose of an assembled tree with given entries of q; None where the way from its pose ends."""
     assert tree.closure is not None, "the tree is assembled"
     mechanism, q = Mechanism(tree), np.array(tree.closure.pose)
+    kept, slack = find_solved(tree.closure)
     held = [*wanted]
     start, end = q[held], np.array([*wanted.values()])
-    count = max(1, math.ceil(float(np.abs(end - start).max(initial=0.0)) / PACE))
+    count = max(1, math.ceil(float(np.abs((end - start) / mechanism.steps[held]).max(initial=0.0)) / PACE))
     for part in np.linspace(0.0, 1.0, count + 1)[1:]:
         q[held] = start + part * (end - start)
-        found = close(mechanism, q, held=held)
+        found = close(mechanism, q, kept, held=held, slack=slack)
         if not found.is_closed:
             return None
         q = found.q
     return q
 
 
-def walk(mechanism: Mechanism, first: Array) -> Iterator[Array]:
-    """Yield the pose, and closed poses that the mechanism reaches from it."""
+def find_solved(closure: Closure) -> tuple[Sequence[int] | None, float]:
+    """Return the equations that close loops again, None for all, and by how much the others may be open."""
+    return (closure.kept, NEAR) if closure.distance else (None, OPEN)
+
+
+def walk(mechanism: Mechanism, first: Array, kept: Sequence[int] | None = None, slack: float = OPEN) -> Iterator[Array]:
+    """Yield the pose, and closed poses that the mechanism reaches from it, by all equations or the kept ones alone."""
+    own = slice(None) if kept is None else list(kept)
     draw = np.random.default_rng(1)
     yield first
     pose = first
     for k in range(WALKS):
-        free = null_space(mechanism.slopes(pose))
+        free = null_space(mechanism.slopes(pose)[own])
         if not free.shape[1]:
             return
         direction = free @ draw.standard_normal(free.shape[1])
         direction /= max(float(np.abs(direction).max()), 1e-300)
-        found = close(mechanism, pose + STRIDE * direction)
+        found = close(mechanism, pose + STRIDE * mechanism.steps * direction, kept, slack=slack)
         if found.is_closed:
             yield found.q
         pose = found.q if found.is_closed and k % 4 != 3 else first

@@ -23,7 +23,7 @@ from mbsgen.formulations.partition import Partition, Place, find_blocks
 from mbsgen.formulations.projection import normalise
 from mbsgen.formulations.reduced import Reduced, known_closure
 from mbsgen.formulations.reductions import ALL
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Motion, Tree
 from mbsgen.procedure.fusion import fuse
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General
@@ -200,8 +200,10 @@ class _Closing:
     def _solve(self, block: _Block) -> Iterator[Stage]:
         sheet = Sheet()
         q = sheet.take(self._q)
-        seats = [self.seats[self.dependent[c]] for c in block.place.columns]
-        sheet.give(block.start, [sheet.builder.zero if k is None else q[k] for k in seats])
+        own = [self.dependent[c] for c in block.place.columns]
+        b, units = sheet.builder, _find_units(self.tree, own)
+        starts = [b.zero if self.seats[k] is None else q[self.seats[k] or 0] for k in own]
+        sheet.give(block.start, [b.number(1 / unit) * x for x, unit in zip(starts, units, strict=True)])
         yield Straight(sheet.finish(f"begin_{block.number}"))
         near = Wire(f"near_{block.number}", block.start.sparsity)
         form = block.write_straight(near if self._is_iterated else block.solution)
@@ -252,8 +254,9 @@ def _move(
     dependent: Sequence[int],
     seats: Sequence[int | None],
 ) -> list[Scalar]:
-    """Return all coordinates, with y in the place of the dependent ones."""
+    """Return all coordinates, with y, in units of iterations, in the place of the dependent ones."""
     moved = list(q)
+    y = [builder.number(unit) * x for x, unit in zip(y, _find_units(tree, dependent), strict=True)]
     if any(seats[k] is None for k in dependent):
         steps = [builder.zero] * len(seats)
         for k, x in zip(dependent, y, strict=True):
@@ -269,6 +272,12 @@ def _move(
         if seat is not None:
             moved[seat] = x
     return moved
+
+
+def _find_units(tree: Tree, dependent: Sequence[int]) -> list[float]:
+    """Return the units of dependent entries of qd: lengths are counted such that they are of order 1."""
+    unit, joints = known_closure(tree).unit, tree.joints
+    return [unit if joints[k].motion is Motion.PRISMATIC else 1.0 for k in dependent]
 
 
 def _with_slopes(tape: Tape, size: int) -> Tape:

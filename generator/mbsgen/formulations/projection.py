@@ -52,6 +52,7 @@ class _Projection:
     rates: Tape | None
     mass: Tape | None  # None: W = 1
     free: tuple[int, ...]  # the entries of qd that are not driven
+    units: tuple[float, ...]  # of the multipliers that are iterated
 
     @staticmethod
     def of(tree: Tree, reductions: Reductions, *, weighted: bool) -> _Projection:
@@ -67,6 +68,7 @@ class _Projection:
             write(rates.build) if tree.quaternions else None,
             drop_unused_inputs(keep_results(mass, {ports.MASS_MATRIX.name})) if mass else None,
             tuple(k for k, joint in enumerate(tree.joints) if joint.name not in driven),
+            _choose_units(tree, weighted=weighted),
         )
 
     def write(self, name: str) -> Procedure:
@@ -133,7 +135,7 @@ class _Projection:
         m = directions.sparsity.cols
         sheet = Sheet()
         lam = sheet.builder.vector(_LAMBDA, m)
-        moved = self._move(sheet, sheet.take(q), _combine(sheet.place(directions), lam))
+        moved = self._move(sheet, sheet.take(q), _combine(sheet.place(directions), self._scale(lam)))
         values = self._replay(self.gaps, sheet, moved)
         sheet.builder.output_dense("g", [[values[v]] for v in self.gaps.outputs[0].values])
         tape = sheet.finish("projection_gaps")
@@ -147,10 +149,14 @@ class _Projection:
         builder.output_nonzeros("slopes", m, m, entries)
         return builder.build(tape.function)
 
+    def _scale(self, lam: Sequence[Scalar]) -> list[Scalar]:
+        """Return the multipliers of iterated numbers: at any size, these are of order 1."""
+        return [x.builder.number(unit) * x for x, unit in zip(lam, self.units, strict=True)]
+
     def _write_results(self, q: Wire, qd: Wire, directions: Wire, found: Wire) -> Straight:
         sheet = Sheet()
         b = sheet.builder
-        closed = self._move(sheet, sheet.take(q), _combine(sheet.place(directions), sheet.take(found)))
+        closed = self._move(sheet, sheet.take(q), _combine(sheet.place(directions), self._scale(sheet.take(found))))
         closed = normalise(self.tree, b, closed)
         solved, velocities = self._solve(sheet, closed), sheet.take(qd)
         lam = solved.balance(
@@ -181,6 +187,11 @@ class _Solved:
         system = multipliers.eliminate(self.builder, A, len(rows))
         multipliers.guard(self.builder, owners, A, system.pivots)
         return system.solve(right)
+
+
+def _choose_units(tree: Tree, *, weighted: bool) -> tuple[float, ...]:
+    found = tree.closure and (tree.closure.pulls if weighted else tree.closure.plain_pulls)
+    return found or (1.0,) * len(closure.kept_equations(tree))
 
 
 def _combine(directions: Mapping[tuple[int, int], Scalar], lam: Sequence[Scalar]) -> dict[int, Scalar]:

@@ -72,6 +72,7 @@ class Choices:
     locked: tuple[tuple[str, float], ...] = ()  # joints that are held, with their coordinates [rad or m]
     lock_massless: bool = False  # hold joints whose accelerations nothing determines, at 0
     mimic: Mimic = "couple"  # the treatment of joints that follow others
+    loop_tolerance: float | None = None  # of equations that follow from others; None: by the digits of the file
     quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]

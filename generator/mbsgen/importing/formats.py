@@ -9,12 +9,15 @@ from pathlib import Path
 
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
+from mbsgen.expressions import Number
+from mbsgen.importing.digits import list_numbers
 from mbsgen.importing.drafting import Choices, Imported, MasslessError
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element, read_markup
 from mbsgen.importing.mjcf import read_mjcf
 from mbsgen.importing.sdf import read_sdf
 from mbsgen.importing.urdf import read_urdf
+from mbsgen.model.digits import find_tolerance, list_geometry
 
 DEFAULT = Choices()
 
@@ -93,13 +96,24 @@ def _read(known: Format, source: Source, choices: Choices) -> Imported:
     return replace(found, notices=(notice, *found.notices))
 
 
+def _tolerate(found: Imported, source: Source, choices: Choices) -> Imported:
+    """Return a model with loops with the tolerance of the file's digits, where it is not the one of the model's."""
+    model, given = found.model, choices.loop_tolerance
+    if not (model.loops or model.constraints):
+        return found
+    tolerance = find_tolerance(list_numbers(source.root)) if given is None else given
+    if given is None and tolerance == find_tolerance(list_geometry(model)):
+        return found
+    return replace(found, model=replace(model, loop_tolerance=Number(tolerance)))
+
+
 def import_model(path: Path, choices: Choices = DEFAULT) -> Imported:
     """Read a file of one of FORMATS as a model. Raises InputError with all faults of the file."""
     source, suffix = Source(path), path.suffix.lower()
     likely = [known for known in FORMATS if suffix in known.suffixes] or FORMATS
     for known in likely:
         if known.recognise(source):
-            return _read(known, source, choices)
+            return _tolerate(_read(known, source, choices), source, choices)
     *most, last = (f"{known.name} ({known.mark})" for known in likely)
     remedy = f"give a file of {', '.join(most)}{' or ' if most else ''}{last}"
     if suffix not in _MARKUP:

@@ -347,6 +347,7 @@ def make_model(
     driven: Sequence[str] = (),
     independent: Sequence[str] = (),
     assembly: Mapping[str, Quantity] | None = None,
+    loop_tolerance: Quantity | None = None,
     allow_unphysical: bool = False,
 ) -> Model:
     """Make a model of its parts. Raises InputError with all that is wrong with it, by the rules for files."""
@@ -369,6 +370,7 @@ def make_model(
         tuple(driven),
         tuple(independent),
         tuple((joint, number(value)) for joint, value in (assembly or {}).items()),
+        loop_tolerance=None if loop_tolerance is None else number(loop_tolerance),
         allow_unphysical=allow_unphysical,
     )
     if findings := find_faults(made):

@@ -5,6 +5,7 @@ Whether a loop can be closed, and which equations follow from others, is found w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,7 @@ from mbsgen.model.valuation import Array, Valuation
 
 MAX_EQUATIONS = 500  # loops and constraints
 SHORTEST = 1e-150  # of a rod, whose square does not vanish, and of a pitch
+LARGEST_TOLERANCE = 0.005  # of loops: beyond it, nothing is rounding
 PARALLEL = 1e-9  # sine of the angle between the axes of a universal joint
 
 WITH_AXIS = (Cut.HINGE, Cut.UNIVERSAL, Cut.CYLINDRICAL, Cut.HELICAL, Cut.PRISMATIC, Cut.PLANAR)
@@ -45,6 +47,7 @@ def check_loops(model: Model, valuation: Valuation, doubtful: Container[Place]) 
     yield from _check_driven(model, joints)
     yield from _check_independent(model, joints)
     yield from _check_assembly(model, joints, valuation)
+    yield from _check_tolerance(model, valuation)
 
 
 # --- loops -----------------------------------------------------------------------------------------------------------
@@ -256,6 +259,18 @@ def _check_list(key: str, given: Sequence[str], joints: _Joints) -> Iterator[Fin
         elif step is not None and step.joint.floats:
             finding = f"{abbreviate(name)} is part of a joint with a quaternion"
             yield Finding((key, k), finding, "name joints that turn about, or slide along, one axis")
+
+
+def _check_tolerance(model: Model, valuation: Valuation) -> Iterator[Finding]:
+    if model.loop_tolerance is None:
+        return
+    place: Place = ("loop_tolerance",)
+    value = valuation.constant(place, model.loop_tolerance)
+    if not (model.loops or model.constraints):
+        yield Finding(place, "a tolerance without loops and constraints", "leave it out")
+    elif not math.isnan(value) and not 0 <= value <= LARGEST_TOLERANCE:
+        finding = f"{value:g} is no tolerance of loops"
+        yield Finding(place, finding, f"give 0, for equations as exact as doubles, up to {LARGEST_TOLERANCE:g}")
 
 
 def _check_assembly(model: Model, joints: _Joints, valuation: Valuation) -> Iterator[Finding]:

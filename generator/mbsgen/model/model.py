@@ -378,4 +378,5 @@ class Model:
     driven: tuple[str, ...] = ()  # joints whose accelerations are given
     independent: tuple[str, ...] = ()  # joints whose coordinates determine all others; empty: they are chosen
     assembly: tuple[tuple[str, Expression], ...] = ()  # joints, and coordinates near which loops close; else 0
+    loop_tolerance: Expression | None = None  # of equations that follow from others; None: by the digits
     allow_unphysical: bool = False  # take inertias that no body can have

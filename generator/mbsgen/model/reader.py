@@ -60,6 +60,7 @@ def _make_model(section: schema.ModelSection) -> Model:
         driven=section.driven,
         independent=section.independent,
         assembly=tuple(section.assembly.items()),
+        loop_tolerance=section.loop_tolerance,
         allow_unphysical=section.allow_unphysical,
     )
 

@@ -18,6 +18,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.expressions import Algebra, Expression, evaluate, names
 from mbsgen.model import model, tree
+from mbsgen.model.digits import find_tolerance, list_geometry
 from mbsgen.model.elements import Anchor, Loads, Side
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
@@ -97,7 +98,13 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         rough=tuple(
             sorted((numbers[name], reader.estimate(x)) for name, x in description.assembly if name not in sums.rules)
         ),
+        loop_tolerance=_find_tolerance(description, reader) if description.loops or description.constraints else 0.0,
     )
+
+
+def _find_tolerance(description: model.Model, reader: _Reader) -> float:
+    given = description.loop_tolerance
+    return find_tolerance(list_geometry(description)) if given is None else reader.estimate(given)
 
 
 def align(direction: Vector) -> tuple[int, Matrix]:

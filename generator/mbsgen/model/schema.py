@@ -144,6 +144,11 @@ class ModelSection(Section):
     assembly: dict[str, NumberField] = Field(
         {}, examples=[{}], description="rough coordinates of joints near which the loops close, rad or m; else 0"
     )
+    loop_tolerance: NumberField | None = Field(
+        None,
+        examples=[1e-4],
+        description="within which equations of loops follow from others, rad or of a loop's size; else by the digits",
+    )
     allow_unphysical: bool = Field(False, examples=[False], description="take inertias that no body has")
 
 

@@ -241,6 +241,11 @@ class Closure:
     kept: tuple[int, ...]  # numbers, from 0, of the equations that do not follow from others
     independent: tuple[int, ...]  # entries of qd, from 0, that determine all others
     dependent: tuple[int, ...]  # the other ones; as many as kept equations
+    distance: float = field(default=0.0, repr=False)  # by which equations that are left out are open, along the motion
+    size: float = field(default=1.0, repr=False)  # of its loops [m]
+    unit: float = field(default=1.0, repr=False)  # of lengths in iterations [m], a power of two
+    pulls: tuple[float, ...] = field(default=(), repr=False)  # units of multipliers in the mass matrix's norm; (): 1
+    plain_pulls: tuple[float, ...] = field(default=(), repr=False)  # the same where all velocities weigh 1
 
 
 @dataclass(frozen=True)
@@ -290,6 +295,7 @@ class Tree:
     driven: tuple[int, ...] = ()  # bodies, from 1, of the joints whose accelerations are given
     chosen: tuple[int, ...] = ()  # bodies of the joints that the author calls independent
     rough: tuple[tuple[int, float], ...] = ()  # bodies, and the author's rough coordinates of their joints
+    loop_tolerance: float = 0.0  # within which equations follow from others, rad or of a loop's size
     closure: Closure | None = None  # of a tree with loops or constraints, once it is closed
 
     @property

@@ -75,6 +75,8 @@ def write_model(model: Model) -> str:
             content[key] = [_quote(name) for name in listed]
     if model.assembly:
         content["assembly"] = {_quote(joint): _write_number(value) for joint, value in model.assembly}
+    if model.loop_tolerance is not None:
+        content["loop_tolerance"] = _write_number(model.loop_tolerance)
     if model.allow_unphysical:
         content["allow_unphysical"] = _write_truth(True)
     return "\n".join(_lay_out(content)) + "\n"

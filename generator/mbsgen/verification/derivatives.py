@@ -28,14 +28,15 @@ Vectors = dict[str, Numbers]  # by result or by input
 SMALL = Decimal("1e-6")  # of an adjoint beside the others: a far contact gives one in which logarithms lost digits
 LOST = Decimal("1e-12")  # of a result: differences over STEP round a derivative that is smaller off below the tolerance
 COARSENESS = Decimal(10) ** (1 - COARSE)  # of numbers of COARSE digits
+Sizes = Mapping[str, Sequence[Decimal]]  # of the entries of inputs, by their names, where they are not 1
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input
 
 
-def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[str, Comparison]]:
-    """Compare all derivatives of a function, each under its kernel's name."""
+def compare_derivatives(family: Family, arguments: Arguments, sizes: Sizes) -> Iterator[tuple[str, Comparison]]:
+    """Compare all derivatives of a function, each under its kernel's name, along a direction of given sizes."""
     if not (family.jac or family.adj1):
         return
-    value, way = family.value, _Direction(family)
+    value, way = family.value, _Direction(family, sizes)
     along = slope_of(value, arguments(value), way)
     if family.jac:
         for name, found in _products(family, family.jac, arguments, way):
@@ -45,21 +46,21 @@ def compare_derivatives(family: Family, arguments: Arguments) -> Iterator[tuple[
         adjoint = evaluate(family.adj1, given, DECIMALS)
         gradient = [dot(adjoint[o.name], way.take(by.name, o.sparsity.nnz)) for o, by in _adjoints(family.adj1)]
         weighted = [dot(given[i.name], along[i.port.of.name]) for i in family.adj1.inputs if i.port.of]
-        sizes = [_size(value, arguments, i.port.of.name) for i in family.adj1.inputs if i.port.of]
-        scale = max(largest(gradient), largest(weighted), LOST * largest(sizes))
+        floor = LOST * largest([_size(value, arguments, i.port.of.name) for i in family.adj1.inputs if i.port.of])
+        scale = max(largest(gradient), largest(weighted), floor)
         floors = _lose(family.adj1, given)
         yield family.adj1.name, Comparison("adj", [sum(gradient, ZERO)], [sum(weighted, ZERO)], scale)
         if family.jac_adj1:
-            way = _Direction(family, of_adjoint=True)
+            way = _Direction(family, sizes, of_adjoint=True)
             along = slope_of(family.adj1, given, way)
             for name, product in _products(family, family.jac_adj1, arguments, way):
                 size = max(largest(adjoint[name]), SMALL * scale, floors[name])
                 yield family.jac_adj1.name, Comparison(name, product, along[name], size)
 
 
-def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iterator[Comparison]:
+def compare_linearised(lin: Family, plain: Family, arguments: Arguments, sizes: Sizes) -> Iterator[Comparison]:
     """Compare a `lin_` function with the function and with its Jacobian."""
-    way = _Direction(plain)
+    way = _Direction(plain, sizes)
     along = slope_of(plain.value, arguments(plain.value), way)
     found, expected = (evaluate(f, arguments(f), DECIMALS) for f in (lin.value, plain.value))
     for name in expected:
@@ -71,8 +72,8 @@ def compare_linearised(lin: Family, plain: Family, arguments: Arguments) -> Iter
 class _Direction:
     """The direction: numbers for every input that derivatives are taken by."""
 
-    def __init__(self, family: Family, *, of_adjoint: bool = False) -> None:
-        self._family, self._of_adjoint = family, of_adjoint
+    def __init__(self, family: Family, sizes: Sizes, *, of_adjoint: bool = False) -> None:
+        self._family, self._sizes, self._of_adjoint = family, sizes, of_adjoint
 
     def wrt(self) -> set[str]:
         """Return the inputs that derivatives are taken by."""
@@ -83,7 +84,8 @@ class _Direction:
         return found | seeds if self._of_adjoint else found
 
     def take(self, name: str, size: int) -> Numbers:
-        return list(draw(f"{DIRECTION} {name}", size, 0))
+        drawn = draw(f"{DIRECTION} {name}", size, 0)
+        return [x * more for x, more in zip(drawn, self._sizes.get(name, [ONE] * size), strict=True)]
 
 
 def _adjoints(adj1: Computation) -> Iterator[tuple[Output | Wire, Port]]:

@@ -152,8 +152,11 @@ class Truth:
 
     @cached_property
     def is_finite(self) -> bool:
-        """Return whether the equations have values here: a force law may have none."""
-        return all(x.is_finite() for x in (*self.residual(self.qdd), *self.Q))
+        """Return whether the equations have values here: a force law may have none, or a constraint."""
+        found = [*self.residual(self.qdd), *self.Q]
+        if self.tree.constraints:
+            found += [x for column in (self.closures.h, *self.J) for x in column]
+        return all(x.is_finite() for x in found)
 
     @cached_property
     def Q(self) -> Numbers:
@@ -196,7 +199,8 @@ class Truth:
     @cached_property
     def closures(self) -> Closures:
         """Return the loops and constraints."""
-        return Closures(self.tree, self.mechanism, self.q, self._constrain)
+        sizes = self.state.sizes.get(ports.VELOCITIES.name, [])
+        return Closures(self.tree, self.mechanism, self.q, self._constrain, min(sizes, default=Decimal(1)))
 
     def _constrain(self, q: Sequence[Decimal]) -> Numbers:
         """Return the values of the constraints at coordinates of all joints."""
@@ -206,8 +210,10 @@ class Truth:
     @cached_property
     def J(self) -> list[Numbers]:
         """Return the columns of the Jacobian of h, by velocities of joints that follow no other."""
-        units = [[Decimal(int(i == j)) for j in range(self.n)] for i in range(self.n)]
-        return [self.closures.rate(self.move(unit)) for unit in units]
+        sizes = self.state.sizes.get(ports.VELOCITIES.name, [Decimal(1)] * self.n)
+        moves = [[size * int(i == j) for j in range(self.n)] for i, size in enumerate(sizes)]
+        rates = [self.closures.rate(self.move(move)) for move in moves]
+        return [[x / size for x in column] for column, size in zip(rates, sizes, strict=True)]
 
     @property
     def driven(self) -> tuple[int, ...]:

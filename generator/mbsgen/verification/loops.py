@@ -11,7 +11,7 @@ from decimal import Decimal
 from functools import cached_property
 
 from mbsgen.formulations.closure import kept_equations
-from mbsgen.model.tree import Cut, Loop, Tree
+from mbsgen.model.tree import Cut, Loop, Motion, Tree
 from mbsgen.tape.interpreter import DECIMALS
 from mbsgen.tape.types import Op
 from mbsgen.verification.geometry import STEP, ZERO, Mechanism, Pose, add, dot, slope, times, transpose
@@ -24,9 +24,14 @@ Value = Callable[[Sequence[Decimal]], Numbers]  # of constraints, at the coordin
 class Closures:
     """The loops and constraints of an uncoupled tree at one state, by displacements of its joints."""
 
-    def __init__(self, tree: Tree, mechanism: Mechanism, q: Numbers, constraints: Value) -> None:
-        """Take the tree, its numbers, the coordinates of all joints, and the values of its constraints."""
+    def __init__(
+        self, tree: Tree, mechanism: Mechanism, q: Numbers, constraints: Value, size: Decimal = Decimal(1)
+    ) -> None:
+        """Take the tree, its numbers, the coordinates of all joints, the values of its constraints, and the unit of
+        shifts.
+        """
         self.tree, self._mechanism, self._q, self._constraints = tree, mechanism, q, constraints
+        self._size = size
 
     @cached_property
     def h(self) -> Numbers:
@@ -45,7 +50,8 @@ class Closures:
                 a, b, c, d, e, f = (qd[i - 1] for i in x.bodies)
                 for i, more in zip(x.bodies, (e * c - f * b, f * a - d * c, d * b - e * a), strict=False):
                     bend[i - 1] += more
-        time = SECOND_STEP / _bound_speed(qd, bend)
+        own = [self._size if body.joint.motion is Motion.PRISMATIC else Decimal(1) for body in self.tree.bodies]
+        time = SECOND_STEP / _bound_speed(*([x / size for x, size in zip(v, own, strict=True)] for v in (qd, bend)))
         coarse, fine = (self._bend(step, qd, bend) for step in (2 * time, time))
         return [(4 * y - x) / 3 for x, y in zip(coarse, fine, strict=True)]
 

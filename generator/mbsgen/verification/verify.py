@@ -22,7 +22,14 @@ from mbsgen.tape.rounding import UNIT
 from mbsgen.targets.contract import Family
 from mbsgen.verification.derivatives import compare_derivatives, compare_linearised
 from mbsgen.verification.functions import Comparison, Results, Truth, grow_energy, list_expectations, write_equations
-from mbsgen.verification.states import Numbers, State, draw_start, draw_states
+from mbsgen.verification.states import (
+    Numbers,
+    State,
+    draw_start,
+    draw_states,
+    draw_states_nearby,
+    has_own_states,
+)
 
 STATES = 2  # with parameters at their values, and near them
 ROUNDOFF = Decimal(2) ** -53  # of doubles; mbs_check.c has the same
@@ -62,8 +69,11 @@ class _Verifier:
 
     def run(self) -> Verification:
         equations = write_equations(self.tree)
-        drawn = (Truth(self.tree, equations, x) for x in islice(draw_states(self.tree, still=self.still), TRIED))
-        truths = list(islice((truth for truth in drawn if truth.is_finite), STATES))
+        drawn = [draw_states(self.tree, still=self.still)]
+        if self.tree.constraints:
+            drawn.append(draw_states_nearby(self.tree, still=self.still))
+        tried = (Truth(self.tree, equations, x) for states in drawn for x in islice(states, TRIED))
+        truths = list(islice((truth for truth in tried if truth.is_finite), STATES))
         for truth in truths:
             self._compare_values(truth)
         for truth in truths[:1]:
@@ -86,11 +96,16 @@ class _Verifier:
             if {ports.KINETIC, ports.POTENTIAL} <= {o.port for o in value.outputs} and not self.still:
                 self._judge(name, self._grow_energy(value, truth), truth.state)
             if (
-                found and truth.state.number == 0 and not (_closes(value) or _has_remainders(value))
+                found
+                and truth.state.number == 0
+                and truth.state.coordinates is None
+                and not (_closes(value) or _has_remainders(value))
             ):  # the check program starts at drawn numbers
                 self._refer(value, results)
 
     def _refer(self, function: Computation, results: Results) -> None:
+        if has_own_states(self.tree):
+            return
         self.references[function.name] = tuple(float(x) for o in function.outputs for x in results[o.name])
 
     def _grow_energy(self, value: Computation, truth: Truth) -> Comparison:
@@ -102,16 +117,16 @@ class _Verifier:
             return self._arguments(tape, state)
 
         for name, family in self.by_name.items():
-            for kernel, comparison in compare_derivatives(family, arguments):
+            for kernel, comparison in compare_derivatives(family, arguments, state.sizes):
                 self._judge(kernel, comparison, state)
-            if state.number == 0 and (self.tree.loops or self.tree.constraints):
+            if state.number == 0 and state.coordinates is None and (self.tree.loops or self.tree.constraints):
                 for derivative in family.functions[1:]:
                     if not _closes(derivative):  # the check program starts at drawn numbers
                         results = evaluate(derivative, arguments(derivative), DECIMALS)
                         self._refer(derivative, results)
             plain = self.by_name.get(family.value.function.base)
             if family.value.function.order is Order.LINEARISATION and plain is not None:
-                for comparison in compare_linearised(family, plain, arguments):
+                for comparison in compare_linearised(family, plain, arguments, state.sizes):
                     self._judge(name, comparison, state)
 
     def _arguments(self, tape: Computation, state: State) -> dict[str, Numbers]:

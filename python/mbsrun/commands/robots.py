@@ -27,10 +27,11 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
         locks: tuple[str, ...],
         lock_massless: bool,
         mimic: str,
+        loop_tolerance: float | None,
         **own: Any,
     ) -> None:
         context = click.get_current_context()
-        options = ("base", "sensors", "locks", "lock_massless", "mimic")
+        options = ("base", "sensors", "locks", "lock_massless", "mimic", "loop_tolerance")
         if any(context.get_parameter_source(option) is ParameterSource.COMMANDLINE for option in options):
             choices = {
                 "base": base,
@@ -38,6 +39,7 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
                 "locked": read_locks(locks),
                 "lock_massless": lock_massless,
                 "mimic": mimic,
+                "loop_tolerance": loop_tolerance,
             }
             model, warnings = import_robot(model, choices)
             for warning in warnings:

@@ -15,7 +15,19 @@ from mbsgen.assembly.assemble import AssemblyError
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.construction import body, constraint, end, free, loop, make_model, number, revolute, rod, runtime
+from mbsgen.model.construction import (
+    body,
+    constraint,
+    end,
+    free,
+    loop,
+    make_model,
+    number,
+    prismatic,
+    revolute,
+    rod,
+    runtime,
+)
 from mbsgen.model.model import Body, Follow, Loop, Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
@@ -306,3 +318,62 @@ def test_ratios_and_loops_read_parameters_that_a_function_does_not() -> None:
     model = replace(model, parameters=tuple(known.values()), bodies=(heavy, *model.bodies[1:], gear))
     product = make(model, replace(ONE_PLAN, functions=("loop_forces", "impl")))
     assert product.report.verification.unchecked == ()
+
+
+@pytest.mark.parametrize(
+    ("equation", "what"),
+    [
+        ("rocker - sqrt(crank**2/2 + coupler**2/4)", "no derivative"),
+        ("rocker - atan2(coupler, crank)", "no derivative"),
+        ("sqrt(rocker) - crank", "no derivative"),
+        ("sqrt(rocker) - crank - 1", "no derivative"),
+        ("rocker - asin(2 + crank)", "no value"),
+    ],
+)
+def test_a_constraint_without_value_or_derivative_at_the_rough_pose_is_a_fault(equation: str, what: str) -> None:
+    told = refuse(four_bar(loops=[], constraints=[constraint("cam", equation)], assembly={}))
+    assert told.count("constraints[0]") == 1
+    assert f"has {what} at" in told
+    assert "give a rough pose under `assembly:`" in told
+
+
+def test_a_constraint_is_verified_near_its_pose_where_it_has_no_value_elsewhere() -> None:
+    """The arc sine of 2 + q has a value for q from -3 to -1, and states are drawn from -1 to 1."""
+    equation = [constraint("cam", "rocker - asin(2 + crank)")]
+    product = make(
+        four_bar(loops=[], constraints=equation, assembly={"crank": -1.6}), replace(ONE_PLAN, functions=("exp1",))
+    )
+    assert product.report.verification.unchecked == ()
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("turns", 1e-9), ("turns", 1e6), ("slides", 1e-7), ("slides", 1e3)])
+def test_kernels_close_loops_of_any_size(kind: str, scale: float) -> None:
+    """A slider-crank has the same angles at any size; masses grow with the cube. Verification is by 50 digits."""
+    s, mass, inertia = scale, scale**3, (1e-3 * scale**5,) * 3
+    crank = body("crank", revolute("y", name="q1"), com=(0.1 * s, 0, 0), mass=mass, inertia=inertia)
+    arm = body(
+        "arm",
+        revolute("y", name="q2", position=(0.2 * s, 0, 0), actuated=False),
+        parent="crank",
+        mass=mass,
+        inertia=inertia,
+    )
+    if kind == "turns":
+        rocker = body(
+            "rocker", revolute("y", name="q3", position=(0.5 * s, 0, 0), actuated=False), mass=mass, inertia=inertia
+        )
+        found = loop(
+            "knee", "hinge", end("arm", position=(0.4 * s, 0, 0)), end("rocker", position=(0.3 * s, 0, 0)), axis="y"
+        )
+        bodies, rough, last = [crank, arm, rocker], {"q1": -1, "q3": -1.5}, -1.50946381736058
+    else:
+        car = body("car", prismatic("x", name="x", actuated=False), mass=mass, inertia=inertia)
+        found = loop("pin", "ball", end("arm", position=(0.4 * s, 0, 0)), end("car"))
+        bodies, rough, last = [crank, arm, car], {"q1": -1, "q2": 1.3, "x": 0.6 * s}, None
+    model = make_model("small", bodies, gravity=(0, 0, -9.81), loops=[found], independent=["q1"], assembly=rough)
+    names = ("close", "project", "project_plain", "exp1")
+    product = make(model, replace(ONE_PLAN, functions=names))
+    q1, q2, q3 = product.manifest.pose
+    reach = 0.2 * cos(q1) + 0.4 * cos(q1 + q2)
+    assert q3 == pytest.approx(last if last else reach * s, rel=1e-12)
+    assert 0.2 * sin(q1) + 0.4 * sin(q1 + q2) == pytest.approx(0.3 * sin(q3) if last else 0.0, abs=1e-13)
