@@ -39,7 +39,11 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-9  # some hundred products, of numbers near 1
 SINGLE = 2e-6  # of meshes, whose corners MuJoCo rounds
 HARMLESS = ("bound problems alone", "may touch others", "gains and dynamics", "actuation:")  # to the residual
-LIGHT = "mass and inertia of moving bodies must be larger"  # which a body needs not, if it carries others
+LEGAL = (  # here
+    "mass and inertia of moving bodies must be larger",  # unless nothing beyond them has mass
+    "must be positive in geom", "both pos and fromto", "fromto requires",  # of geoms that have no mass
+    "springyield should not be defined",  # which is warned of
+)  # fmt: skip
 IDLE = {"user", "material", "mesh", "hfield", "type", "fluidcoef", "fluidshape", "fitscale", "rgba", "name", "simple",
         "fuse", "surfacevel", "align", "condim", "plugin", "castshadow", "params", "normal", "texcoord", "smoothnormal",
         "solref", "solimp", "solreflimit", "solimplimit", "solreffriction", "solimpfriction", "actuatorgravcomp",
@@ -210,7 +214,7 @@ class _Draw:
         self._classes += [part.attributes["class"]] if depth else []
         draws: tuple[tuple[str, Callable[[], dict[str, str]]], ...] = (
             ("joint", lambda: self._joint_attributes("hinge")),
-            ("geom", lambda: {"density": self._number(100, 2000)}),
+            ("geom", self._geom_attributes),
             ("motor", lambda: self._motor_attributes("motor")),
             ("position", lambda: self._motor_attributes("position")),
             ("general", lambda: self._motor_attributes("general")),
@@ -218,6 +222,20 @@ class _Draw:
         part.children = [Part(tag, make()) for tag, make in draws if self._chance(0.35)]
         part.children += [self._default(depth + 1) for _ in range(self._rng.choice((0, 1, 2))) if depth < 2]
         return part
+
+    def _geom_attributes(self) -> dict[str, str]:
+        """Draw defaults of geoms, which may place, turn, size and weigh them."""
+        found = self._placed() if self._chance(0.3) else {}
+        for key, word in (
+            ("density", self._number(100, 2000)),
+            ("mass", self._number(0.1, 3)),
+            ("type", self._rng.choice(("box", "capsule", "ellipsoid"))),
+            ("size", self._numbers(self._rng.choice((1, 2, 3)), 0.05, 0.3)),
+            ("fromto", self._numbers(6)),
+            ("group", self._rng.choice("0123")),
+        ):
+            found |= {key: word} if self._chance(0.12 if key == "fromto" else 0.3) else {}
+        return found
 
     def _actuators(self) -> list[Part]:
         if not self._joints or self._chance(0.4):
@@ -245,6 +263,8 @@ class _Draw:
 
     def _body(self, depth: int, *, top: bool = False) -> Part:
         body = Part("body", {"name": self._name("body"), **self._placed()})
+        if self._chance(0.03):
+            body.attributes |= {"gravcomp": self._number()}
         if self._classes and self._chance(0.3):
             body.attributes["childclass"] = self._rng.choice(self._classes)
         body.children = self._moves(top=top)
@@ -281,7 +301,9 @@ class _Draw:
         return parts
 
     def _still(self) -> dict[str, str]:
-        """Return what keeps the defaults of joints away."""
+        """Return what keeps the defaults of joints away, mostly."""
+        if self._chance(0.2):
+            return {}
         return dict.fromkeys(("stiffness", "damping", "frictionloss", "armature"), "0") | {"limited": "false"}
 
     def _joint_attributes(self, kind: str) -> dict[str, str]:
@@ -318,7 +340,10 @@ class _Draw:
         shape = self._rng.choice(
             ("sphere", "box", "capsule", "cylinder", "ellipsoid", "mesh" if self._meshes else "box")
         )
-        attributes = {"type": shape, "size": self._numbers(3, 0.05, 0.3), **self._placed(), **self._idle("geom")}
+        size = self._numbers(self._rng.choice((1, 2, 3, 3, 3, 3, 3, 3)), 0.05, 0.3)
+        attributes = {"type": shape, "size": size, **self._placed(), **self._idle("geom")}
+        if self._chance(0.1):
+            del attributes["type"]
         if shape == "mesh":
             attributes |= {"mesh": self._rng.choice(self._meshes)}
             del attributes["size"]
@@ -357,7 +382,7 @@ def examine(path: Path) -> str:
             import_model(path)
         except InputError:
             return ""
-        return "" if LIGHT in told else f"MuJoCo refuses: {told}"
+        return "" if any(each in told for each in LEGAL) else f"MuJoCo refuses: {told}"
     imported = import_model(path)
     warned = [str(x.text) for x in imported.notices if x.alters and not any(word in x.text for word in HARMLESS)]
     return _compare_joints(imported.model, peer) or ("" if warned else _compare_motion(imported, peer, path))

@@ -212,17 +212,27 @@ class _Scene:
 
     def _read_site(self, element: Element, attributes: Mapping[str, str]) -> Pose:
         """Read the pose of a site, which two points may give."""
-        if "fromto" not in attributes or "pos" in element.attributes:
+        if not self._has_span(element, attributes, attributes.get("type", "sphere")):
             return self._read_pose(element, attributes)
-        return self._span(element, attributes)[1]
+        middle, along = self._span(element, attributes)
+        return Pose(turn_to(-along) if along.any() else np.eye(3), middle)
 
-    def _span(self, element: Element, attributes: Mapping[str, str]) -> tuple[float, Pose]:
-        """Read two points: half their distance, and the frame in their middle whose z axis points to the second."""
+    def _has_span(self, element: Element, attributes: Mapping[str, str], shape: str) -> bool:
+        """Return whether two points place a geom or a site; a fault for two points without a use."""
+        if "fromto" not in attributes:
+            return False
+        if shape not in SPANNED:
+            self._findings.fault(element, f"a {shape[:40]} has no fromto", f"give pos, or one of {', '.join(SPANNED)}")
+            return False
+        if any(self._findings.numbers(element, "pos", (0.0, 0.0, 0.0), attributes=attributes)):
+            self._findings.fault(element, "it is placed by pos and fromto", "keep one of them")
+        return True
+
+    def _span(self, element: Element, attributes: Mapping[str, str]) -> tuple[Array, Array]:
+        """Read two points: their middle, and the vector from the first to the second."""
         points = self._findings.numbers(element, "fromto", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), attributes=attributes)
         ends = np.array(points)
-        along = ends[3:] - ends[:3]
-        half = float(np.linalg.norm(along)) / 2
-        return half, Pose(turn_to(along) if half else np.eye(3), (ends[:3] + ends[3:]) / 2)
+        return (ends[:3] + ends[3:]) / 2, ends[3:] - ends[:3]
 
     def _read_rotation(self, element: Element, attributes: Mapping[str, str]) -> Array:
         given = [key for key in TURNS if key in element.attributes] or [key for key in TURNS if key in attributes]
@@ -405,6 +415,8 @@ class _Scene:
         found = [key for key in kept if any(read_polynomial(element, key, attributes, self._findings))]
         if min(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)) > 0:
             found.append("springdamper")
+        if self._findings.number(element, "springyield", 0.0, attributes) > 0 and not self._settings.lacks("spring"):
+            found.append("springyield")
         if what == "a ball" and self._read_limits(element, attributes, "range", "limited"):
             found += [] if self._settings.lacks("limit") else ["range"]
         for key in found:
@@ -506,7 +518,7 @@ class _Scene:
         """Read the size of a shape, and its pose; two points also give its length and direction."""
         count = SIZES[shape]
         words = attributes.get("size", "").split()
-        spans = shape in SPANNED and "fromto" in attributes and "pos" not in element.attributes
+        spans = self._has_span(element, attributes, shape)
         wanted = 1 if spans else count
         if len(words) < wanted:
             self._findings.fault(element, f"a {shape} of {len(words)} sizes", f"give {wanted}")
@@ -515,7 +527,9 @@ class _Scene:
         size = list(self._findings.numbers(element, "size", (1.0,) * wanted, attributes=first))
         if not spans:
             return size, self._read_pose(element, attributes)
-        half, pose = self._span(element, attributes)
+        middle, along = self._span(element, attributes)
+        half = float(np.linalg.norm(along)) / 2
+        pose = Pose(turn_to(along) if half else np.eye(3), middle)
         return [*[size[0]] * (count - 1), half], pose
 
     # --- pictures ----------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from mbsgen.expressions import evaluate as evaluate_expression
 from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.importing.poses import place
 from mbsgen.model.model import Body, Fixed, Friction, Joint, Law
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -258,6 +259,8 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
         (pendulum('<joint class="x"/>'), 'there is no default class "x"'),
         (pendulum("<joint/>", '<geom type="mesh" mesh="m"/>'), 'there is no mesh "m"'),
         (pendulum("<joint/>", '<geom type="box" size="1 1"/>'), "a box of 2 sizes; give 3"),
+        (pendulum("<joint/>", '<geom type="box" pos="1 0 0" size="1" fromto="0 0 0 1 0 0"/>'), "by pos and fromto"),
+        (pendulum("<joint/>", '<geom size="1" fromto="0 0 0 1 0 0"/>'), "a sphere has no fromto"),
         (pendulum("<joint/>", '<geom size="0"/>'), "the size of a sphere is 0"),
         (pendulum("<joint/>", ""), "moves nothing"),
         (pendulum("<joint/>", INERTIAL.replace("0.025", "0.5")), "no body has the principal moments"),
@@ -535,3 +538,19 @@ def test_aligned_free_bodies_keep_the_frame_of_the_file(tmp_path: Path) -> None:
     ):
         imported = import_model(write(tmp_path, settings + pendulum(joint)))
         assert any("align: coordinates are of the body's frame" in notice.text for notice in imported.notices) == told
+
+
+def test_two_points_place_a_site_as_in_mujoco(tmp_path: Path) -> None:
+    """Its z axis points to the first one."""
+    import mujoco
+
+    site = '<site name="eye" type="capsule" size="0.1" fromto="0.1 0.2 0.3 -0.4 0.9 0.5"/>'
+    path = write(tmp_path, pendulum("<joint/>", INERTIAL + site))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, model.site_quat[0])
+    (frame,) = import_model(path, Choices(sensors=("eye",))).model.frames
+    turns = [(turn.axis, value_of(turn.angle)) for turn in frame.placement.orientation]
+    found = place([value_of(x) for x in frame.placement.position], turns)
+    np.testing.assert_allclose(found.rotation, R.reshape(3, 3), atol=1e-14)
+    np.testing.assert_allclose(found.position, model.site_pos[0], atol=1e-15)

@@ -151,7 +151,7 @@ VALUES: dict[str, dict[str, str | tuple[str, ...]]] = {
     },
     "site": {
         **{key: (value, 'name="p"') for key, value in POSE.items()}, "name": ("", ""), "class": ("", ""),
-        "fromto": ("0 0 0 1 2 3", 'name="p"'),
+        "fromto": ("0 0 0 1 2 3", 'name="p" type="box"'),
     },
     "connect": {
         "active": ("false", 'body1="b" anchor="0.1 0 0"'), "anchor": ("1 0 0", 'body1="b"', 'body1="b" anchor="2 0 0"'),
