@@ -108,6 +108,11 @@ def test_a_mechanism_agrees_whatever_is_done_with_its_numbers(numbers: str) -> N
     assert mechanisms.examine(replace(mechanisms.draw(SOUND), numbers=numbers, tolerance=tolerance)) == ""
 
 
+def test_scenes_that_join_functions_are_written_whole() -> None:
+    """With results left out, at rest or in motion, in languages that are drawn."""
+    assert mechanisms.write(mechanisms.draw(40), 40) == ""
+
+
 class Weightless(Absolute):
     """The reference, wrong: with another gravity than the file's."""
 

@@ -32,11 +32,12 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.scene import Scene, read_scene, stage
 from mbsgen.model.tree import Kind, Tree
-from mbsgen.pipeline import build_parametric
+from mbsgen.pipeline import build_parametric, make
 from mbsgen.request import Options, merge
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.types import Tape
-from mbsgen.verification.verify import verify
+from mbsgen.targets.languages import TARGETS
+from mbsgen.verification.verify import VerificationError, verify
 from tests.fuzz.absolute import Absolute, Array, Found
 from tests.fuzz.forces import draw_inputs, order_inputs, spell
 from tests.fuzz.forms import vary
@@ -56,10 +57,12 @@ CHOICES: Mapping[str, Reductions] = {
     "relative angles": replace(FEW, absolute=False),
 }
 WITH_DERIVATIVES = 50
+WRITTEN = 10  # one mechanism in so many is written whole, with functions together and in several languages
 SKEW = ([0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1])
 NUMBERS = {"given": 16, "runtime": 2, "zeros": 2, "approximate": 1}  # what is done with the file's numbers, how often
 STATES = 256  # at which an approximation is compared; it was measured at 4096
 BEYOND = 1.25  # times the tolerance: the allowed error at states that were not measured
+JOINED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "frames", "condition")
 FUNCTIONS_COMPARED = ("impl", "semi", "semi_res", "exp1", "exp2", "energy", "power", "sensors", "motion")
 
 
@@ -396,6 +399,41 @@ def examine(
     return found or (compare_approximation(tree, mechanism, told, seed, beyond) if mechanism.tolerance else "")
 
 
+def write(mechanism: Mechanism, seed: int) -> str:
+    """Write a mechanism with a scene that joins functions and leaves results out, in languages that are drawn.
+
+    Functions and derivatives are verified on the way; return what differs, or nothing. Raises MbsError where the scene
+    is refused.
+    """
+    source = random.Random(f"{seed} scene")
+    of_sensors = ("sensors", "motion") if mechanism.model["frames"] else ()
+    parts = source.sample((*JOINED, *of_sensors), source.choice([2, 2, 3]))
+    scene = mechanism.scene | {
+        "functions": source.sample(["impl", "exp1", "exp2", *of_sensors[:1]], 2),
+        "together": {"step": parts},
+        "results": source.choice([{}, {"energy": ["kinetic"]}, {"energy": ["momentum", "potential"]}]),
+        "motion": source.random() < 0.6,
+        "derivatives": source.choice([0, 1, 1, 2]),
+    }
+    targets = tuple(target.name for target in TARGETS if source.random() < 0.3)
+    with tempfile.TemporaryDirectory() as folder:
+        read(mechanism, Path(folder))
+        place = Path(folder) / "fuzz.scene.yaml"
+        place.write_text(yaml.safe_dump(scene, sort_keys=False))
+        options = Options(
+            scene=place,
+            targets=targets,
+            runtime=mechanism.numbers == "runtime",
+            count=False,
+            reductions=CHOICES[mechanism.reductions],
+        )
+        try:
+            make(Path(folder) / "model.yaml", options)
+        except VerificationError as error:
+            return f"{error}; scene {scene}, targets {targets}"
+    return ""
+
+
 def change_numbers(mechanism: Mechanism, tree: Tree, seed: int) -> Mechanism:
     """Change every run-time parameter of a tree, and the file at its path; numbers in a formula have no path."""
     source, model = random.Random(f"{seed} numbers"), copy.deepcopy(mechanism.model)
@@ -593,12 +631,16 @@ class _Comparison:
 def search(
     count: int, seed: int, keep: Path | None = None, show: Callable[[int, Tally], None] = lambda *_: None
 ) -> Tally:
-    """Examine mechanisms from a seed on; one in WITH_DERIVATIVES with its derivatives."""
+    """Examine mechanisms from a seed on; one in WITH_DERIVATIVES with its derivatives, one in WRITTEN written whole."""
     tally = Tally()
     for number in range(seed, seed + count):
         mechanism = draw(number)
         try:
             finding = examine(mechanism, number, derivatives=number % WITH_DERIVATIVES == 0)
+            if not finding and number % WRITTEN == 0:
+                finding = write(mechanism, number)
+        except VerificationError as error:
+            tally.findings.append((number, str(error)))
         except MbsError as error:
             tally.refused.append((number, str(error).splitlines()[0]))
         except Exception as error:

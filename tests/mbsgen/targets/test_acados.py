@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbsgen.model.scene import Scene
 from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import DIGITS, evaluate
@@ -241,3 +242,16 @@ def test_mechanisms_with_loops_are_refused(tmp_path: Path, function: str) -> Non
     )
     with pytest.raises(OptionError, match="acados: it would integrate loops apart"):
         make(file, Options(targets=("acados",), functions=(function,), derivatives=0))
+
+
+def test_quaternions_are_refused_at_rest_too(tmp_path: Path) -> None:
+    """A scene without motion has no velocities by which q could be seen to be the longer vector."""
+    model = tmp_path / "bob.yaml"
+    model.write_text(
+        "name: bob\ngravity: [0, 0, -9.81]\nparameters: {m: {value: 1, kind: runtime}}\nbodies:\n"
+        "  - {name: bob, joint: {type: ball}, mass: m, com: [0, 0, -1], inertia: [0.1, 0.1, 0.1]}\n"
+    )
+    for functions in (("impl",), ("exp2",)):
+        scene = Scene(functions=functions, motion=False)
+        with pytest.raises(OptionError, match="a joint with a quaternion has more of the one"):
+            make(model, Options(scene=scene, targets=("acados",), derivatives=1, count=False))
