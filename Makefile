@@ -15,7 +15,7 @@ demo: $(VENV)/installed
 	@echo "The generated C is in build/arm_pendulum, the solution with its pictures in build/arm_reach:"
 	@ls build/arm_pendulum build/arm_reach
 
-# All day: style, the types of what has changed since the commit before, and the tests that take no time. A minute.
+# All day: style, the types of files that differ from the commit before, and the tests that take no time. A minute.
 CHANGED = $(shell { git diff --name-only --diff-filter=d HEAD~1; git ls-files --others --exclude-standard; } 2>/dev/null | \
     grep -E '^(generator/mbsgen|python/mbsrun|benchmarks|studies|website)/.*\.py$$')
 quick: $(VENV)/installed-dev
@@ -34,7 +34,7 @@ rest: $(VENV)/installed-dev
 
 check: test rest
 
-# Measures what each test takes, and renews the list of those that are not quick: an hour on a quiet machine.
+# Measures what each test takes, and renews the list of the slower ones: an hour on a quiet machine.
 durations: $(VENV)/installed-dev
 	rm -f build/durations.jsonl build/durations.quick.jsonl
 	@mkdir -p build

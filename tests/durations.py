@@ -1,4 +1,4 @@
-"""How long tests take, and the part of them that each command runs: `python -m tests.durations` renews the list.
+"""Durations of tests, and the part of them that each command runs: `python -m tests.durations` renews the list.
 
 `durations.tsv` lists the functions of tests that take more than SHORT of processor time, all their cases together, with
 the fixtures that they share and with the programs that they start. From it, and from REST, each test has one of three
@@ -8,8 +8,8 @@ marks:
     core     up to LONG: `make test`, with the quick ones
     rest     longer ones, and the kinds of REST: `make rest`; `make check` runs everything
 
-The list is renewed from what `pytest --measure FILE` writes, for all tests or for some: `python -m tests.durations
-FILE...`. Times of tests that were not measured stay. A test that comes first pays for what others find in the cache, so
+The list is renewed from the file of `pytest --measure FILE`, for all tests or for some: `python -m tests.durations
+FILE...`. Times of tests that were not measured stay. A test that comes first pays for files that others find in the cache, so
 measure `pytest -m quick` once more by itself, and add what it finds.
 """
 

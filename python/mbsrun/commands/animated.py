@@ -114,7 +114,7 @@ def read_end(path: Path, manifest: Manifest) -> Array:
     file = _find_file(path)
     *_, (_, solution) = _read_solutions(file)
     _check_model(file, solution, manifest)
-    return solution.trajectory.q[-1]
+    return np.asarray(solution.trajectory.q[-1])
 
 
 def _find_file(path: Path) -> Path:
