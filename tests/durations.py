@@ -9,8 +9,8 @@ marks:
     rest     longer ones, and the kinds of REST: `make rest`; `make check` runs everything
 
 The list is renewed from the file of `pytest --measure FILE`, for all tests or for some: `python -m tests.durations
-FILE...`. Times of tests that were not measured stay. A test that comes first pays for files that others find in the cache, so
-measure `pytest -m quick` once more by itself, and add what it finds.
+FILE...`. Times of tests that were not measured stay. A test that comes first pays for files that others find in the
+cache, so measure `pytest -m quick` once more by itself, and add its times.
 """
 
 from __future__ import annotations

@@ -371,11 +371,11 @@ def compressor(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mechanism, Pat
 
 
 def _simulate(model: Path, out: Path, *options: str) -> tuple[list[str], list[float]]:
-    """Return the columns of `mbsrun simulate --method rk4`, and their last row."""
+    """Return the columns of `mbsrun simulate --method rk4`, without units, and their last row."""
     command = ["simulate", str(model), "--method", "rk4", *options, "-o", str(out)]
     assert CliRunner().invoke(cli, command, catch_exceptions=False).exit_code == 0
     header, *rows = (out / "trajectory.csv").read_text(encoding="utf-8").splitlines()
-    return header.split(","), [float(x) for x in rows[-1].split(",")]
+    return [column.partition(" [")[0] for column in header.split(",")], [float(x) for x in rows[-1].split(",")]
 
 
 def test_driven_joints_are_inputs_and_their_forces_outputs(

@@ -25,6 +25,7 @@ from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
+from mbsrun.recordings import find_column, read_column, read_recording
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import follow_polynomials, hold_steps
 from mbsrun.simulation.methods import METHODS, Family, Formulation
@@ -39,6 +40,7 @@ PLAIN = (  # options that a settings file has too
     *("loops", "alpha", "beta", "input_period", "max_steps", "max_seconds"),
 )
 
+INPUT_COLUMNS = ("u[{}]", "input[{}]", "acting[{}]", "w[{}]", "{}")  # names that the column of an input may have
 
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
 
@@ -70,7 +72,7 @@ Formulations
 \b
 The output folder gets
   simulation.json   settings, effort, energies, warnings, where the motion ends
-  trajectory.csv    every number kept: coordinates, velocities, inputs, energies
+  trajectory.csv    every number kept, with its unit: coordinates, velocities, inputs, energies
   plots.png         the same over time
   animation.html    plays the motion in any browser
 
@@ -168,15 +170,34 @@ def list_keeping() -> str:
     type=click.Path(path_type=Path),
     help="A solution.json of `mbsrun solve`: its inputs, and its start and parameters unless others are given.",
 )
+@click.option(
+    "--inputs",
+    "table",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A table of inputs from time 0 on, linear between its rows: CSV, MOT or STO, with columns NAME, u[NAME] or "
+    "input[NAME]; other inputs are 0.",
+)
 @choose_format
 @accept_robots
 @click.pass_context
 def simulate_command(
-    context: click.Context, /, model: Path, out: Path | None, file: Path | None, solution: Path | None, **given: Any
+    context: click.Context,
+    /,
+    model: Path,
+    out: Path | None,
+    file: Path | None,
+    solution: Path | None,
+    table: Path | None,
+    **given: Any,
 ) -> None:
     """Read, integrate, write, print."""
     mechanism = load(model, extent=INTEGRATED)
+    if solution is not None and table is not None:
+        raise click.UsageError("--solution and --inputs both give the inputs; leave one out")
     recording = None if solution is None else _read_recording(solution, mechanism.manifest)
+    if table is not None:
+        recording = _read_table(table, mechanism.manifest)
     statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
     mechanism = mechanism.with_parameters(**statement.parameters)
     q, qd, note = close_start(mechanism, statement.start, statement.course)
@@ -239,6 +260,34 @@ def _read_recording(path: Path, manifest: Manifest) -> Recording:
     known = {p.name for p in (*manifest.parameters, *manifest.design)}
     parameters = {name: value for name, value in found.parameters.items() if name in known}
     return Recording(drive, trajectory.q[0], trajectory.qd[0], parameters)
+
+
+def _read_table(path: Path, manifest: Manifest) -> Recording:
+    """Read inputs over time, linear between rows. Raises InputError for a table without them, or with gaps."""
+    found = read_recording(path)
+    units = [manifest.coordinates[i].force_unit for i in manifest.actuated]
+    units += [""] * (len(manifest.inputs) - len(units))
+    times, values, used = found.times, np.zeros((len(found.times), len(manifest.inputs))), set()
+    for k, (label, unit) in enumerate(zip(manifest.inputs, units, strict=True)):
+        column = find_column(found, tuple(name.format(label) for name in INPUT_COLUMNS))
+        if column is not None:
+            values[:, k] = read_column(found, column, unit)
+            used.add(column)
+    faults = []
+    if not used:
+        columns = ", ".join(manifest.inputs) or "none: no joint is actuated"
+        faults.append(Fault(str(path), 1, "", "no column is an input's", f"name columns as the inputs are: {columns}"))
+    if times[0] != 0:
+        faults.append(Fault(str(path), 2, "", f"the first time is {times[0]:g} s", "let the table begin at 0"))
+    if not np.isfinite(values).all():
+        first = times[np.flatnonzero(~np.isfinite(values).all(axis=1))[0]]
+        faults.append(Fault(str(path), 0, "", f"an input is missing at {first:g} s", "give a number in each row"))
+    if len(times) < 2:
+        faults.append(Fault(str(path), 0, "", "it has one row", "give the inputs at two times or more"))
+    if faults:
+        raise InputError(faults)
+    ends = np.arange(len(times) - 1)[:, None] + [0, 1]
+    return Recording(follow_polynomials(times, times[ends], values[ends]))
 
 
 def _print_motion(motion: Motion, manifest: Manifest) -> None:

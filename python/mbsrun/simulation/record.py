@@ -100,17 +100,19 @@ def _summarise_closure(closure: ClosureRecord, manifest: Manifest) -> dict[str, 
 
 def _tabulate(motion: Motion, manifest: Manifest) -> str:
     """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
-    names = [c.name for c in manifest.coordinates]
-    header = ["t", *(f"q[{x}]" for x in manifest.positions), *(f"qd[{x}]" for x in names)]
-    header += [f"input[{x}]" for x in manifest.inputs]
+    units, forces = ({c.name: getattr(c, key) for c in manifest.coordinates} for key in ("unit", "force_unit"))
+    names = [*units]
+    header = ["t [s]", *(f"q[{x}] [{units.get(x, '-')}]" for x in manifest.positions)]  # quaternions have no unit
+    header += [f"qd[{name}] [{unit}/s]" for name, unit in units.items()]
+    header += [f"input[{x}]" + (f" [{forces[x]}]" if x in forces else "") for x in manifest.inputs]
     columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
     if motion.energy is not None:
-        header += ["kinetic", "potential", "work"]
+        header += ["kinetic [J]", "potential [J]", "work [J]"]
         columns += [x[:, None] for x in (motion.energy.kinetic, motion.energy.potential, motion.energy.work)]
     if motion.closure is not None:
         closure = motion.closure
         header += ["open", "opening", *(f"lam[{x}]" for x in manifest.equations)]
-        header += [f"tau[{names[i]}]" for i in manifest.driven]
+        header += [f"tau[{name}] [{forces[name]}]" for name in (names[i] for i in manifest.driven)]
         columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

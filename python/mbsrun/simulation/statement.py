@@ -60,8 +60,8 @@ class Recording:
     """Start, inputs and parameters of another file, which a settings file then need not give."""
 
     drive: Drive
-    q: Array  # (n,)
-    qd: Array  # (n,)
+    q: Array | None = None  # (n,)
+    qd: Array | None = None  # (n,)
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -235,8 +235,8 @@ class _Reading(Reading):
             if key == "pose" and self.manifest.pose:
                 values = np.array(self.manifest.pose)
             names: dict[int, float] = {}
-            if self.recording is not None:
-                values = np.array(getattr(self.recording, recorded), dtype=np.float64)
+            if (own := getattr(self.recording, recorded, None)) is not None:
+                values = np.array(own, dtype=np.float64)
             for name, expression in given.items():
                 i = self.find(("start", key, name), name, list(known), "coordinate" if key == "pose" else "velocity")
                 if i is not None:
@@ -289,7 +289,7 @@ class _Reading(Reading):
         if self.recording is not None:
             given = ("inputs", "wrenches", "signals", "input_period")
             if place := next(((key,) for key in given if getattr(section, key)), ()):
-                self.fault(place, "a solution gives the inputs", "give one or the other")
+                self.fault(place, "a solution or a table gives the inputs", "give one or the other")
             return self.recording.drive
         constants = {k: v for k, v in self.constants.items() if math.isfinite(v)}
         period = None

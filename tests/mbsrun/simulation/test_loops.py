@@ -531,8 +531,8 @@ def test_the_command_closes_the_start_and_reports_closure(run: Run, tmp_path: Pa
     lines = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
     assert lines[0].endswith("open,opening,lam[pin.x],lam[pin.z]")
     first = dict(zip(lines[0].split(","), map(float, lines[1].split(",")), strict=True))
-    assert [first[f"q[q{i}]"] for i in (1, 2, 3)] == pytest.approx([0.4, -0.4, 0.4], abs=1e-12)
-    assert [first[f"qd[q{i}]"] for i in (1, 2, 3)] == pytest.approx([1, -1, 1], abs=1e-12)
+    assert [first[f"q[q{i}] [rad]"] for i in (1, 2, 3)] == pytest.approx([0.4, -0.4, 0.4], abs=1e-12)
+    assert [first[f"qd[q{i}] [rad/s]"] for i in (1, 2, 3)] == pytest.approx([1, -1, 1], abs=1e-12)
 
 
 @pytest.fixture
@@ -546,7 +546,7 @@ def test_the_command_takes_driven_joints(run: Run, tmp_path: Path) -> None:
     code, _, summary = run(DRIVEN, "--driven", "q1=0.3 + 0.5*sin(2*t)", "--loops", "partitioning")
     assert code == 0
     assert summary["end"]["q"][0] == pytest.approx(0.3 + 0.5 * np.sin(1), abs=1e-12)
-    assert (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0].endswith("tau[q1]")
+    assert (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0].endswith("tau[q1] [N m]")
 
 
 REFUSED = {

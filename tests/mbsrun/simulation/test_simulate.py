@@ -21,6 +21,7 @@ from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
 from mbsgen.resources import folder
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import ArgumentError
+from mbsrun.recordings import read_recording
 from mbsrun.simulation import METHODS, Formulation, Settings, explicit, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
 from mbsrun.simulation.methods import Family
@@ -309,11 +310,12 @@ def test_the_command_writes_and_tells(run: Run) -> None:
     with Path("out/trajectory.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 1001
-    assert float(rows[0]["q[bob]"]) == np.pi / 2
-    assert float(rows[-1]["input[slider]"]) == pytest.approx(np.sin(1))
+    assert float(rows[0]["q[bob] [rad]"]) == np.pi / 2
+    assert float(rows[-1]["input[slider] [N]"]) == pytest.approx(np.sin(1))
+    assert list(rows[0])[-3:] == ["kinetic [J]", "potential [J]", "work [J]"]
     summary = json.loads(Path("out/simulation.json").read_text("utf-8"))
     assert summary["complete"] is True
-    assert summary["end"]["q"] == [float(rows[-1][f"q[{name}]"]) for name in ("bob", "slider", "runner")]
+    assert summary["end"]["q"] == [float(rows[-1][name]) for name in ("q[bob] [rad]", "q[slider] [m]", "q[runner] [m]")]
     assert summary["energy"]["largest_drift"] < 1e-8
 
 
@@ -431,3 +433,42 @@ def test_kernels_that_were_left_out_are_named(falling: Path, tmp_path: Path) -> 
     subprocess.run(generate, check=True, capture_output=True)
     with pytest.raises(ArgumentError, match="was generated without frames, impl, jac_impl, power"):
         simulate(load(tmp_path / "out"), hold([0.0]), [0], [0], Settings(1.0))
+
+
+def test_a_table_gives_the_inputs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mass of 2 kg under a force that grows from 0 to 3 N in 1.5 s, and falls to 0 in 0.5: by integration."""
+    monkeypatch.chdir(tmp_path)
+    text = "name: mass\ngravity: [0, 0, -9.81]\nbodies:\n"
+    text += "  - {name: mass, joint: {name: x, type: prismatic, axis: x}, mass: 2}\n"
+    Path("mass.yaml").write_text(text, "utf-8")
+    Path("push.csv").write_text("t,x [N],remark\n0,0,1\n1.5,3,2\n2,0,3\n", "utf-8")
+
+    def run(*options: str) -> tuple[object, str]:
+        command = ["mbsrun", "simulate", "mass.yaml", "--inputs", "push.csv", "-o", "out"]
+        monkeypatch.setattr("sys.argv", [*command, *options])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, capsys.readouterr().err
+
+    assert run()[0] == 0
+    end = json.loads(Path("out/simulation.json").read_text("utf-8"))["end"]
+    assert end["t"] == 2.0
+    assert end["qd"] == pytest.approx([(0.5 * 1.5 * 3 + 0.5 * 0.5 * 3) / 2], rel=1e-9)
+    ramp = (3 / 1.5) * 1.5**3 / 6 / 2
+    assert end["q"] == pytest.approx([ramp + 0.5 * 2.25 / 2 + (3 * 0.5**2 / 2 - 6 * 0.5**3 / 6) / 2], rel=1e-9)
+    table = read_recording(Path("out/trajectory.csv"))
+    assert table.column("input[x]")[-1] == pytest.approx(0, abs=1e-12)
+    assert (np.diff(table.times) > 0).all()
+    for content, finding in (
+        ("t,y\n0,1\n1,2\n", "no column is an input's"),
+        ("t,x\n1,1\n2,2\n", "the first time is 1 s"),
+        ("t,x\n0,1\n1,\n", "an input is missing at 1 s"),
+        ("t,x [rad]\n0,1\n1,2\n", "it is in"),
+    ):
+        Path("push.csv").write_text(content, "utf-8")
+        code, err = run()
+        assert (code, finding in err) == (2, True), err
+    Path("push.csv").write_text("t,x\n0,1\n1,2\n", "utf-8")
+    assert "gives the inputs" in run("--input", "x=1")[1]
