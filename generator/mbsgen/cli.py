@@ -481,10 +481,17 @@ def report_command(model: Path, form: str | None, compare: bool, choices: Choice
     help="The language; by default, text, or what the suffix of --output says.",
 )
 @click.option("--numbers", is_flag=True, help="Put in the numbers of named parameters, instead of their names.")
-@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The file to write; else stdout.")
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="A file to write; else stdout. Several are written with one call.",
+)
 @importing
 def equations_command(
-    model: Path, form: str, language: str | None, numbers: bool, out: Path | None, choices: Choices
+    model: Path, form: str, language: str | None, numbers: bool, outputs: tuple[Path, ...], choices: Choices
 ) -> None:
     """Print the equations of motion of MODEL.
 
@@ -492,20 +499,26 @@ def equations_command(
     and zeros are not there. Loops add h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are
     written line by line, as the recursion that is generated.
     """
-    if language is None:
-        language = _SUFFIXES.get(out.suffix if out else ".txt", "")
-        if not language:
-            raise click.BadParameter(f"{out} ends in none of {', '.join(_SUFFIXES)}; give --format", param_hint="-o")
+    if language is not None and len(outputs) > 1:
+        finding = "the suffixes of several files choose their languages; leave it out"
+        raise click.BadParameter(finding, param_hint="--format")
+    languages = [language or _choose_language(out) for out in outputs]
     source = read(_read(model, choices))
     with _progress() as tell:
         tell("the equations")
         tree = build_numeric(source) if numbers else build_symbolic(source)
         page = _choose_page(tree, form)
-    text = FORMATS[language](page)
-    if out is None:
-        click.echo(text, nl=False)
-    else:
-        write_file(text.encode(), out)
+    for out, own in zip(outputs, languages, strict=True):
+        write_file(FORMATS[own](page).encode(), out)
+    if not outputs:
+        click.echo(FORMATS[language or "text"](page), nl=False)
+
+
+def _choose_language(out: Path) -> str:
+    """Return the language of a file's suffix."""
+    if out.suffix not in _SUFFIXES:
+        raise click.BadParameter(f"{out} ends in none of {', '.join(_SUFFIXES)}; give --format", param_hint="-o")
+    return _SUFFIXES[out.suffix]
 
 
 _SUFFIXES = {".txt": "text", ".py": "python", ".tex": "latex", ".md": "markdown", ".html": "html"}

@@ -10,7 +10,7 @@ import html
 import keyword
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import sympy as sp
@@ -45,6 +45,7 @@ class Page:
     statement: sp.Eq
     formulas: tuple[Formula, ...]
     naming: Naming
+    notes: tuple[str, ...] = ()
 
 
 def show_motion(motion: Motion, named_title: str = "contacts, springs and cables") -> Page:
@@ -80,13 +81,43 @@ def show_lines(lines: Lines) -> Page:
     return Page(f"Equations of motion of {lines.name}, line by line", statement, tuple(formulas), lines.naming)
 
 
+def separate(page: Page) -> Page:
+    """Return a page in which no symbol of the model has the name of a matrix: a parameter M becomes M_p."""
+    own = {*(formula.name for formula in page.formulas if not formula.is_line), "q", "qdd", "Phi"}
+    taken = {*own, *(symbol.name for symbol in _list_symbols(page)), *page.naming.taken}
+    renamed: dict[sp.Symbol, sp.Symbol] = {}
+    notes = []
+    moving = {symbol: k for k, symbol in enumerate(page.naming.q)}
+    for symbol in sorted(_list_symbols(page) | set(moving), key=str):
+        if symbol.name not in own:
+            continue
+        name, kind = f"{symbol.name}_p", "number"
+        if symbol in moving:
+            name, kind = f"{symbol.name}_q", "coordinate"
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        renamed[symbol] = sp.Symbol(name, real=True)
+        notes.append(f"{name} is the {kind} {symbol.name} of the model")
+        if symbol in moving:
+            for rates in (page.naming.qd, page.naming.qdd):
+                rate = rates[moving[symbol]]
+                renamed[rate] = sp.Symbol(name + rate.name.removeprefix(symbol.name), real=True)
+    if not renamed:
+        return page
+    formulas = tuple(replace(f, value=f.value.xreplace(renamed)) for f in page.formulas)
+    columns = {x.name: getattr(page.naming, x.name) for x in fields(page.naming)}
+    naming = Naming(**{key: tuple(renamed.get(x, x) for x in column) for key, column in columns.items()})
+    return replace(page, formulas=formulas, naming=naming, notes=(*page.notes, *notes))
+
+
 # --- text and Python -------------------------------------------------------------------------------------------------
 
 
 def write_text(page: Page) -> str:
     """Write plain text."""
     sides = (sp.sstr(side, order="none") for side in (page.statement.lhs, page.statement.rhs))
-    lines = [page.title, "", " = ".join(sides)]
+    lines = [page.title, "", " = ".join(sides), *page.notes]
     for formula in page.formulas:
         if formula.title:
             lines += ["", f"{formula.title}:"]
@@ -178,7 +209,7 @@ def _plain(value: sp.Expr) -> str:
 
 def write_latex(page: Page) -> str:
     """Write a fragment of LaTeX, for amsmath."""
-    lines = [f"% {page.title}", _display(_latex_equation(page))]
+    lines = [f"% {page.title}", _display(_latex_equation(page)), *(f"% {note}" for note in page.notes)]
     for formula in page.formulas:
         lines += [f"% {formula.title}"] * bool(formula.title)
         lines += [_display(text) for text in _write_latex(formula, page)]
@@ -188,6 +219,7 @@ def write_latex(page: Page) -> str:
 def write_markdown(page: Page) -> str:
     """Write Markdown with LaTeX between dollar signs."""
     lines = [f"# {page.title}", "", f"$${_latex_equation(page)}$$"]
+    lines += [part for note in page.notes for part in ("", f"{note}.")]
     for formula in page.formulas:
         lines += ["", f"## {formula.title[0].upper()}{formula.title[1:]}"] if formula.title else []
         lines += [part for text in _write_latex(formula, page) for part in ("", f"$${text}$$")]
@@ -223,7 +255,10 @@ def write_html(page: Page) -> str:
     blocks = [(f.title, [_join(left, right) for left, right in _write_mathml(f, page)]) for f in page.formulas]
     left = "<mo>+</mo>".join(_to_mathml(x, page) for x in sp.Add.make_args(page.statement.lhs))
     statement = _join(left, _to_mathml(page.statement.rhs, page))
-    return lay_out("html/equations.html", title=html.escape(page.title), statement=statement, blocks=_merge(blocks))
+    notes = [html.escape(note) for note in page.notes]
+    return lay_out(
+        "html/equations.html", title=html.escape(page.title), statement=statement, notes=notes, blocks=_merge(blocks)
+    )
 
 
 def _merge(blocks: Sequence[tuple[str, list[str]]]) -> list[tuple[str, list[str]]]:
@@ -380,9 +415,9 @@ def _list_symbols(page: Page) -> set[sp.Symbol]:
 
 
 FORMATS: Mapping[str, Callable[[Page], str]] = {
-    "text": write_text,
-    "python": write_python,
-    "latex": write_latex,
-    "markdown": write_markdown,
-    "html": write_html,
+    "text": lambda page: write_text(separate(page)),
+    "python": write_python,  # which has words of its own, such as `sp`
+    "latex": lambda page: write_latex(separate(page)),
+    "markdown": lambda page: write_markdown(separate(page)),
+    "html": lambda page: write_html(separate(page)),
 }

@@ -255,3 +255,40 @@ def test_a_parameter_is_no_coordinate_of_the_same_name(tmp_path: Path) -> None:
         values = {x: start + 0.1 * k for k, x in enumerate(sorted(expected.free_symbols, key=str))}
         assert difference.free_symbols <= values.keys()
         assert abs(difference.evalf(subs=values, chop=True)) < 1e-12
+
+
+CLASH = """\
+name: clash
+gravity: [0, 0, -9.81]
+parameters: {M: 2, c: 0.3, l: 0.5, Q: 1.5}
+bodies:
+  - {name: cart, joint: {name: h, type: prismatic, axis: x, stiffness: c, rest: 0.1}, mass: M}
+  - name: pole
+    parent: cart
+    joint: {name: a, type: revolute, axis: -y, actuated: false}
+    mass: Q
+    com: [0, 0, -l]
+"""
+
+
+def test_numbers_with_the_names_of_matrices_have_others_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files of one call hold one page; a note explains each other name, and no number is called M, c or Q."""
+    monkeypatch.chdir(tmp_path)
+    Path("clash.yaml").write_text(CLASH, "utf-8")
+    outputs = ["-o", "a.txt", "-o", "a.tex", "-o", "a.html", "-o", "a.md", "-o", "a.py"]
+    done = CliRunner().invoke(cli, ["equations", "clash.yaml", "--form", "whole", *outputs])
+    assert done.exit_code == 0, done.output
+    text = Path("a.txt").read_text("utf-8")
+    assert "M_p is the number M of the model" in text
+    assert "M[1,1] = M_p + Q_p" in text
+    for file in ("a.tex", "a.html", "a.md"):
+        assert "M_p is the number M of the model" in Path(file).read_text("utf-8")
+    known: dict[str, object] = {}
+    exec(Path("a.py").read_text("utf-8"), known)  # noqa: S102  # it is a module that was just written
+    mass = known["M"]
+    assert isinstance(mass, sp.MatrixBase)
+    assert str(mass[0, 0]) in ("M + Q", "Q + M")
+    both = CliRunner().invoke(cli, ["equations", "clash.yaml", "--format", "text", *outputs])
+    assert (both.exit_code, "leave it out" in both.output) == (2, True)
