@@ -5,7 +5,7 @@ the fixtures that they share and with the programs that they start. From it, and
 marks:
 
     quick    the others, and tests that nobody has measured yet: `make quick`
-    core     up to LONG: `make test`, with the quick ones
+    core     up to LONG, or LONG_SELDOM: `make test`, with the quick ones
     rest     longer ones, and the kinds of REST: `make rest`; `make check` runs everything
 
 The list is renewed from the file of `pytest --measure FILE`, for all tests or for some: `python -m tests.durations
@@ -29,7 +29,8 @@ import pytest
 
 FILE = Path(__file__).with_suffix(".tsv")
 SHORT = 0.15  # s of processor
-LONG = 15.0
+LONG = 8.0
+LONG_SELDOM = 2.0  # of the kinds of SELDOM
 KEY = "processor time"  # of a test's report
 QUICK, CORE, REST_MARK = "quick", "core", "rest"
 
@@ -41,15 +42,28 @@ REST: Mapping[str, tuple[str, ...]] = {
     "random inputs": ("test_fuzz.py",),
 }
 
+# Kinds of which the tests that take a while run in `make rest`: few changes touch them.
+SELDOM: Mapping[str, tuple[str, ...]] = {
+    "benchmarks and studies": ("benchmarks/", "studies/", "mbsrun/lab/", "mbsrun/measuring/"),
+    "toolchains": (
+        *("mbsgen/targets/", "csrc/test_bare", "mbsrun/test_fmu.py", "mbsrun/playground/", "mbsrun/test_library.py"),
+        *("mbsgen/test_output.py", "mbsgen/test_pipeline.py", "mbsgen/test_drawing.py", "mbsrun/controllers/"),
+    ),
+    "other programs": ("mbsrun/peers/", "mbsgen/test_comparison.py", "mbsrun/ocp/test_moco.py"),
+}
+
 
 def mark(nodeid: str, durations: Mapping[str, float]) -> str:
     """Return the mark of a test."""
     function = name_function(nodeid)
-    file = function.partition("::")[0].removeprefix("tests/")
-    if any(file.startswith(path) for paths in REST.values() for path in paths):
+    if _is_one_of(REST, function):
         return REST_MARK
-    seconds = durations.get(function, 0.0)
-    return QUICK if seconds <= SHORT else CORE if seconds <= LONG else REST_MARK
+    seconds, longest = durations.get(function, 0.0), LONG_SELDOM if _is_one_of(SELDOM, function) else LONG
+    return QUICK if seconds <= SHORT else CORE if seconds <= longest else REST_MARK
+
+
+def _is_one_of(kinds: Mapping[str, tuple[str, ...]], function: str) -> bool:
+    return function.removeprefix("tests/").startswith(tuple(path for paths in kinds.values() for path in paths))
 
 
 def name_function(nodeid: str) -> str:

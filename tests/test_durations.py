@@ -11,6 +11,7 @@ from tests import durations
 from tests.mutants.faults import read_faults
 
 KNOWN = {"tests/a/test_a.py::test_slow": 2.0, "tests/a/test_a.py::test_endless": 100.0}
+KNOWN |= {"tests/benchmarks/test_b.py::test_slow": 1.0, "tests/benchmarks/test_b.py::test_slower": 3.0}
 
 
 @pytest.mark.parametrize(
@@ -20,6 +21,8 @@ KNOWN = {"tests/a/test_a.py::test_slow": 2.0, "tests/a/test_a.py::test_endless":
         ("tests/a/test_a.py::test_slow[case-a::b]", "core"),
         ("tests/a/test_a.py::test_endless", "rest"),
         ("tests/test_documentation.py::test_new", "rest"),
+        ("tests/benchmarks/test_b.py::test_slow", "core"),
+        ("tests/benchmarks/test_b.py::test_slower", "rest"),
     ],
 )
 def test_a_test_is_quick_until_it_is_measured_and_documents_are_not(nodeid: str, mark: str) -> None:
