@@ -119,7 +119,7 @@ MBSRUN = Package(
         "ocp.restating",
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
         "ocp.solution ocp.starts ocp.mirror",
-        "ocp.assembly ocp.judging",
+        "ocp.assembly ocp.judging ocp.margins ocp.singularities",
         "ocp.solve ocp.table ocp.recorded ocp.study",
         "ocp.certificate ocp.resimulation ocp.sensitivity",
         "ocp.refinement ocp.attempts",

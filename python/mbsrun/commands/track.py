@@ -306,6 +306,14 @@ def _list_warnings(report: Report) -> list[str]:
             f"steps in real time went wrong at {report.rescues} of {samples} samples, which solved instead and took "
             "longer; give a larger --barrier or more --steps"
         )
+    left = sorted((x for x in report.margins if not x.is_kept), key=lambda x: x.least / x.tolerated)
+    if left:
+        named = [f"{x.name} by {-x.least:.3g} at {x.time:.3f} s" for x in left[:LISTED]]
+        more = f", and {len(left) - LISTED} more" if len(left) > LISTED else ""
+        warnings.append(
+            f"the motion leaves its ranges: {', '.join(named)}{more}; take a shorter period or more intervals, "
+            "or keep a distance from the limits"
+        )
     if report.late:
         warnings.append(
             f"at {report.late} of {samples} samples the controller took longer than a period; the plant waited for it"

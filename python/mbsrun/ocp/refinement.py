@@ -11,6 +11,9 @@ Of several degrees, the one with the least work is taken; each interval is split
 Compare Liu, Hager, Rao, "Adaptive mesh refinement method for optimal control using decay rates of Legendre polynomial
 coefficients", IEEE Transactions on Control Systems Technology 26 (2018).
 
+Where bounds and constraints are violated between the points, by more than is tolerated, intervals are split too: the
+violation falls with the square of their length.
+
 Inputs are constant over an interval. All mesh points stay, so finer inputs can do whatever the former ones did. Where
 constraints are violated by more than the accuracy permits, the solver's tolerance is reduced on the same grid.
 """
@@ -32,7 +35,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import DEGREES
-from mbsrun.ocp.solution import Failure, Round, Rounds, Solution
+from mbsrun.ocp.solution import Failure, Resimulation, Round, Rounds, Solution
 from mbsrun.ocp.solve import Solver, Watch, choose_method, settle
 from mbsrun.ocp.trajectory import Trajectory, resample
 
@@ -81,17 +84,22 @@ def find_end(solution: Solution, made: int, rounds: int) -> str:
     """Return why the refinement ends; empty: it goes on."""
     check = solution.resimulation
     assert check is not None, "a solution is re-simulated before its grid is refined"
-    if check.is_accurate:
+    if check.is_accurate and not find_violated(check):
         return "the re-simulation confirms the accuracy"
     if check.unfinished:
         return f"the re-simulation did not finish, {check.unfinished}"
     if not check.defects:
         return "the re-simulation gave up, so no interval's error is known"
-    if max(check.defects) <= solution.problem.asked_accuracy:
+    if max(check.defects) <= solution.problem.asked_accuracy and not find_violated(check):
         return "the loops open along the re-simulated motion, which a finer grid does not change"
     if made < rounds:
         return ""
     return f"{rounds} rounds are over" if rounds > 1 else "1 round is over"
+
+
+def find_violated(check: Resimulation) -> bool:
+    """Return whether a bound or a constraint is violated between the points, by more than is tolerated."""
+    return check.margins is not None and bool(check.margins.violated)
 
 
 def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | None) -> Solution | Failure:
@@ -144,20 +152,35 @@ def choose_grid(solution: Solution) -> tuple[Problem, str] | None:
     defects = np.clip(check.defects, NOTHING, 1.0)
     integrator = INTEGRATORS[problem.integrator]
     keeps_grid = problem.form is Form.SHOOTING and (integrator.is_explicit or problem.integrator == SECOND_ORDER)
-    return _take_steps(problem, defects) if keeps_grid else _split(problem, defects)
+    violations = np.zeros(problem.intervals) if check.margins is None else np.array(check.margins.intervals)
+    if keeps_grid and not (violations > 1).any():
+        return _take_steps(problem, defects)
+    if keeps_grid:
+        return _make_grid(problem, problem.degree, np.full(problem.intervals, 2))
+    return _split(problem, defects, violations)
 
 
-def _split(problem: Problem, defects: Array) -> tuple[Problem, str] | None:
-    """Choose the degree with the least work, and split the intervals that are inaccurate with it."""
+def _split(problem: Problem, defects: Array, violations: Array) -> tuple[Problem, str] | None:
+    """Choose the degree with the least work, and split the intervals that are inaccurate or violated with it.
+
+    `violations` are the largest of each interval over the tolerated ones.
+    """
+    apart = np.where(violations > 1, np.maximum(np.ceil(np.sqrt(violations / AIM)), 2), 1)
     best: tuple[float, int, Indices] | None = None
     for degree in range(problem.degree, min(problem.degree + FURTHER, DEGREES[-1]) + 1):
         wanted = np.maximum(np.ceil(_count(defects, problem, degree)), 1 if degree > problem.degree else 2)
         wanted[defects <= problem.asked_accuracy] = 1
+        wanted = np.maximum(wanted, apart)
         work = float(wanted.sum()) * degree**EFFORT
         if best is None or work < best[0]:
             best = (work, degree, np.minimum(wanted, PIECES).astype(np.int64))
     assert best is not None, "the degree that it has is one of them"
     _, degree, pieces = best
+    return _make_grid(problem, degree, pieces)
+
+
+def _make_grid(problem: Problem, degree: int, pieces: Indices) -> tuple[Problem, str] | None:
+    """Split intervals into pieces, and take a degree."""
     lengths = split(problem.grid.lengths(), pieces)
     if len(lengths) > MAX_INTERVALS or lengths.min() < LEAST_FRACTION:
         return None

@@ -7,6 +7,8 @@ rounding: from the start of every interval to its end, whose error is the defect
 start of the horizon to its end, where an unstable plant has multiplied the defects. Steps and processor time are
 limited; a check that does not finish within the limits calls no solution accurate.
 
+Along the first of these motions, bounds and constraints are watched between the points of the grid: see `margins`.
+
 States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls.
 
 With closed loops, driven joints and contacts, accelerations and the forces of all follow together,
@@ -21,13 +23,13 @@ contact start at rest and do not accelerate; how far they creep is the slip.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853
+from scipy.integrate import DOP853, DenseOutput
 
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
@@ -35,6 +37,8 @@ from mbsrun.limits import Allowance, LimitError, Limits
 from mbsrun.ocp.contacts import Held, find_held, measure_slip
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.driving import Guide, choose_rows, give_nothing
+from mbsrun.ocp.functions import Indices
+from mbsrun.ocp.margins import Watch
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
@@ -60,8 +64,10 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     (N, d), nq = trajectory.point_t.shape, trajectory.q.shape[1]
     every = np.concatenate((trajectory.q, trajectory.point_q.reshape(N * d, nq)))
     gaps: list[float] | None = [] if has_loops(plant.manifest) else None
+    watch, taken, margins = Watch(solution.problem, plant), list[Step](), None
     try:
-        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance, held=held)
+        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance, held=held, taken=taken)
+        margins = None if ends is None else watch.measure(Reader(plant, course, held, taken, watch.kinds))
         defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
         reached = _integrate_all(plant, states[:1], course, steps, allowance, gaps, held)
         last = None if reached is None else reached[-1:]
@@ -79,6 +85,7 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
             and max(gaps or [0.0]) <= CLOSED,
             unfinished=unfinished,
             defects=() if defects is None else tuple(defects.tolist()),
+            margins=margins,
             closure=max(gaps) if gaps else None,
             slip=measure_slip(solution.problem, plant, every),
             slip_along=None if reached is None else measure_slip(solution.problem, plant, reached[:, :nq]),
@@ -217,11 +224,13 @@ def integrate(
     allowance: Allowance | None = None,
     gaps: list[float] | None = None,
     held: Held | None = None,
+    taken: list[Step] | None = None,
 ) -> Array | None:
     """Integrate several motions at once, states (B, nq + n + ns), each for its duration [s], with contacts if any.
 
     Returns the states at the end, or None where the integrator or a kernel fails. Raises LimitError when the
     allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
+    Every step is added to `taken`.
     """
     durations = np.broadcast_to(np.asarray(duration, dtype=np.float64), len(states))
     longest = float(durations.max())
@@ -257,6 +266,8 @@ def integrate(
                 if allowance is not None:
                     allowance.spend()
                 solver.step()
+                if taken is not None and solver.t > solver.t_old:
+                    taken.append(Step(solver.t / longest, solver.dense_output(), longest, states.shape))
                 if closure is not None and gaps is not None:
                     gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))
                 if is_kept:
@@ -267,6 +278,54 @@ def integrate(
     except (MbsError, np.linalg.LinAlgError):  # a kernel that fails, a mass matrix that is singular
         return None
     return np.asarray(solver.y.reshape(states.shape)) if solver.status == "finished" else None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of several motions that are integrated at once."""
+
+    end: float  # over the duration
+    states: DenseOutput  # by the integrator's time
+    duration: float  # by the integrator's time
+    shape: tuple[int, int]  # of the states: motions, size
+
+    def read(self, motions: Indices, fractions: Array) -> Array:
+        """Return the states (B, size) of some motions, each at a fraction of its duration."""
+        places, which = np.unique(fractions, return_inverse=True)
+        every = self.states(places * self.duration).reshape(*self.shape, places.size)
+        return np.asarray(every[motions, :, which])
+
+
+@dataclass(frozen=True)
+class Reader:
+    """The motions of all intervals, each from its start, to be read at any time."""
+
+    plant: Plant
+    course: Course
+    held: Held | None
+    steps: Sequence[Step]
+    kinds: frozenset[str]  # that are read
+
+    def __call__(self, intervals: Indices, fractions: Array) -> dict[str, Array]:
+        """Return the parts of the motion at fractions (B,) of intervals (B,)."""
+        nq, n = self.course.trajectory.q.shape[1], self.course.trajectory.qd.shape[1]
+        q, qd, states = np.split(self._read(intervals, fractions), [nq, nq + n], axis=1)
+        times = fractions * self.course.lengths[intervals]
+        parts = self.course.inputs(*intervals.tolist()).read(times[:, None], q, qd, states)
+        if not self.kinds & {"qdd", "tau", "w"}:
+            return parts
+        qdd, forces = _balance(self.plant, parts["q"], parts["qd"], parts, self.held)
+        return parts | {"qdd": qdd} | forces
+
+    def _read(self, intervals: Indices, fractions: Array) -> Array:
+        """Return the states (B, size)."""
+        last = len(self.steps) - 1
+        which = np.searchsorted([step.end for step in self.steps], fractions).clip(max=last)
+        found = np.zeros((len(fractions), self.steps[0].shape[1]))
+        for i in np.unique(which).tolist():
+            chosen = which == i
+            found[chosen] = self.steps[i].read(intervals[chosen], fractions[chosen])
+        return found
 
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array, w: Array | None = None) -> Array:

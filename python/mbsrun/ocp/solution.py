@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, Range
 from mbsrun.ocp.record import SAME
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import OPTIONAL, Array, Trajectory
@@ -119,6 +119,47 @@ class Rounds:
 
 
 @dataclass(frozen=True)
+class Margin:
+    """The place of a re-simulated motion at which a bound or a constraint of the path is nearest to its violation."""
+
+    name: str  # in the words of the problem
+    value: float
+    range: Range
+    time: float  # [s]
+    interval: int  # from 0
+    tolerated: float  # the violation from which on it counts
+
+    @property
+    def violation(self) -> float:
+        """Return by how much the value leaves its range; negative: it stays as far inside."""
+        return max(self.range[0] - self.value, self.value - self.range[1])
+
+    @property
+    def is_kept(self) -> bool:
+        """Return whether a violation, if there is one, is tolerated."""
+        return self.violation <= self.tolerated
+
+
+@dataclass(frozen=True)
+class Margins:
+    """The bounds and constraints of the path along a re-simulated motion, between the points of the grid too."""
+
+    each: tuple[Margin, ...]
+    intervals: tuple[float, ...]  # the largest violation of each interval over the tolerated one; 0: none
+
+    @property
+    def worst(self) -> Margin | None:
+        """Return the margin whose violation is the largest one over what is tolerated; None: nothing is bounded."""
+        return max(self.each, key=lambda margin: margin.violation / margin.tolerated, default=None)
+
+    @property
+    def violated(self) -> tuple[Margin, ...]:
+        """Return the margins whose violation counts, the worst first."""
+        found = [margin for margin in self.each if not margin.is_kept]
+        return tuple(sorted(found, key=lambda margin: -margin.violation / margin.tolerated))
+
+
+@dataclass(frozen=True)
 class Resimulation:
     """The distance of the trajectory from the true motion under its inputs, by a tight integrator."""
 
@@ -131,6 +172,7 @@ class Resimulation:
     slip_along: float | None = None  # the same along the motion from its start, under the forces found
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
     defects: tuple[float, ...] = ()  # of all intervals; empty where the integrator gave up
+    margins: Margins | None = None  # from every interval's start; None where the integrator gave up
 
 
 @dataclass(frozen=True)
@@ -239,6 +281,7 @@ class Failure:
     run: Run
     finding: str
     remedy: str
+    place: str = ""  # the part of the problem that is at fault, where one is known
 
 
 @dataclass(frozen=True, eq=False)

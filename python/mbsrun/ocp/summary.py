@@ -10,13 +10,14 @@ import numpy as np
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.problem import Loops, Unknown
-from mbsrun.ocp.solution import Resimulation, Run, Size, Solution
+from mbsrun.ocp.solution import Margin, Resimulation, Run, Size, Solution
 
 UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
 NAMES = (  # of lines; an unknown may have the same one
     *("problem", "status", "time", "horizon", "duration", "program", "nonzeros", "cost", "starts", "violation"),
-    *("loops", "closure", "intervals", "refinement", "complementarity", "slip", "defect"),
+    *("loops", "closure", "intervals", "refinement", "complementarity", "slip", "defect", "between"),
 )
+SHOWN = 3  # constraints that a warning names
 LOOPS: Mapping[Loops, str] = {
     Loops.REDUCED: "reduced: the independent coordinates are states",
     Loops.MULTIPLIERS: "with multipliers: all coordinates are states",
@@ -82,6 +83,8 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
         accuracy = solution.problem.asked_accuracy
         yield "defect", f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
         yield "open loop", f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
+        if check.margins is None or check.margins.each:
+            yield "between", _describe_margins(check)
 
 
 def list_program(run: Run, size: Size, duration: tuple[str, str]) -> Iterator[tuple[str, str]]:
@@ -123,7 +126,37 @@ def list_shortcomings(solution: Solution) -> list[str]:
             f"the largest defect of an interval, {_number(check.defect, check)}, is above the accuracy asked for, "
             f"{solution.problem.asked_accuracy:.1e}; take more intervals or a higher degree, or let refine choose them"
         )
+    if check is not None and check.margins is not None and check.margins.violated:
+        named = [_describe_margin(margin) for margin in check.margins.violated]
+        more = f"; and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
+        found.append(
+            f"between the points of the grid, {'; '.join(named[:SHOWN])}{more}; take more intervals there, or let "
+            "refine split them"
+        )
     return found
+
+
+def _describe_margins(check: Resimulation) -> str:
+    """Describe by how much bounds and constraints are violated between the points of the grid."""
+    if check.margins is None:
+        return _number(None, check)
+    worst = check.margins.worst
+    assert worst is not None, "margins of nothing have no line"
+    if worst.is_kept:
+        most = max((margin.violation for margin in check.margins.each), default=0.0)
+        return f"the grid's points, bounds and constraints are violated by {max(most, 0.0):.1e} at most"
+    violated = check.margins.violated
+    more = f"; {len(violated) - 1} more" if len(violated) > 1 else ""
+    return f"the grid's points, {_describe_margin(worst)}; tolerated {worst.tolerated:.1e}{more}"
+
+
+def _describe_margin(margin: Margin) -> str:
+    """Describe the violation of a bound or a constraint, as in `x is 1.2 at 0.5 s, 0.2 above 1`."""
+    is_low = margin.value < margin.range[0]
+    limit = margin.range[0] if is_low else margin.range[1]
+    name = margin.name.removeprefix("the bounds of ").removeprefix("constraint ")
+    place = f"{name} is {margin.value:.6g} at {margin.time:.4g} s"
+    return f"{place}, {margin.violation:.2g} {'below' if is_low else 'above'} its limit {limit:.6g}"
 
 
 def _describe_grid(solution: Solution) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import evaluate, names, parse
+from mbsgen.expressions import Program, names, parse
 from mbsrun.ocp.backends.symbolic import load
 from mbsrun.ocp.given import list_texts, order_given, place_unknown
 from mbsrun.ocp.plant import Plant
@@ -30,6 +30,7 @@ class Values:
     def __init__(self, texts: Sequence[str], problem: Problem, plant: Plant) -> None:
         """Parse the expressions. Raises ExpressionError for one that cannot be read."""
         self._expressions = [parse(text) for text in texts]
+        self._program = Program(self._expressions, ARRAYS)
         self._plant, self._problem = plant, problem
         named = frozenset[str]().union(*map(names, self._expressions))
         self._functions = [function for function in problem.functions if function.name in named]
@@ -63,7 +64,7 @@ class Values:
             arguments = [np.broadcast_to(numbers[name], B) for name in function.reads]
             numbers[function.name] = load(function.code).map(B)(*arguments).full()[0]
         with np.errstate(all="ignore"):
-            columns = [np.broadcast_to(evaluate(x, numbers, ARRAYS), B) for x in self._expressions]
+            columns = [np.broadcast_to(column, B) for column in self._program.evaluate(numbers)]
         return np.stack(columns, axis=1) if columns else np.zeros((B, 0))
 
 

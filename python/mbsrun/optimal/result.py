@@ -20,7 +20,7 @@ from mbsrun.jets import Jet, make_jets
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.phases.solution import PhasedFailure
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solution import Failure, Solution, write_solution
+from mbsrun.ocp.solution import Failure, Margin, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
 from mbsrun.ocp.table import list_additions, list_forces, list_motion, list_wrenches, write_table
 from mbsrun.ocp.trajectory import Trajectory
@@ -113,6 +113,16 @@ class Solved:
         """Return the largest error of an interval, by re-simulation; None where that was left out or gave up."""
         check = self.solution.resimulation
         return None if check is None else check.defect
+
+    @property
+    def margins(self) -> tuple[Margin, ...]:
+        """Return bounds and constraints at their worst along the re-simulated motion, between the points too.
+
+        Each has a name, a value, a range, a time [s], a violation (negative inside), and the one that is tolerated.
+        None are known without a re-simulation.
+        """
+        check = self.solution.resimulation
+        return () if check is None or check.margins is None else check.margins.each
 
     @property
     def shortcomings(self) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import Expression, evaluate, names, parse
 from mbsrun.external import Mechanism
+from mbsrun.ocp.margins import find_tolerated
 from mbsrun.ocp.problem import Problem
 from mbsrun.quantities import list_quantities
 from mbsrun.simulation.drive import ARRAYS, STATE, measure
@@ -55,6 +56,7 @@ class Margin:
     t: Array  # (K,)
     values: Array  # (K,)
     is_bound: bool  # of a coordinate, a velocity or an input; else a constraint along the path
+    tolerated: float  # the violation from which on it counts
 
     @property
     def least(self) -> float:
@@ -65,6 +67,11 @@ class Margin:
     def time(self) -> float:
         """Return the time of the least distance."""
         return float(self.t[self.values.argmin()])
+
+    @property
+    def is_kept(self) -> bool:
+        """Return whether a violation, if there is one, is tolerated."""
+        return self.least >= -self.tolerated
 
 
 @dataclass(frozen=True)
@@ -137,7 +144,8 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
         columns.append((constraint.expression, values, constraint.range, False))
     for name, values, (lower, upper), is_bound in columns:
         if math.isfinite(lower) or math.isfinite(upper):
-            margins.append(Margin(name, found.t, np.minimum(values - lower, upper - values), is_bound))
+            distances, tolerated = np.minimum(values - lower, upper - values), find_tolerated((lower, upper), values)
+            margins.append(Margin(name, found.t, distances, is_bound, tolerated))
     return margins, left
 
 

@@ -98,6 +98,15 @@ def test_a_trial_is_run_and_written(run: Run, monkeypatch: pytest.MonkeyPatch) -
     assert read_table("missed") == rows
 
 
+def test_a_motion_that_leaves_its_ranges_is_warned_of(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It starts at 1 m/s where plans keep 0.9; within its ranges nothing is said."""
+    monkeypatch.setattr(record, "save", lambda *_: None)  # pictures take seconds
+    task = BOUNDED.replace("bounds: {", "bounds: {velocities: [-0.9, 0.9], ")
+    settings = SETTINGS.replace("LIMIT", "10")
+    assert "the motion leaves its ranges: velocity x by 0.1 at " in run("-o", "fast", settings=settings, task=task)[2]
+    assert "leaves its ranges" not in run("-o", "slow", settings=settings)[2]
+
+
 def test_no_plan_from_the_start_writes_nothing(run: Run) -> None:
     far = BOUNDED + "end: {pose: {x: 1000}}\n"
     code, _, stderr = run("-o", "none", settings=SETTINGS.replace("LIMIT", "1"), task=far)

@@ -35,7 +35,7 @@ def _list_lines(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
 
 
 KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip")
-KEPT_CHECKS = ("complementarity", "defect", "open loop")
+KEPT_CHECKS = ("complementarity", "defect", "open loop", "between")
 
 
 def _is_kept(key: str) -> bool:
