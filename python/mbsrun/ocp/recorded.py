@@ -1,10 +1,10 @@
 """A guess from a file: an earlier solution, or a recorded motion such as a table of `mbsrun simulate` or `solve`.
 
 Coordinates q[NAME] are needed; velocities, accelerations, inputs, states and controls are taken where all columns of
-their kind are there. Without them, velocities and accelerations are derivatives of splines, and inputs are the ones of
-the problem's guess: 0, static or by inverse dynamics. `guess.times` is the part of the recording that is taken. Its
-time is scaled to the horizon; a free horizon is guessed as its duration. A guess need not be a motion, so gaps are
-bridged whatever their length; loops are closed, and quaternions have length 1.
+their kind are there, with numbers at both ends. Without these columns, velocities and accelerations are derivatives of
+splines, and inputs are the ones of the problem's guess: 0, static or by inverse dynamics. `guess.times` is the part of
+the recording that is taken. Its time is scaled to the horizon; a free horizon is guessed as its duration. A guess need
+not be a motion, so gaps are bridged whatever their length; loops are closed, and quaternions have length 1.
 """
 
 from __future__ import annotations
@@ -151,11 +151,30 @@ def _fit_coordinates(recording: Recording, manifest: Manifest, ends: Array) -> l
 
 
 def _fit(recording: Recording, columns: Sequence[str], ends: Array) -> list[Track] | None:
-    """Fit splines to some columns; None where one is missing, or has no number at an end of the part."""
+    """Fit splines to some columns; None where one is missing.
+
+    Raises InputError for columns that have no number at an end of the part.
+    """
     if not set(columns) <= set(recording.names):
         return None
     tracks = [fit(recording.times, recording.column(name), BRIDGED) for name in columns]
-    return tracks if all(track.is_known(ends).all() for track in tracks) else None
+    faults = [
+        Fault(recording.file, 0, f"column {abbreviate(name)}", *_find_empty(track, ends))
+        for name, track in zip(columns, tracks, strict=True)
+        if not track.is_known(ends).all()
+    ]
+    if faults:
+        raise InputError(faults)
+    return tracks
+
+
+def _find_empty(track: Track, ends: Array) -> tuple[str, str]:
+    """Return that a column has no number at an end, and what to do."""
+    time = float(ends[~track.is_known(ends)][0])
+    return (
+        f"it has no number at t = {time:g} s",
+        "give it one, cut the recording, or leave the column out",
+    )
 
 
 def _average(recording: Recording, tracks: Sequence[Track], mesh: Array) -> Array:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.recorded import find_guess, recall
@@ -23,10 +26,23 @@ def read_motion(guess: GuessLike, problem: Problem, plant: Plant) -> Trajectory:
         case Solved():
             return _begin(guess.trajectory)
         case Trajectory():
-            return _begin(guess)
+            return _begin(_check(guess, problem))
         case str() | Path():
             return find_guess(Path(guess), problem, plant)
     return recall(make_recording(guess, problem, plant.manifest), problem, plant)
+
+
+def _check(motion: Trajectory, problem: Problem) -> Trajectory:
+    """Raise ProblemError with the first number of each array that is not finite."""
+    findings = []
+    for part in fields(motion):
+        values = getattr(motion, part.name)
+        for place in np.argwhere(~np.isfinite(values))[:1].tolist():
+            where = ", ".join(map(str, place))
+            findings.append((f"guess.{part.name}[{where}]", f"found {values[tuple(place)]}", "give a finite number"))
+    if findings:
+        raise ProblemError(problem.name, findings)
+    return motion
 
 
 def _begin(motion: Trajectory) -> Trajectory:

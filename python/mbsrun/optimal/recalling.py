@@ -44,6 +44,16 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
         for name, numbers in arrays.items()
         if numbers.shape != t.shape
     ]
+    findings += [
+        (
+            f"guess.{name}",
+            f"{numbers[i]} at t = {t[i]:.6g} s, number {i}",
+            "give a finite number, or leave this time out",
+        )
+        for name, numbers in arrays.items()
+        if numbers.shape == t.shape and np.isfinite(t).all()
+        for i in np.flatnonzero(~np.isfinite(numbers))[:1].tolist()
+    ]
     if findings:
         raise ProblemError(problem.name, findings)
     kept = [name for name in arrays if name in columns]

@@ -116,9 +116,12 @@ class Energy:
 
     @property
     def rounding(self) -> float:
-        """Return the rounding error of the energies: a smaller drift shows nothing of the integration."""
+        """Return the rounding error of the energies: a smaller drift shows nothing of the integration.
+
+        Every time adds its own, to the state and to the work.
+        """
         sizes = [np.abs(x).max() for x in (self.kinetic, self.potential, self.work)]
-        return float(np.finfo(float).eps * max(sizes))
+        return float(np.finfo(float).eps * max(sizes) * self.kinetic.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -247,6 +248,20 @@ def test_a_guess_is_made_of_arrays_by_name(swing: OptimalControl, solved: Solved
     with pytest.raises(ProblemError) as error:
         swing.solve(guess={"t": [0, 0], "q_cart": [0, 1, 2], "q_pol": [0, 1], "u_cart": "much"})
     assert [place for place, *_ in error.value.findings] == ["guess.q_pol", "guess.u_cart", "guess.t", "guess.q_cart"]
+
+
+def test_a_number_of_a_guess_that_is_not_finite_is_named(swing: OptimalControl, solved: Solved, tmp_path: Path) -> None:
+    """Nothing of a guess is left out in silence: arrays, trajectories, and columns of files that lack an end."""
+    with pytest.raises(ProblemError, match=r"guess.u_cart: nan at t = 1 s, number 1"):
+        swing.solve(guess={"t": [0, 1, 2], "q_cart": [0, 0, 1], "q_pole": [0, 1, 3], "u_cart": [0, np.nan, 1]})
+    q = solved.trajectory.q.copy()
+    q[3, 1] = np.nan
+    with pytest.raises(ProblemError, match=r"guess.q\[3, 1\]: found nan"):
+        swing.solve(guess=replace(solved.trajectory, q=q))
+    file = tmp_path / "motion.csv"
+    file.write_text("t,q[cart],q[pole],u[cart]\n0,0,0,1\n1,0,1,1\n2,1,3,\n", "utf-8")
+    with pytest.raises(InputError, match=r"column u\[cart\]: it has no number at t = 2 s"):
+        swing.solve(guess=file)
 
 
 def test_a_search_from_many_starts_returns_the_best(swing: OptimalControl, tmp_path: Path) -> None:

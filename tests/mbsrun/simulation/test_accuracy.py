@@ -353,6 +353,14 @@ def test_a_motion_that_exchanges_no_energy_may_round() -> None:
     assert not Energy(6.0 + ripple, 3.0 - 0.9 * ripple, nothing).is_kept
 
 
+def test_many_steps_near_rest_round_more_than_one() -> None:
+    """A mechanism of 100 J of potential energy that hardly moves: 10,000 roundings of 1e-14 J sum up to 1e-10 J."""
+    K = 10_001
+    rounded, potential, still = np.linspace(0.0, 1e-10, K), np.full(K, 100.0), np.full(K, 1e-12)
+    assert Energy(still, potential + rounded, np.zeros(K)).is_kept
+    assert not Energy(still, potential + 1e3 * rounded, np.linspace(0.0, 0.9e-7, K)).is_kept
+
+
 # --- momentum --------------------------------------------------------------------------------------------------------
 
 FLYER = """
