@@ -164,7 +164,7 @@ def names(expression: Expression) -> frozenset[str]:
     """Collect the names in an expression."""
     if isinstance(expression, Name):
         return frozenset((expression.name,))
-    return frozenset().union(*map(names, _operands(expression)))
+    return frozenset().union(*map(names, list_operands(expression)))
 
 
 def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expression:
@@ -234,7 +234,7 @@ class Program(Generic[T]):
         """Add a part and return its number; `given` are parts that names stand for in the definition of `whole`."""
         if isinstance(expression, Name) and expression.name in given:
             return given[expression.name]
-        operands = tuple(self._add(operand, given, whole) for operand in _operands(expression))
+        operands = tuple(self._add(operand, given, whole) for operand in list_operands(expression))
         if isinstance(expression, Call) and expression.function not in self._algebra.functions:
             definition = _DEFINITIONS[expression.function]
             return self._add(definition, dict(zip("xw", operands, strict=True)), whole or expression)
@@ -293,7 +293,7 @@ def measure(expression: Expression, named: Mapping[str, Measure] = MappingProxyT
     """Measure an expression in which some names stand for expressions of the given sizes."""
     if isinstance(expression, Name):
         return named.get(expression.name, Measure())
-    inner = [measure(operand, named) for operand in _operands(expression)] or [Measure(0)]
+    inner = [measure(operand, named) for operand in list_operands(expression)] or [Measure(0)]
     terms, degrees = 1 + sum(x.terms for x in inner), [x.degree for x in inner]
     match expression:
         case Operation("*" | "/"):
@@ -308,7 +308,8 @@ def write(expression: Expression) -> str:
     return _write(expression, 0)
 
 
-def _operands(expression: Expression) -> tuple[Expression, ...]:
+def list_operands(expression: Expression) -> tuple[Expression, ...]:
+    """List the expressions that an expression is directly made of."""
     match expression:
         case Negation(operand) | Power(operand):
             return (operand,)

@@ -21,7 +21,7 @@ from mbsrun.commands.console import (
     output_folder,
     say,
 )
-from mbsrun.commands.phases import solve_file
+from mbsrun.commands.phases import print_failure, solve_file
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
@@ -218,7 +218,7 @@ def solve_command(
         say("the time was over before the first start ended")
         context.exit(NOT_SOLVED)
     if isinstance(outcome, Failure):
-        _tell_failure(outcome, out)
+        print_failure(outcome, file, out)
         context.exit(NOT_SOLVED)
     with MESSAGES.status("integrating again") as status:
         outcome = resimulate(outcome, plant)
@@ -362,9 +362,3 @@ def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
         plot_starts(solution.starts, out / DISTRIBUTION)
         written += [DISTRIBUTION, STARTS]
     return tuple(written)
-
-
-def _tell_failure(failure: Failure, out: Path) -> None:
-    say(f"not solved ({failure.run.status}): {failure.finding}; {failure.remedy}")
-    if (out / SOLUTION).exists():
-        say(f"{out / SOLUTION} is from an earlier solve")

@@ -23,6 +23,7 @@ from mbsrun.quaternions import find_quaternion
 SHOWN = 4  # descriptions of a failure
 VIOLATED = 1e-6  # a row that is named where a search fails stays violated by more than this
 ACTIVE = 1e-4  # relative, and absolute below 1: a value as near to a limit is at it, for methods of interior points
+START, END = "start: ", "end: "  # in the descriptions of their conditions
 _AXES = "xyz"
 
 _IN_INTERVALS: Mapping[str, str] = {  # rows by interval, and their descriptions
@@ -55,18 +56,47 @@ class Names:
 
 
 def describe_point(found: Found, names: Names) -> str:
-    """Describe the violated rows at a point, the worst first, and what is at its limits there."""
-    lower, upper = found.row_bounds
-    excess = np.nan_to_num(np.maximum(lower - found.g, found.g - upper))
-    worst = [row for row in np.argsort(-excess).tolist() if excess[row] > VIOLATED and row in names.rows]
-    own = [row for row in worst if row not in names.inner]
-    violated = _shorten([names.rows[row] for row in own or worst])
+    """Describe what is violated at a point, the worst first, and what is at its limits there.
+
+    Where neither the start nor the end gives way, conditions of the end are described as what the violated ones stand
+    against: a search may end with any of the conditions that clash kept.
+    """
+    own, inner = _list_violated(found, names)
+    violated = own or inner
     if not violated:
         return ""
     limits = [names.variables[i] for i in _find_active(found.x, *found.bounds) if i in names.variables]
-    limits += [names.rows[row] for row in _find_active(found.g, lower, upper) if row in names.rows]
-    kept = [text for text in limits if text not in {names.rows[row] for row in own}]
-    return violated + (f"; at their limits: {_shorten(kept)}" if kept else "")
+    limits += [names.rows[row] for row in _find_active(found.g, *found.row_bounds) if row in names.rows]
+    ends = [
+        text
+        for row in np.flatnonzero(found.row_bounds[0] == found.row_bounds[1])
+        if END in (text := names.rows.get(int(row), ""))
+    ]
+    against = [] if any(END in text or START in text for text in violated) else ends
+    held = f", against {_shorten(against)}" if against else ""
+    kept = [text for text in limits if text not in {*own, *against}]
+    return _shorten(violated) + held + (f"; at their limits: {_shorten(kept)}" if kept else "")
+
+
+def _list_violated(found: Found, names: Names) -> tuple[list[str], list[str]]:
+    """Describe the conditions that are violated, and the equations of the motion that are, the worst first."""
+    excess, beyond = _measure(found.g, found.row_bounds), _measure(found.x, found.bounds)
+    worst = [
+        (excess[i], names.rows[i], i in names.inner)
+        for i in np.flatnonzero(excess > VIOLATED).tolist()
+        if i in names.rows
+    ]
+    worst += [
+        (beyond[i], names.variables[i], False) for i in np.flatnonzero(beyond > ACTIVE).tolist() if i in names.variables
+    ]
+    worst.sort(key=lambda part: -part[0])
+    own, inner = ([text for _, text, is_inner in worst if is_inner is kind] for kind in (False, True))
+    return own, inner
+
+
+def _measure(values: Array, limits: tuple[Array, Array]) -> Array:
+    """Return by how much values leave their limits, negative inside."""
+    return np.nan_to_num(np.maximum(limits[0] - values, values - limits[1]))
 
 
 def _find_active(values: Array, lower: Array, upper: Array) -> list[int]:

@@ -113,6 +113,8 @@ class PartReading(Reading):
         place: Place = ("states", name)
         self.check_formula((*place, "rate"), section.rate)
         bounds = self.range((*place, "range"), section.range)
+        if "start" not in section.model_fields_set and not self.is_linked:
+            self.fault((*place, "start"), "missing", "give it, e.g. 0.0; null is free")
         start, end = (self.condition((*place, key), getattr(section, key), bounds) for key in ("start", "end"))
         guess = self.straight((*place, "guess"), section.guess, bounds)
         return State(name, section.rate, bounds, start, end, guess)

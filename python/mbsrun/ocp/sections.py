@@ -320,7 +320,7 @@ class StateSection(Section):
     """A state beside the mechanism's."""
 
     rate: FormulaField
-    start: EndField = Field(examples=[0.0])
+    start: EndField = Field(default=None, examples=[0.0])  # left out only where a link gives it
     end: EndField = Field(default=None, examples=[[None, 1.0]])
     range: RangeField = Field(default=(None, None), examples=[[0.0, 2.0]])
     guess: StraightField = Field(default=None, examples=[0.5])

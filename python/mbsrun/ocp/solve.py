@@ -29,6 +29,7 @@ from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
+from mbsrun.ocp.singularities import find_cause
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.stages.binding import is_compiled
 from mbsrun.ocp.state_guess import complete
@@ -110,7 +111,8 @@ class Solver:
         crossed = find_crossed_bounds(problem, self.plant.manifest)
         if crossed:
             return Failure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), crossed, "give bounds that leave room")
-        x = self.transcription.pack(complete(guess, problem, self.plant))
+        guess = complete(guess, problem, self.plant)
+        x = self.transcription.pack(guess)
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -118,9 +120,12 @@ class Solver:
         outcome = search(x, lambda x: self._call(freed, x, watch))
         run, found, clash = outcome.run, outcome.x, outcome.clash
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
-            finding, remedy = explain(run.status, run.iterations)
-            named = self._describe(problem, run, found, clash)
-            finding = f"{finding}: {named}" if named else finding
+            finding, remedy = explain(run.status, run.iterations, has_model=bool(self.plant.manifest.coordinates))
+            if named := find_cause(problem, self.plant, run, guess, self._read_end(found)):
+                finding = named.finding if run.status == INVALID else f"{finding}; {named.finding}"
+                return Failure(problem, run, finding, named.remedy, named.place)
+            clashing = self._describe(problem, run, found, clash)
+            finding = f"{finding}: {clashing}" if clashing else finding
             if lost := self._find_singular(problem, run, found):
                 return Failure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
             return Failure(problem, run, finding, remedy)
@@ -154,7 +159,15 @@ class Solver:
         except NoNumbersError:
             return describe(clash, own, self.plant.manifest)
         names = see_solver(name_parts(own, self.plant.manifest), own.program)
-        return describe_point(Found(x, own.variable_bounds(problem), g, own.constraint_bounds(problem)), names)
+        found = Found(x, own.variable_bounds(problem), g, own.constraint_bounds(problem))
+        return describe_point(found, names)
+
+    def _read_end(self, x: Array) -> Trajectory | None:
+        """Return the motion at which a search ended; None where its numbers are no motion."""
+        try:
+            return self.transcription.unpack(self.program.casadi.complete(x)) if np.isfinite(x).all() else None
+        except ValueError:
+            return None
 
     def _find_singular(self, problem: Problem, run: Run, x: Array) -> str:
         """Return that the reduced form does not determine the motion at which a search ended; else nothing."""

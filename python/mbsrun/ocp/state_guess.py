@@ -53,12 +53,12 @@ def guess_largest(motion: Trajectory, problem: Problem, plant: Plant) -> Traject
     unknowns = motion.unknowns.copy()
     for i, unknown in enumerate(problem.unknowns):
         if unknown.largest:
-            found = Values(unknown.largest, problem, plant)(_list_parts(motion, plant))
+            found = Values(unknown.largest, problem, plant)(list_parts(motion, plant))
             unknowns[i] = max(found[np.isfinite(found)], default=unknown.guess)
     return replace(motion, unknowns=unknowns)
 
 
-def _list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:
+def list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:
     """List the parts of a motion at its points, (N d, size) each."""
     N, d = motion.point_t.shape
     u, controls = motion.spread_inputs()
@@ -83,7 +83,7 @@ def _list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:
 def _add_given(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
     """Add what expressions give, and unknown components of wrenches; 0 where an expression has no value."""
     (N, d), m = motion.point_t.shape, motion.u.shape[1]
-    found = GivenValues(problem, plant)(_list_parts(motion, plant))
+    found = GivenValues(problem, plant)(list_parts(motion, plant))
     point_u, point_w = (np.nan_to_num(found[kind], posinf=0, neginf=0).reshape(N, d, -1) for kind in ("u", "w"))
     if not problem.forces:
         return replace(motion, point_w=point_w)

@@ -11,6 +11,7 @@ UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
+OVERDETERMINED = "Not_Enough_Degrees_Of_Freedom"
 INVALID = "Invalid_Number_Detected"  # the solver's word, or ours where it found a point at which kernels fail
 OPEN = "Loops_Open"  # the solver's word is good, but loops are not closed
 JUMPED = "Loops_Jumped"  # the same, but the loops change their branch between two points
@@ -19,6 +20,10 @@ NOT_FEASIBLE = "Not_Feasible"  # the same, but constraints are violated
 ELSEWHERE = "Loops_Elsewhere"  # the same, but the mechanism may be assembled otherwise than the guess
 
 _UNKNOWN = ("the solver ended with {status} after {iterations} iterations", "check bounds, horizon and guess")
+_NO_NUMBER = (
+    "an expression of the problem has a value or a derivative that is not finite",
+    "check the guess and the bounds for values at which expressions have no derivative",
+)
 _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "Infeasible_Problem_Detected": (
@@ -33,7 +38,7 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
             "a kernel failed, or returned a number that is not finite",
             "check the start and the bounds for poses that the model cannot take",
         ),
-        "Not_Enough_Degrees_Of_Freedom": (
+        OVERDETERMINED: (
             "the problem has more constraints than the inputs can meet",
             "drop a constraint, or take more intervals",
         ),
@@ -87,7 +92,9 @@ class NoNumbersError(ValueError):
     """The functions of a program have no numbers at a point: a kernel fails, or Newton's method does not end."""
 
 
-def explain(status: str, iterations: int) -> tuple[str, str]:
+def explain(status: str, iterations: int, *, has_model: bool = True) -> tuple[str, str]:
     """Return what a failure means, and what to do."""
     finding, remedy = _REASONS.get(status, _UNKNOWN)
+    if status == INVALID and not has_model:
+        finding, remedy = _NO_NUMBER
     return finding.format(status=status, iterations=iterations), remedy

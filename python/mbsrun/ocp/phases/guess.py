@@ -6,7 +6,7 @@ Variables of links, such as impulses, solve the rows of links at these trajector
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants
 from mbsrun.ocp.phases.sides import spell_coordinates
 from mbsrun.ocp.phases.solution import OWN_GUESS, Guess, PartialGuess
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, State
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -88,6 +88,38 @@ def _carry_on(
         lower, upper = own.bounds.q[i]
         values[i] = min(max(value, lower), upper)
     return replace(own, start_q=tuple(values))
+
+
+def carry_states(problem: PhasedProblem, k: int, found: Sequence[Trajectory], plants: Plants) -> Problem:
+    """Return phase k with starts of the states that it adds: free ones begin where a guess of a phase before ends.
+
+    The trajectories of the phases before are complete. A state with its own guess, or a given start, keeps it.
+    """
+    own = problem.phases[k].problem
+    for link in problem.links:
+        source = problem.find(link.source)
+        if link.target != problem.phases[k].name or source >= k:
+            continue
+        before, names = found[source], [state.name for state in problem.phases[source].problem.states]
+        known = dict(problem.constants) | {unknown.name: unknown.guess for unknown in problem.every_unknown}
+        known |= {name: float(before.q[-1, i]) for name, i in spell_coordinates(plants.phases[source].manifest).items()}
+        known |= dict(zip(names, before.states[-1].tolist(), strict=False))
+        own = replace(own, states=tuple(_carry(state, link, known) for state in own.states))
+    return own
+
+
+def _carry(state: State, link: Link, known: Mapping[str, float]) -> State:
+    """Give a state the start that a link gives it, as far as the state leaves it open."""
+    text = dict(link.map).get(state.name, state.name)
+    if state.guess is not None or state.start[0] == state.start[1] or text is None:
+        return state
+    try:
+        value = evaluate(parse(text), known, FLOATS)
+    except ExpressionError:
+        return state
+    for lower, upper in (state.bounds, state.start):
+        value = min(max(value, lower), upper)
+    return replace(state, start=(value, value)) if np.isfinite(value) else state
 
 
 def solve_links(

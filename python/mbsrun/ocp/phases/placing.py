@@ -82,6 +82,12 @@ def name_guesses(file: Path) -> Name:
     return name
 
 
+def name_place(file: Path, part: str) -> str:
+    """Return file, line and place of a part of a problem that was read from a file, as `task.ocp.yaml:4: cost`."""
+    fault = _place(read_document(file), part, "", "")
+    return f"{fault.file}:{fault.line}: {fault.path}" if fault.line else f"{fault.file}: {fault.path}"
+
+
 def place_findings(error: ProblemError, document: Document) -> InputError:
     """Return the error with the places of a file."""
     return refuse([_place(document, part, finding, remedy) for part, finding, remedy in error.findings])

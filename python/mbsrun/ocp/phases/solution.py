@@ -106,6 +106,7 @@ class PhasedFailure:
     run: Run
     finding: str
     remedy: str
+    place: str = ""  # the part of the problem that is at fault, where one is known
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from mbsrun.ocp.functions import Array
 from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases, name_phase
-from mbsrun.ocp.phases.guess import Unreached, adapt_guess, guess_phases, solve_links
+from mbsrun.ocp.phases.guess import Unreached, adapt_guess, carry_states, guess_phases, solve_links
 from mbsrun.ocp.phases.linking import Defined
 from mbsrun.ocp.phases.polishing import Equations, polish
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
@@ -40,6 +40,7 @@ from mbsrun.ocp.phases.transcription import PhasedTranscription, transcribe_phas
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.singularities import Cause, find_cause
 from mbsrun.ocp.solution import Run, Size
 from mbsrun.ocp.solve import (
     OPENED,
@@ -74,6 +75,7 @@ from mbsrun.ocp.status import (
     explain,
 )
 from mbsrun.ocp.touching import list_relaxed
+from mbsrun.ocp.trajectory import Trajectory
 
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
@@ -150,7 +152,8 @@ class PhasedSolver:
             if crossed := find_crossed_bounds(phase.problem, plant.manifest):
                 finding = f"phase {phase.name}: {crossed}"
                 return PhasedFailure(problem, Run(BAD_BOUNDS, 0, 0.0, 0.0), finding, "give bounds that leave room")
-        x = self.transcription.pack(problem, self._complete(guess))
+        guess = self._complete(guess)
+        x = self.transcription.pack(problem, guess)
         if not np.isfinite(x).all():
             finding = "the guess has numbers that are not finite"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
@@ -164,9 +167,13 @@ class PhasedSolver:
         outcome = search(x, lambda x: self._call(self._find_method(), x, watch))
         run, found = outcome.run, outcome.x
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
-            finding, remedy = explain(run.status, run.iterations)
-            named = self._name_violated(found)
-            finding = f"{finding}: {named}" if named else finding
+            has_model = any(plant.manifest.coordinates for plant in self.plants.phases)
+            finding, remedy = explain(run.status, run.iterations, has_model=has_model)
+            if named := self._find_cause(run, guess, found):
+                finding = named.finding if run.status == INVALID else f"{finding}; {named.finding}"
+                return PhasedFailure(problem, run, finding, named.remedy, named.place)
+            clashing = self._name_violated(found)
+            finding = f"{finding}: {clashing}" if clashing else finding
             if lost := self._find_singular(run, found):
                 return PhasedFailure(problem, run, f"{finding}; {lost}", f"take loops: multipliers, or {remedy}")
             return PhasedFailure(problem, run, finding, remedy)
@@ -193,6 +200,24 @@ class PhasedSolver:
                     finding = f"phase {part.problem.name}: {finding}; {cause}"
                     return PhasedFailure(problem, replace(run, status=status), finding, remedy)
         return solution
+
+    def _find_cause(self, run: Run, guess: Guess, x: Array) -> Cause | None:
+        """Find an expression of the first phase by which a search failed."""
+        own, every = self.transcription, None
+        try:
+            every = self.program.casadi.complete(x) if np.isfinite(x).all() else None
+        except ValueError:
+            every = None
+        ends = [None] * len(own.phases) if every is None else own.split(every)
+        for phase, plant, motion, part, end in zip(
+            self.problem.phases, self.plants.phases, guess.trajectories, own.phases, ends, strict=False
+        ):
+            ended = None if end is None else part.unpack(end)
+            if cause := find_cause(phase.problem, plant, run, motion, ended):
+                return replace(
+                    cause, finding=f"phase {phase.name}: {cause.finding}", place=f"phase {phase.name}: {cause.place}"
+                )
+        return None
 
     def _find_singular(self, run: Run, x: Array) -> str:
         """Name the first phase whose reduced form does not determine the motion at which a search ended."""
@@ -229,10 +254,11 @@ class PhasedSolver:
         """Guess the states, controls and unknowns that phases add."""
         known, largest = dict(guess.unknowns), dict[str, float]()
         given = zip(guess.trajectories, self.problem.phases, self.plants.phases, strict=True)
-        completed = []
-        for motion, phase, plant in given:
+        completed: list[Trajectory] = []
+        for k, (motion, phase, plant) in enumerate(given):
             values = [known.get(unknown.name, unknown.guess) for unknown in phase.problem.unknowns]
-            motion = complete(replace(motion, unknowns=np.array(values)), phase.problem, plant)
+            own = carry_states(self.problem, k, completed, self.plants)
+            motion = complete(replace(motion, unknowns=np.array(values)), own, plant)
             completed.append(motion)
             found = guess_largest(motion, phase.problem, plant).unknowns.tolist()
             for unknown, value in zip(phase.problem.unknowns, found, strict=True):

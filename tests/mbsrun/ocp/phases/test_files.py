@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from click.testing import CliRunner
 
 from mbsgen.errors import InputError
 from mbsrun.cli import cli
+from mbsrun.external import load_on_demand
 from mbsrun.ocp.phases.files import write_files
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
 from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.problem import Form, Representation
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
@@ -152,3 +155,47 @@ def test_options_hold_for_every_phase(requires: Callable[[str], str], tmp_path: 
     refused = CliRunner().invoke(cli, [*command, "--integrator", "rk4"])
     assert "phases[0].integrator: rk4 with 1 steps is for shooting" in str(refused.exception)
     assert "phases[1].integrator: rk4 with 1 steps is for shooting" in str(refused.exception)
+
+
+STAGES = """
+horizon: {guess: 60, range: [1, 300]}
+intervals: 10
+scheme: radau
+degree: 4
+constants: {g: 9.81, ve: 3000, F1: 60000, F2: 12000}
+states:
+  v: {rate: F/m - g}
+  m: {rate: -F/ve}
+controls: {F: {}}
+phases:
+  - name: first
+    states: {v: {start: 0}, m: {start: 3000, end: [1300, null]}}
+    controls: {F: {range: [0, F1], guess: F1}}
+  - name: second
+    states: {m: {end: [400, null]}}
+    controls: {F: {range: [0, F2], guess: F2}}
+    cost: {terminal: [{expression: -v}]}
+links: [{from: first, to: second, map: {m: m - 500}}]
+"""
+
+
+def test_a_linked_state_needs_no_start(tmp_path: Path) -> None:
+    """A rocket of two stages at full thrust: v = ve ln(3000/1300) + ve ln(800/400) - g (85 s + 100 s).
+
+    The second stage's mass, of which no start and no guess is given, is guessed by the link: at 0, F/m has no value.
+    """
+    (tmp_path / "rocket.ocp.yaml").write_text(STAGES, "utf-8")
+    problem, plants = read_phased_problem(tmp_path / "rocket.ocp.yaml", load_on_demand)
+    solution = solve_phases(problem, plants)
+    assert isinstance(solution, PhasedSolution), solution.finding
+    assert solution.durations == pytest.approx((85.0, 100.0), rel=1e-6)
+    assert -solution.cost == pytest.approx(3000 * math.log(3000 / 1300 * 800 / 400) - 9.81 * 185, rel=1e-6)
+
+
+def test_a_state_that_no_link_leads_to_needs_a_start(tmp_path: Path) -> None:
+    """The message names the place, and that null is free."""
+    (tmp_path / "rocket.ocp.yaml").write_text(STAGES.replace("{v: {start: 0}, m:", "{m:"), "utf-8")
+    with pytest.raises(
+        InputError, match=r"rocket.ocp.yaml:\d+: phases\[0\].states.v.start: missing; give it, e.g. 0.0"
+    ):
+        read_phased_problem(tmp_path / "rocket.ocp.yaml", load_on_demand)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mbsrun.external import OnDemand
+from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import SOLVED
 from tests.mbsrun.ocp.stages.shipped import read
 
@@ -71,6 +73,25 @@ def test_an_infeasible_problem_names_rows_that_clash(swing: tuple[Problem, OnDem
     assert "end: pole" in conditions
     assert "interval" not in conditions
     assert limits == "the bounds of the input cart"
+
+
+def test_a_horizon_that_is_too_short_is_named_with_the_end(tmp_path: Path) -> None:
+    """2 m at 3 m/s take 0.67 s, and the horizon has 0.4: both clash with the bounds of the velocity."""
+    (tmp_path / "mass.yaml").write_text(
+        "name: mass\ngravity: [0, 0, 0]\nbodies: [{name: a, joint: {type: prismatic, axis: x}, mass: 1}]\n", "utf-8"
+    )
+    (tmp_path / "task.ocp.yaml").write_text(
+        "model: mass.yaml\nhorizon: {guess: 0.3, range: [0.1, 0.4]}\nintervals: 20\nscheme: radau\ndegree: 3\n"
+        "cost: {inputs: 1}\nstart: {pose: {}}\nend: {pose: {a: 2}, velocity: zero}\nbounds: {velocities: [-3, 3]}\n",
+        "utf-8",
+    )
+    problem, plant = read_problem(tmp_path / "task.ocp.yaml", load_on_demand)
+    for method in ("mbs", "ipopt"):
+        outcome = solve(problem.with_solver(method), plant)
+        assert isinstance(outcome, Failure)
+        named = outcome.finding.split("contradict each other: ")[1]
+        for condition in ("end: a", "the range of the horizon", "the bounds of the velocity of a"):
+            assert condition in named
 
 
 def test_a_start_beyond_its_bounds_is_named(swing: tuple[Problem, OnDemand]) -> None:
