@@ -113,7 +113,7 @@ MBSRUN = Package(
         "ocp.closing ocp.design ocp.touching",
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
-        "ocp.sections ocp.clashes ocp.surplus",
+        "ocp.sections ocp.clashes ocp.surplus ocp.scales",
         "ocp.referring",
         "ocp.parts",
         "ocp.restating",

@@ -8,6 +8,7 @@
 
 #define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
 #define FORGIVEN ((real)100) /* most that errors are scaled by: multipliers that diverge are no solution */
+#define ROUNDED ((real)5000) /* units of rounding in the residual of a row that is scaled */
 
 real mbs_stages_sum(int n, const real *c)
 {
@@ -226,6 +227,13 @@ static real size_of(real sum, int count)
     return size < FORGIVEN ? size : FORGIVEN;
 }
 
+/* The residual of a row in its own unit; a row with steep slopes, as of squares of many metres, rounds by more. */
+static real unscale_residual(real c, real scale)
+{
+    const real rounding = scale < 1 ? ROUNDED * MBS_STAGES_EPSILON : 0, own = real_abs(c) - rounding;
+    return own > 0 || own != own ? own / scale : 0;
+}
+
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu)
 {
     mbs_stages_errors e;
@@ -239,7 +247,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
     slack = e.complementarity / size_of(sum, count);
     e.violation = 0;
     for (i = 0; i < s->rows; ++i) {
-        const real c = real_abs(p->c[i]) / s->row_scale[i];
+        const real c = unscale_residual(p->c[i], s->row_scale[i]);
         e.violation = c > e.violation ? c : e.violation;
     }
     e.scaled = dual > e.scaled ? dual : e.scaled;

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #define STEEPEST ((real)100) /* gradients that are not scaled down */
-#define LEAST_SCALE ((real)1e-8)
+#define LEAST_SCALE ((real)1e-16)
 #define MOST ((real)2e-4) /* barrier parameter that a warm start needs for its violation: larger ones leave the plan */
 
 static const real NONE = 2 * MBS_STAGES_INFINITE;

@@ -29,6 +29,7 @@ from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
+from mbsrun.ocp.scales import find_scales
 from mbsrun.ocp.singularities import find_cause
 from mbsrun.ocp.solution import CostTerms, Failure, Run, Size, Solution, Violation
 from mbsrun.ocp.stages.binding import is_compiled
@@ -184,7 +185,9 @@ class Solver:
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)
 
-        start = Start(x, parameters, lower, upper, g_lower, g_upper, None if watch is None else report(watch))
+        scales = find_scales(self.transcription, x, (lower, upper))
+        told = None if watch is None else report(watch)
+        start = Start(x, parameters, lower, upper, g_lower, g_upper, told, scales)
         outcome = call(self._solver(problem), start)
         run = replace(outcome.run, method=methods.choose(choose_method(problem, self.plant)))
         return replace(outcome, run=run)

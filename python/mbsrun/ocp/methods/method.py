@@ -47,6 +47,7 @@ class Start:
     g_lower: Array
     g_upper: Array
     watch: Watch | None = None
+    scales: Array | None = None  # usual sizes of x; None: 1
 
     def measure(self, g: Array) -> float:
         """Return by how much constraints leave their bounds: the largest."""

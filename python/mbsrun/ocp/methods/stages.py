@@ -120,7 +120,10 @@ def _expand(program: Program, start: Start, scaling: float) -> binding.Numbers:
     least[program.kept_rows], most[program.kept_rows] = start.g_lower, start.g_upper
     parameters = start.parameters.astype(np.float64)
     parameters[: len(program.H)] *= scaling
-    return binding.Numbers(parameters, lower, upper, least, most)
+    scales = np.ones(program.variables)
+    if start.scales is not None:
+        scales[program.kept] = start.scales
+    return binding.Numbers(parameters, lower, upper, least, most, scales)
 
 
 def _count_equations(start: Start) -> int:

@@ -289,7 +289,8 @@ class PhasedSolver:
     def _call(self, solver: methods.Solver, x: Array, watch: Watch | None) -> Outcome:
         own, problem = self.transcription, self.problem
         bounds = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
-        start = Start(x, own.parameters(problem), *bounds, None if watch is None else report(watch))
+        told = None if watch is None else report(watch)
+        start = Start(x, own.parameters(problem), *bounds, told, own.find_scales(x, bounds[:2]))
         outcome = call(solver, start)
         return replace(outcome, run=replace(outcome.run, method=methods.choose(self._options)))
 

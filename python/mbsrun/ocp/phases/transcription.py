@@ -22,6 +22,7 @@ from mbsrun.ocp.phases.sides import Side, name_impulses, read_side
 from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.standing import find_standing
 from mbsrun.ocp.program import Chain, Program
+from mbsrun.ocp.scales import find_scales
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription, transcribe
 
@@ -107,6 +108,15 @@ class PhasedTranscription:
             copies = self.see(own.layout.unknowns + offset.variables)
             x[copies] = [values[unknown.name] for unknown in phase.problem.unknowns]
         return x
+
+    def find_scales(self, x: Array, bounds: tuple[Array, Array]) -> Array:
+        """Return the scales of the variables that a solver sees; 1 for the ones of links."""
+        scales, at = np.ones(self.program.kept.size), 0
+        for part in self.phases:
+            own = slice(at, at + part.program.kept.size)
+            scales[own] = find_scales(part, x[own], (bounds[0][own], bounds[1][own]))
+            at = own.stop
+        return scales
 
     def split(self, x: Array) -> list[Array]:
         """Return the variables of each phase, of all variables."""

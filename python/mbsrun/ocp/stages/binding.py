@@ -224,6 +224,7 @@ class Numbers:
     upper: Array
     least: Array  # of all rows of the program
     most: Array
+    scales: Array | None = None  # usual sizes of all variables of the program; None: 1
 
 
 @dataclass(frozen=True)
@@ -371,6 +372,9 @@ class Solver:
         memory = self._made[1]
         for held, given in zip(memory.bounds, bounds, strict=True):
             held[: given.size] = given
+        if numbers.scales is not None:
+            known = data.variables >= 0
+            memory.scales[known.nonzero()[0]] = numbers.scales[data.variables[known]]
         return memory
 
 
@@ -415,6 +419,8 @@ class Workspace:
             setattr(problem, name, ffi.addressof(lib, f"mbs_timed_{name}"))
         for name, held in zip(("lower", "upper", "least", "most"), self.bounds, strict=True):
             setattr(problem, name, ffi.from_buffer("double[]", held))
+        self.scales = np.ones(self.bounds[0].size)
+        problem.scale = ffi.from_buffer("double[]", self.scales)
         size = lib.mbs_stages_bytes(problem)
         assert size, "the tables are a problem"
         self.memory = make_memory(size)

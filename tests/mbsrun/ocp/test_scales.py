@@ -1,0 +1,72 @@
+"""Scales of variables: what they are, and that units do not decide whether a problem is solved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.phases.solution import PhasedSolution
+from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.scales import round_scale
+from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solve import solve
+from mbsrun.ocp.statement import read_problem
+
+LANDER = """
+horizon: {guess: 4, range: [1, 10]}
+intervals: 20
+scheme: radau
+degree: 3
+constants: {unit: UNIT}
+states:
+  h: {rate: v, start: 10*unit, end: 0, range: [null, 20*unit], guess: [10*unit, 0]}
+  v: {rate: thrust - 1.5*unit, start: -2*unit, end: 0, guess: [-2*unit, 0]}
+controls: {thrust: {range: [0, 3*unit], guess: 1.5*unit}}
+cost: {running: [{expression: thrust/unit}]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("largest", "limits", "scale"),
+    [
+        (3.0, [np.inf], 1.0),  # near 1: none
+        (6e6, [1.2e7], 2.0**23),  # the nearest power of 2 of the guess
+        (0.0, [1e4], 2.0**13),  # no guess: the bound
+        (0.0, [np.inf], 1.0),  # neither
+        (1e-12, [1e5], 2.0**7),  # a thousandth of the bound at least
+        (5e6, [1e4], 2.0**13),  # the bound at most
+        (3e-5, [np.inf], 2.0**-15),
+    ],
+)
+def test_a_scale_is_a_power_of_two_near_the_size(largest: float, limits: list[float], scale: float) -> None:
+    """So that dividing by it rounds nothing."""
+    assert round_scale(largest, np.array(limits)) == scale
+
+
+@pytest.mark.parametrize("unit", ["1", "1e7", "1e-7"])
+def test_a_lander_in_any_unit_burns_as_much(tmp_path: Path, unit: str) -> None:
+    """A landing from 10 m at -2 m/s under 1.5 m/s^2, at least thrust: full thrust after a fall, in metres or others.
+
+    Fall for s, thrust of 3 m/s^2 for b: 2 + 1.5 s = 1.5 b, and 10 = 2 s + 0.75 s^2 + 0.75 b^2; the cost is 3 b, but for
+    the interval within which the thrust switches.
+    """
+    (tmp_path / "lander.ocp.yaml").write_text(LANDER.replace("UNIT", unit), "utf-8")
+    problem, plant = read_problem(tmp_path / "lander.ocp.yaml", load_on_demand, NO_MECHANISM)
+    solution = solve(problem, plant)
+    assert isinstance(solution, Solution), solution.finding
+    s = max(np.roots([1.5, 4.0, 4 / 3 - 10]).real)
+    assert solution.cost.total == pytest.approx(3 * (s + 4 / 3), rel=2e-3)
+    assert solution.run.iterations < 40
+
+
+def test_a_launch_in_metres_and_kilograms() -> None:
+    """The published optimum of the Delta III is 7529.7123 kg; radii are of 1e7 m, their squares of 1e14 m^2."""
+    file = Path(__file__).parent / "phases" / "delta_iii.ocp.yaml"
+    solution = solve_phases(*read_phased_problem(file, load_on_demand))
+    assert isinstance(solution, PhasedSolution), solution.finding
+    assert -1000 * solution.cost == pytest.approx(7529.7123, abs=1e-3)
