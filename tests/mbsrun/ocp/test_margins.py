@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from mbsgen.errors import InputError
 from mbsrun.cli import cli
 from mbsrun.ocp.margins import TOLERATED, find_tolerated
 from mbsrun.ocp.phases.solution import read_phased_solution
@@ -141,8 +142,8 @@ def test_a_cost_may_be_empty(tmp_path: Path) -> None:
     text = ARCH.replace("cost: {running: [{expression: c**2}]}", "cost: {}").replace("LIMIT", "2")
     assert run(tmp_path, text).exit_code == 0
     result = run(tmp_path, text.replace("cost: {}", ""))
-    assert result.exit_code == 2
-    assert "cost: missing" in result.stderr
+    assert isinstance(result.exception, InputError)
+    assert "cost: missing" in str(result.exception)
 
 
 def test_python_returns_the_margins(tmp_path: Path) -> None:
