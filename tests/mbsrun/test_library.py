@@ -274,7 +274,7 @@ def test_a_compiler_on_the_path_is_preferred_and_cc_overrides(tmp_path: Path) ->
 
 def test_a_machine_without_any_compiler_is_helped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mbsrun.library.find_spec", lambda _: None)
-    with pytest.raises(CompileError, match=r"no C compiler on the PATH; install .* pip install 'mbsgen\[compiler\]'"):
+    with pytest.raises(CompileError, match=r"no C compiler on the PATH; install .* pip install '\.\[compiler\]'"):
         find_compiler({"PATH": str(tmp_path)})
 
 

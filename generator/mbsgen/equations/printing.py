@@ -416,7 +416,7 @@ def _list_symbols(page: Page) -> set[sp.Symbol]:
 
 FORMATS: Mapping[str, Callable[[Page], str]] = {
     "text": lambda page: write_text(separate(page)),
-    "python": write_python,  # which has words of its own, such as `sp`
+    "python": write_python,  # which takes further words, such as `sp`
     "latex": lambda page: write_latex(separate(page)),
     "markdown": lambda page: write_markdown(separate(page)),
     "html": lambda page: write_html(separate(page)),
