@@ -94,6 +94,40 @@ def test_coordinates_of_second_order_are_integrals_of_velocities(family: Family,
             assert bool(gap < 1e-15) is (is_exact or place is method.ends)
 
 
+@pytest.mark.parametrize("steps", [1, 2, 5])
+@pytest.mark.parametrize("name", integrators.INTEGRATORS)
+def test_stages_are_at_the_times_of_their_steps(name: str, steps: int) -> None:
+    """(i + c) / steps in step i; a constant acceleration moves by t^2 / 2 until each time, whatever the method."""
+    scheme = schemes.build(Family.RADAU, 3)
+    own = np.array([0.0, 0.5, 0.5, 1.0]) if name == "rk4" else scheme.points
+    method = integrators.build(name, scheme, steps)
+    assert method.stages.c == pytest.approx(((np.arange(steps)[:, None] + own) / steps).ravel(), abs=1e-15)
+    assert method.points.c == pytest.approx(scheme.points, abs=1e-15)
+    assert method.ends.c == pytest.approx([0.0, 1.0], abs=1e-15)
+    for place in (method.stages, method.points, method.ends):
+        assert place.V.sum(axis=1) == pytest.approx(place.c, abs=1e-14)
+    for place in (method.points, method.ends):
+        if name != "rk4" or place is method.ends:
+            assert place.P.sum(axis=1) == pytest.approx(place.c**2 / 2, abs=1e-14)
+
+
+@pytest.mark.parametrize("mesh", [None, (0.1, 0.4, 0.2, 0.3)])
+@pytest.mark.parametrize(("integrator", "steps"), [("collocation", 1), ("collocation", 3), ("rk4", 2)])
+def test_costs_read_the_time_of_each_point(integrator: str, steps: int, mesh: tuple[float, ...] | None) -> None:
+    """A push over 1 m in 1 s for the integral of t u^2: four constant inputs with two conditions, in closed form."""
+    cost = Cost(running=(Term("t*u_slide**2", 1.0),))
+    problem = shot(
+        push(4), integrator=integrator, steps=steps, representation=Representation.EXP1_O, mesh=mesh, cost=cost
+    )
+    times = np.concatenate([[0.0], np.cumsum(mesh or (0.25,) * 4)])
+    weights, h = np.diff(times**2) / 2, np.diff(times)
+    moved = np.stack([h, h * (1 - (times[1:] + times[:-1]) / 2)])  # the velocity and the place at the end
+    multipliers = np.linalg.solve(moved / weights @ moved.T, [0.0, 1.0])
+    outcome = optimum(problem, double_integrator())
+    assert outcome.trajectory.u[:, 0] == pytest.approx(moved.T @ multipliers / weights, rel=1e-6)
+    assert outcome.cost.total == pytest.approx(multipliers @ [0.0, 1.0], rel=1e-8)
+
+
 def rk4(plant: Peer, x: np.ndarray, u: np.ndarray, length: float, steps: int) -> np.ndarray:
     """The textbook's loop, on states (q, qd)."""
     h = length / steps

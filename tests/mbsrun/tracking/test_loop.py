@@ -98,6 +98,12 @@ def test_a_sample_without_a_plan_is_counted(puck: Mechanism, fallback: Fallback,
     assert [sample.decision.status for sample in found.samples] == ["Solved", "Solved", "Lost", "Lost", "Solved"]
 
 
+def test_a_sample_without_a_plan_holds_the_inputs_asked_for_last(puck: Mechanism) -> None:
+    """Not the ones that act now: with a delay of two periods, others are on their way."""
+    found = run(puck, Counter(failing=(2, 3)), duration=0.7, delay=2, fallback=Fallback.HOLD)
+    assert [float(sample.u[0]) for sample in found.samples] == pytest.approx([100, 101, 0, 1, 1, 1, 4])
+
+
 def test_a_failure_can_stop_the_loop(puck: Mechanism) -> None:
     found = run(puck, Counter(failing=(4,)), fallback=Fallback.STOP)
     assert found.halt is not None
@@ -153,6 +159,27 @@ def test_a_state_beyond_a_bound_is_put_inside_for_the_controller(puck: Mechanism
     assert [sample.is_moved for sample in found.samples] == [False, True, True]
     assert all(0.45 < x < 0.45 + 1e-5 for x in controller.states[2:])
     assert float(found.samples[1].measured_q[0]) < 0.45
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits"), [("q", (0.6, 2.0)), ("q", (-2.0, 0.4)), ("qd", (-0.5, 2.0)), ("qd", (-3, -2))]
+)
+def test_a_state_is_put_inside_from_either_side(puck: Mechanism, kind: str, limits: tuple[float, float]) -> None:
+    """Within the bound, by the stated margin: 1e-6 of 1 + |state|; coordinates and velocities."""
+    states: list[tuple[float, float]] = []
+
+    class Watching(Counter):
+        def feedback(self, q: Array, qd: Array) -> Decision:
+            states.append((float(q[0]), float(qd[0])))
+            return super().feedback(q, qd)
+
+    ranges = {"q": FREE, "qd": FREE, kind: limits}
+    run(puck, Watching(), Bounds((ranges["q"],), (ranges["qd"],), (FREE,)), duration=0.1)
+    start, given = (0.5, -1.0), states[0]
+    at = kind == "qd"
+    bound, way = (limits[0], 1) if start[at] < limits[0] else (limits[1], -1)
+    assert given[at] == pytest.approx(bound + way * 1e-6 * (1 + abs(start[at])), abs=1e-12)
+    assert given[not at] == start[not at]
 
 
 def test_constants_are_those_of_the_time_of_the_plan(puck: Mechanism) -> None:
