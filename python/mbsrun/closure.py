@@ -96,6 +96,20 @@ class Closure:
         rest = np.zeros((*q.shape[:-1], self.size))
         return self._evaluate("loop_jacobian", "J", (self.count, self.size), q=q, qd=rest)
 
+    def measure_strength(self, q: Array) -> float:
+        """Return the least singular value of J at a pose, (nq,), relative to the largest.
+
+        Places and directions of a loop have different units: the longest row of each has the length 1.
+        """
+        if not self.count:
+            return 1.0
+        J = self.jacobian(q[None])[0]
+        rows = np.linalg.norm(J, axis=1)
+        groups = [(x.name, name.startswith("turn")) for x in self.manifest.loops for name in x.equations]
+        longest = {group: max(rows[[other == group for other in groups]]) or 1.0 for group in groups}
+        values = np.linalg.svd(J / np.array([[longest[group]] for group in groups]), compute_uv=False)
+        return float(values[-1] / values[0])
+
     def bias(self, q: Array, qd: Array) -> Array:
         """Return gamma, (..., m)."""
         return self._evaluate("loop_jacobian", "gamma", (self.count,), q=q, qd=qd)
@@ -115,7 +129,7 @@ class Closure:
             return J
         units = np.tile(np.eye(self.size), (len(q), 1))  # E is linear in velocities: its columns are rates of unit ones
         columns = self.plant("rates", q=np.repeat(q, self.size, axis=0), qd=units)["rate"]
-        E = columns.reshape(len(q), self.size, -1).swapaxes(1, 2)
+        E = columns.reshape(len(q), self.size, self.places).swapaxes(1, 2)
         return np.asarray(J @ np.linalg.pinv(E))
 
     @cached_property

@@ -70,7 +70,8 @@ def test_the_imported_model_is_the_one_that_mbsgen_writes(arm: Path) -> None:
 @pytest.mark.parametrize("option", [["--base", "fixed"], ["--lock", "q1=0"], ["--lock-massless"]])
 def test_the_options_are_refused_without_a_robots_file(option: list[str]) -> None:
     run = CliRunner().invoke(cli, ["linearise", "acrobot.yaml", *option])
-    expected = "acrobot.yaml: --base, --sensor, --lock, --lock-massless and --mimic are for files of URDF, MJCF or SDF"
+    options = "--base, --sensor, --lock, --lock-massless, --mimic and --loop-tolerance"
+    expected = f"acrobot.yaml: {options} are for files of URDF, MJCF or SDF"
     assert str(run.exception) == expected
 
 

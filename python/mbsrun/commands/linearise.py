@@ -14,6 +14,7 @@ from rich.table import Table
 
 from mbsgen.expressions import spell
 from mbsgen.help import ModelCommand
+from mbsrun.closure import Closure
 from mbsrun.commands.animated import equip, read_end
 from mbsrun.commands.console import choose_format, print_table, read_numbers, say
 from mbsrun.commands.robots import accept_robots
@@ -48,6 +49,7 @@ Exit codes
   2   the model or an argument cannot be accepted, or the pose is no equilibrium; nothing written
 """
 
+WEAK = 1e-4  # singular value of J, relative to the largest: loops near a singular pose
 _PRINTED = 1e-12  # of the largest gain of an input: smaller ones are roundings, and are not printed
 _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less are not named
 
@@ -121,6 +123,11 @@ def linearise_command(
     else:
         equilibrium = balance(kernels, pose, given)
     found = linearise(kernels, equilibrium)
+    if (strength := Closure(kernels).measure_strength(equilibrium.q)) < WEAK:
+        say(
+            "the equations of the loops almost depend on each other at this pose (the least singular value of J is "
+            f"{strength:.1g} of the largest): the motion may branch here, and poles are no measure of it"
+        )
     gains = None if weight is None else found.regulate(*_read_weights(found, weight, weights, input_weights))
     out = out or Path(f"{model.stem}.linear")
     out.mkdir(parents=True, exist_ok=True)

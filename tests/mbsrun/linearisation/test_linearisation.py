@@ -231,6 +231,41 @@ def test_a_shaken_loop_moves_as_its_driven_joint_does(tmp_path: Path) -> None:
     assert np.abs(expected).max() > 0.01
 
 
+def test_a_ball_alone_settles_where_its_mass_hangs(tmp_path: Path) -> None:
+    """A pendulum that swings as sqrt(m g l / (I + m l^2)) about two axes, and turns freely about the third."""
+    (tmp_path / "bob.yaml").write_text(
+        "name: bob\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: bob, joint: {type: ball}, mass: 1, com: [0, 0, -1], inertia: [0.1, 0.1, 0.1]}\n",
+        encoding="utf-8",
+    )
+    kernels = load(tmp_path / "bob.yaml", extent=INTEGRATED)
+    tilted = np.array([np.sin(0.1), 0.0, 0.0, np.cos(0.1)])
+    found = linearise(kernels, settle(kernels, tilted, np.zeros(3)))
+    swings = sorted(mode.pole.imag for mode in found.modes)
+    assert swings[-2:] == pytest.approx([np.sqrt(9.81 / 1.1)] * 2, rel=1e-9)
+    assert Closure(kernels).measure_strength(tilted) == 1.0
+
+
+def test_poles_beside_a_change_point_are_doubted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A parallelogram in line may go on as a parallelogram or crossed: its equations depend on each other there."""
+    monkeypatch.chdir(tmp_path)
+    link = "type: revolute, axis: y, actuated: false"
+    Path("bars.yaml").write_text(
+        "name: bars\ngravity: [0, 0, 0]\nbodies:\n"
+        "  - {name: a, joint: {name: q1, type: revolute, axis: y}, mass: 1, inertia: [1, 1, 1]}\n"
+        f"  - {{name: b, parent: a, joint: {{name: q2, {link}, position: [0.2, 0, 0]}}, mass: 1, inertia: [1, 1, 1]}}\n"
+        f"  - {{name: c, joint: {{name: q3, {link}, position: [0.5, 0, 0]}}, mass: 1, inertia: [1, 1, 1]}}\n"
+        "loops:\n  - {name: pin, type: hinge, axis: y, from: {body: b, position: [0.5, 0, 0]}, to: {body: c, position:"
+        " [0.2, 0, 0]}}\nindependent: [q1]\nassembly: {q1: -1, q2: 1, q3: -1}\n",
+        encoding="utf-8",
+    )
+    for angle, is_doubted in ((1.0, False), (1e-5, True)):
+        pose = [f"--pose=q1={-angle}", f"--pose=q2={angle}", f"--pose=q3={-angle}"]
+        run = CliRunner().invoke(cli, ["linearise", "bars.yaml", *pose, "-o", "out"])
+        assert run.exit_code == 0
+        assert ("almost depend on each other" in run.output) is is_doubted
+
+
 def test_a_pose_that_nothing_keeps_is_refused() -> None:
     kernels = _load("double_pendulum")
     with pytest.raises(BalanceError, match=r"force of 5\.\d+ along q1 is not balanced; settle it"):
