@@ -231,7 +231,6 @@ def test_a_shaken_loop_moves_as_its_driven_joint_does(tmp_path: Path) -> None:
     assert np.abs(expected).max() > 0.01
 
 
-<<<<<<< HEAD
 def test_a_ball_alone_settles_where_its_mass_hangs(tmp_path: Path) -> None:
     """A pendulum that swings as sqrt(m g l / (I + m l^2)) about two axes, and turns freely about the third."""
     (tmp_path / "bob.yaml").write_text(
@@ -265,7 +264,8 @@ def test_poles_beside_a_change_point_are_doubted(tmp_path: Path, monkeypatch: py
         run = CliRunner().invoke(cli, ["linearise", "bars.yaml", *pose, "-o", "out"])
         assert run.exit_code == 0
         assert ("almost depend on each other" in run.output) is is_doubted
-=======
+
+
 @pytest.mark.parametrize("angle", [1e-6, -1e-4, 1e-2])
 def test_a_small_force_is_missing_too(angle: float) -> None:
     """Rounding alone is no force: the weight's moment at a small angle is told in its size, and hanging is at rest."""
@@ -274,7 +274,6 @@ def test_a_small_force_is_missing_too(angle: float) -> None:
     with pytest.raises(BalanceError, match=re.escape(f"a force of {weight:.3g} along")):
         balance(kernels, np.array([angle, 0.0]), {})
     assert balance(kernels, np.zeros(2), {}).u.size == 0
->>>>>>> 50509fdd (Test that small missing forces are told)
 
 
 def test_a_pose_that_nothing_keeps_is_refused() -> None:
