@@ -516,6 +516,19 @@ def test_generated_folders_depend_on_included_files(tmp_path: Path) -> None:
     assert models.fingerprint(first) == found
 
 
+def test_generated_folders_depend_on_meshes(tmp_path: Path) -> None:
+    """Of MJCF, whose masses they may be: in the folder that the compiler names, or stripped of their paths."""
+    model, first, other = (tmp_path / name for name in ("robot.xml", "assets/sub/a.stl", "assets/b.obj"))
+    first.parent.mkdir(parents=True)
+    meshes = "<mesh name='a' file='sub/a.stl'/><mesh file = 'elsewhere/b.obj'/>"
+    model.write_text(f"<mujoco><compiler strippath='true' meshdir='assets'/><asset>{meshes}</asset></mujoco>")
+    for file in (first, other):
+        file.write_text("one")
+        found = models.fingerprint(model)
+        file.write_text("other")
+        assert models.fingerprint(model) != found
+
+
 @pytest.mark.parametrize("place", ["mbsgen", "templates", "csrc"])
 def test_generated_folders_depend_on_every_file_of_the_generator(
     sources: Path, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
