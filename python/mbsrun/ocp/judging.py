@@ -129,6 +129,10 @@ class Failed(Ended, Protocol):
     def finding(self) -> str:
         """Return what is wrong."""
 
+    @property
+    def place(self) -> str:
+        """Return the part of the problem that is at fault, where one is known."""
+
 
 F = TypeVar("F", bound=Failed)
 S = TypeVar("S", bound=Ended)
@@ -138,6 +142,8 @@ def tell_both(first: F, other: S) -> F | S:
     """Return what another method found, with a sentence on the first one; or the first failure, where it failed too."""
     if type(other) is type(first):
         finding, _ = explain(other.run.status, other.run.iterations)
+        if first.place and getattr(other, "place", "") == first.place:  # both fail at one expression
+            return replace(first, finding=f"{first.finding}; {OTHER}, asked next, had no answer either")
         return replace(first, finding=f"{first.finding}; {OTHER}, asked next, had no answer either ({finding})")
     told = f"{first.run.method} had no answer ({first.finding}); this one is of {OTHER}"
     return replace(other, run=replace(other.run, instead=told))
