@@ -1,6 +1,12 @@
 /* Small dense blocks: see blocks.h. */
 #include "blocks.h"
 
+#if defined(MBS_SCALAR) && defined(__OPTIMIZE_SIZE__)
+#define WIDE 0 /* without vectors, wider blocks of columns save little time */
+#else
+#define WIDE 1
+#endif
+
 static void add_columns(int m, const real *restrict A, int lda, real b0, real b1, real b2, real b3, real *restrict c)
 {
     const real *restrict a1 = A + lda, *restrict a2 = a1 + lda, *restrict a3 = a2 + lda;
@@ -142,9 +148,9 @@ void mbs_stages_combine(int width, int count, const int *index, int first, const
 {
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
-    for (; c + 16 <= width; c += 16)
+    for (; WIDE && c + 16 <= width; c += 16)
         combine_4(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
-    for (; c + 8 <= width; c += 8)
+    for (; WIDE && c + 8 <= width; c += 8)
         combine_2(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
     for (; c < width; c += 4)
         combine_1(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
@@ -175,9 +181,9 @@ void mbs_stages_add_rows(int width, int count, real factor, const real *by, int 
 {
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
-    for (; c + 16 <= width; c += 16)
+    for (; WIDE && c + 16 <= width; c += 16)
         add_rows_4(count, factor, by, step, rows + c, w, out + c);
-    for (; c + 8 <= width; c += 8)
+    for (; WIDE && c + 8 <= width; c += 8)
         add_rows_2(count, factor, by, step, rows + c, w, out + c);
     for (; c < width; c += 4)
         add_rows_1(count, factor, by, step, rows + c, w, out + c);
@@ -217,7 +223,7 @@ void mbs_stages_gram(int m, int rows, int width, int lower, real factor, const r
     int b, c;
     for (b = 0; b < rows; b += 4, M += 4 * l) {
         const int columns = lower ? b + 4 : width;
-        for (c = 0; c + 8 <= columns; c += 8)
+        for (c = 0; WIDE && c + 8 <= columns; c += 8)
             gram_2(m, factor, S + b, s, Z + c, z, M + c, l);
         for (; c < columns; c += 4)
             gram_1(m, factor, S + b, s, Z + c, z, M + c, l);

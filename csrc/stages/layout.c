@@ -3,8 +3,10 @@
 
 #include <string.h>
 
-#define ALIGNMENT 16
-#define SPARE 8  /* inner variables that the recursion has room for, where inner equations do not determine them */
+#define SEARCHES MBS_STAGES_SEARCHES
+#define ALIGNMENT ((SEARCHES ? 2 : 1) * sizeof(void *)) /* small machines have small pointers, and no vectors */
+#define SPARE (SEARCHES ? 8 : 0) /* inner variables that the recursion has room for, where inner equations do not
+                                  * determine them */
 #define FILL 4   /* nonzeros that factors of inner equations may have for one of these */
 
 /* Memory from `base` on, or only a count of it where base is NULL. */
@@ -95,19 +97,22 @@ static void lay_watchdog(arena *a, mbs_stages_watchdog *w, int size, int rows)
 
 static void lay_phase(arena *a, mbs_stages_phase *p, int size, int rows)
 {
-    real **const vectors[] = {&p->x,  &p->trial,    &p->lower, &p->upper, &p->zl,
-                              &p->zu, &p->gradient, &p->slope, &p->sigma, &p->lagrangian};
+    real **const vectors[] = {&p->x,        &p->lower, &p->upper, &p->zl,        &p->zu,
+                              &p->gradient, &p->slope, &p->sigma, &p->lagrangian};
     size_t i;
     p->size = size;
     for (i = 0; i < sizeof vectors / sizeof *vectors; ++i)
         *vectors[i] = numbers(a, size, 1);
-    p->filter.theta = numbers(a, MBS_STAGES_ENTRIES, 1);
-    p->filter.phi = numbers(a, MBS_STAGES_ENTRIES, 1);
     p->y = numbers(a, rows, 1);
     p->c = numbers(a, rows, 1);
+    lay_direction(a, &p->step, size, rows);
+    if (!SEARCHES)
+        return;
+    p->trial = numbers(a, size, 1);
+    p->filter.theta = numbers(a, MBS_STAGES_ENTRIES, 1);
+    p->filter.phi = numbers(a, MBS_STAGES_ENTRIES, 1);
     p->trial_c = numbers(a, rows, 1);
     p->soc_c = numbers(a, rows, 1);
-    lay_direction(a, &p->step, size, rows);
     lay_direction(a, &p->other, size, rows);
 }
 
@@ -389,7 +394,7 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         t->equal = count_equal(problem, t);
         lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next,
                  t->next);
-        lay_soft(a, q, t->next);
+        lay_soft(a, q, SEARCHES ? t->next : 0);
         if (k == 0)
             lay_step(a, &r->root, 0, t->nx, 2 * t->nx, 0); /* rows passed to it, and fixed states */
         extend(&most, t);
@@ -403,23 +408,27 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
 static void lay_solver(arena *a, mbs_stages *s)
 {
     const int n = s->variables, m = s->rows;
-    real **const of_w[] = {&s->point.w,        &s->point.below, &s->point.above, &s->variable_scale,
-                           &s->reference,      &s->weight,      &s->raw_w,       &s->rw,
-                           &s->dw,             &s->residual_w,  &s->best_w};
+    real **const of_w[] = {&s->point.w, &s->point.below, &s->point.above, &s->variable_scale, &s->raw_w,
+                           &s->rw,      &s->dw,          &s->residual_w,  &s->best_w};
+    real **const of_restoration[] = {&s->reference, &s->weight};
     real **const of_rows[] = {&s->point.y, &s->row_scale, &s->raw_rows, &s->rc, &s->dy, &s->residual_c, &s->best_y};
     real **const of_slacks[] = {&s->slack, &s->slack_below, &s->slack_above};
     size_t i;
     s->point.variables = n;
     s->point.rows = m;
     lay_phase(a, &s->main, n + s->slacks, m);
-    lay_watchdog(a, &s->main.watchdog, n + s->slacks, m);
-    lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
-    s->fixed = take(a, (size_t)(n + s->slacks + 2 * m), 1);
+    if (SEARCHES) {
+        lay_watchdog(a, &s->main.watchdog, n + s->slacks, m);
+        lay_phase(a, &s->least, n + s->slacks + 2 * m, m);
+    }
+    s->fixed = take(a, (size_t)(n + s->slacks + (SEARCHES ? 2 * m : 0)), 1);
     s->softened = take(a, (size_t)m, 1);
     s->failed = take(a, (size_t)s->problem->stages, 1);
     s->costs = numbers(a, s->problem->stages, 1);
     for (i = 0; i < sizeof of_w / sizeof *of_w; ++i)
         *of_w[i] = numbers(a, n, 1);
+    for (i = 0; SEARCHES && i < sizeof of_restoration / sizeof *of_restoration; ++i)
+        *of_restoration[i] = numbers(a, n, 1);
     for (i = 0; i < sizeof of_rows / sizeof *of_rows; ++i)
         *of_rows[i] = numbers(a, m, 1);
     for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)

@@ -7,7 +7,8 @@
  *
  * The initial state is an unknown; fix it by equal bounds or by e. A parameter or a free horizon is a state with
  * d = x. C99, math.h and string.h alone; no allocation and no static state: solvers in several threads share
- * nothing. Define MBS_STAGES_FLOAT in every file for single precision. */
+ * nothing. Define MBS_STAGES_FLOAT in every file for single precision, and MBS_STAGES_REALTIME for control in real time
+ * alone: without `mbs_stages_solve`, in a quarter to a half of the memory. */
 #ifndef MBS_STAGES_H
 #define MBS_STAGES_H
 
@@ -189,8 +190,10 @@ typedef struct {
 } mbs_stages_place;
 mbs_stages_place mbs_stages_places(const mbs_stages *solver, int k);
 
+#ifndef MBS_STAGES_REALTIME
 /* Solve from the iterate. `options` may be NULL for the default. */
 mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options *options);
+#endif
 
 /* Move the iterate one stage ahead: each stage takes the numbers of the next one, where their sizes are equal. */
 void mbs_stages_shift(mbs_stages *solver);
@@ -208,7 +211,7 @@ void mbs_stages_shift(mbs_stages *solver);
  * `v` gets the variables of stage 0. Where no step is made, the iterate stays as it is, and `v` gets its numbers.
  *
  * Steps can go wrong, after a blow for instance. Where the violation of the plan exceeds `most_violation`, the preparation
- * returns MBS_STAGES_DIVERGED, and no step is made until there is another plan: write a guess, and solve.
+ * returns MBS_STAGES_DIVERGED, and no step is made until there is another plan: write a guess, and solve or begin anew.
  *
  * The first preparation after a solve starts from its solution, or from the caller's guess. Only the tolerance-free
  * options `least_barrier`, `most_violation`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for
@@ -226,6 +229,9 @@ typedef struct {
 
 mbs_stages_realtime mbs_stages_prepare(mbs_stages *solver, const mbs_stages_options *options, int shift);
 mbs_stages_realtime mbs_stages_feedback(mbs_stages *solver, const mbs_stages_real *first, mbs_stages_real *v);
+
+/* Let the next preparation take the iterate as a guess, as after a solve. */
+void mbs_stages_begin_anew(mbs_stages *solver);
 
 /* Return a sentence for a status. */
 const char *mbs_stages_explain(mbs_stages_status status);

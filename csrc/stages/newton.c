@@ -130,7 +130,7 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     find_diagonal(s, p);
     find_compliance(s, p);
     s->recursion.plain = 0;
-    if (s->softening == MBS_STAGES_SOFTENED && !p->elastic)
+    if (MBS_STAGES_SEARCHES && s->softening == MBS_STAGES_SOFTENED && !p->elastic)
         soften_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
@@ -337,7 +337,7 @@ static void solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
     int passes = solve_reduced(s);
     if ((passes < 0 || passes >= MANY) && mbs_stages_mind_growth(&s->recursion, 0))
         passes = solve_again(s, p, c);
-    if (p->elastic)
+    if (!MBS_STAGES_SEARCHES || p->elastic)
         return;
     if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY)) {
         s->softening = MBS_STAGES_SOFTENED;

@@ -220,6 +220,11 @@ mbs_stages_realtime mbs_stages_prepare(mbs_stages *s, const mbs_stages_options *
     return *about;
 }
 
+void mbs_stages_begin_anew(mbs_stages *s)
+{
+    s->live = s->ready = 0;
+}
+
 /* The scaled deviation of fixed first states; -1 where one is not a number. */
 static int find_deviation(mbs_stages *s, const real *first, real *deviation)
 {

@@ -9,6 +9,12 @@
 
 #include <string.h>
 
+/* Whether states deviate from the dynamics; they never do where there is no restoration. */
+static int is_soft(const mbs_stages_recursion *r)
+{
+    return MBS_STAGES_SEARCHES && r->soft_dynamics;
+}
+
 void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data)
 {
     if (r->team)
@@ -53,11 +59,11 @@ static entrance enter(const mbs_stages_recursion *r, int k)
 {
     const mbs_stages_step *s = &r->step[k];
     entrance e;
-    e.P = r->soft_dynamics ? r->soft[k - 1].P : s->P;
-    e.p = r->soft_dynamics ? r->soft[k - 1].p : s->p;
+    e.P = is_soft(r) ? r->soft[k - 1].P : s->P;
+    e.p = is_soft(r) ? r->soft[k - 1].p : s->p;
     e.C = s->C;
     e.c = s->c;
-    e.rows = r->soft_dynamics ? 0 : s->passed;
+    e.rows = is_soft(r) ? 0 : s->passed;
     e.width = mbs_stages_width(s->nx);
     return e;
 }
@@ -244,7 +250,7 @@ int mbs_stages_factorise(mbs_stages_recursion *r, int again)
             return k;
         r->dependent += dependent_rows(&r->step[k]);
         r->singular += r->stage[k].inner.missing > 0;
-        if (k > 0 && r->soft_dynamics && soften(r, k - 1))
+        if (k > 0 && is_soft(r) && soften(r, k - 1))
             return k;
     }
     if (factorise_root(r))
@@ -377,7 +383,7 @@ static void sweep_back(mbs_stages_recursion *r)
         mbs_stages_step_back(p, p->linear, p->constant, r->scratch[0].vector[3]);
         note_left(r, r->stage[k].inner.left);
         note_left(r, p->left);
-        if (k > 0 && r->soft_dynamics)
+        if (k > 0 && is_soft(r))
             mbs_stages_soften_linear(&r->soft[k - 1], p->p, r->compliance + r->stage[k - 1].d);
     }
     sweep_root(r, NULL);
@@ -392,7 +398,7 @@ static void advance(const mbs_stages_recursion *r, int k, real *x, real *passed,
     const mbs_stages_step *p = &r->step[k];
     memcpy(passed, p->constant + p->own, (size_t)enter(r, k + 1).rows * sizeof *passed);
     add_products(s->next, s->dense.width, p->ahead, s->dense.F, p->linear, x);
-    if (r->soft_dynamics) {
+    if (is_soft(r)) {
         mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
         memset(passed, 0, (size_t)r->step[k + 1].passed * sizeof *passed);
     }
@@ -477,7 +483,7 @@ static void expand_stage(const sweep *t, const mbs_stages_scratch *m, int k)
     else
         memcpy(z, p->linear, (size_t)s->n * sizeof *z);
     spread_multipliers(r, k, z, t->rc, p->constant, force, t->dy);
-    if (s->next > 0 && !r->soft_dynamics)
+    if (s->next > 0 && !is_soft(r))
         price_next(r, k, m->vector[2], t->dy);
     if (s->inner.n > 0)
         mbs_stages_expand_gradient(r, m, k, t->rw, z, force, t->dy);

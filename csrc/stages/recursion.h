@@ -6,6 +6,12 @@
 #include "pivots.h"
 #include "soft.h"
 
+#ifdef MBS_STAGES_REALTIME
+#define MBS_STAGES_SEARCHES 0 /* steps alone: no code and no memory for line searches, restoration and soft rows */
+#else
+#define MBS_STAGES_SEARCHES 1
+#endif
+
 /* A stage as the recursion sees it: dense matrices of outer variables, row by row. Zeros fill rows up to their width. */
 typedef struct {
     int n, nv, ne, width; /* n = nx + nv */

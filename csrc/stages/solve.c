@@ -123,7 +123,7 @@ static void start_variables(mbs_stages *s)
         p->x[i] = s->point.w[i] / s->variable_scale[i];
         if (s->fixed[i])
             p->x[i] = p->lower[i];
-        else if (!s->options.warm)
+        else if (MBS_STAGES_SEARCHES && !s->options.warm)
             mbs_stages_push_inside(&p->x[i], p->lower[i], p->upper[i], s->options.push);
     }
 }
@@ -174,7 +174,7 @@ static int start_slacks(mbs_stages *s)
         for (i = 0; i < t->ng; ++i) {
             const int at = s->variables + t->s + i;
             p->x[at] = s->fixed[at] ? p->lower[at] : p->c[t->g + i];
-            if (!s->fixed[at] && !s->options.warm)
+            if (MBS_STAGES_SEARCHES && !s->fixed[at] && !s->options.warm)
                 mbs_stages_push_inside(&p->x[at], p->lower[at], p->upper[at], s->options.push);
         }
     }
@@ -333,32 +333,18 @@ int mbs_stages_start(mbs_stages *s)
         return MBS_STAGES_CALLBACK_FAILED;
     p->mu = first_barrier(s);
     s->farther = 0;
-    if (!o->warm)
+    if (MBS_STAGES_SEARCHES && !o->warm)
         start_bounds(s, p);
-    if (o->warm ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+    if (!MBS_STAGES_SEARCHES || o->warm ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
         return MBS_STAGES_CALLBACK_FAILED;
     if (mbs_stages_phase_derivatives(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
-    if (!o->warm)
+    if (MBS_STAGES_SEARCHES && !o->warm)
         mbs_stages_estimate_multipliers(s, p);
-    if (o->adaptive && choose_barrier(s, p))
+    if (MBS_STAGES_SEARCHES && o->adaptive && choose_barrier(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
     mbs_stages_begin(s, p);
     return MBS_STAGES_RUNNING;
-}
-
-/* Multipliers of fixed variables: what the derivatives of the Lagrangian leave. */
-static void find_fixed_multipliers(mbs_stages *s)
-{
-    mbs_stages_phase *p = &s->main;
-    int i;
-    memcpy(s->rw, p->gradient, (size_t)s->variables * sizeof *s->rw);
-    mbs_stages_add_transposed(&s->recursion, p->y, s->rw);
-    for (i = 0; i < s->variables; ++i)
-        if (s->fixed[i]) {
-            p->zl[i] = s->rw[i] > 0 ? s->rw[i] : 0;
-            p->zu[i] = s->rw[i] < 0 ? -s->rw[i] : 0;
-        }
 }
 
 void mbs_stages_write_point(mbs_stages *s)
@@ -373,6 +359,21 @@ void mbs_stages_write_point(mbs_stages *s)
     }
     for (i = 0; i < s->rows; ++i)
         s->point.y[i] = p->y[i] * s->row_scale[i] / s->cost_scale;
+}
+
+#ifndef MBS_STAGES_REALTIME
+/* Multipliers of fixed variables: what the derivatives of the Lagrangian leave. */
+static void find_fixed_multipliers(mbs_stages *s)
+{
+    mbs_stages_phase *p = &s->main;
+    int i;
+    memcpy(s->rw, p->gradient, (size_t)s->variables * sizeof *s->rw);
+    mbs_stages_add_transposed(&s->recursion, p->y, s->rw);
+    for (i = 0; i < s->variables; ++i)
+        if (s->fixed[i]) {
+            p->zl[i] = s->rw[i] > 0 ? s->rw[i] : 0;
+            p->zu[i] = s->rw[i] < 0 ? -s->rw[i] : 0;
+        }
 }
 
 static void write_result(mbs_stages *s)
@@ -415,6 +416,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->result.stage = status == MBS_STAGES_CALLBACK_FAILED || status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : -1;
     return s->result;
 }
+#endif
 
 /* Move numbers of stage k + 1 to stage k, where there are as many. */
 static void shift_numbers(real *numbers, int to, int from_place, int n, int m)

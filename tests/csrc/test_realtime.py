@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -225,6 +226,106 @@ def test_a_plan_has_diverged_beyond_ten_times_the_first_one(library: Library, fa
     solver.set(w=broken)
     assert solver.prepare(most_violation=1e9)[1].violation == pytest.approx(10 * factor * np.abs(w).max(), rel=2e-3)
     assert solver.prepare()[0] == status
+
+
+def scaled(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The problem with other usual sizes of its variables."""
+    return replace(problem, scale=10.0 ** rng.uniform(-1.5, 1.5, len(problem.guess)))
+
+
+def test_figures_of_a_step_have_the_units_of_the_caller(library: Library) -> None:
+    """Stationarity and violation of the plan before a step, by CasADi's derivatives; the deviation alone is scaled.
+
+    Multipliers are near the central path, so that none is limited; one step on, slacks and multipliers are its own.
+    """
+    problem = scaled(balance()[0], np.random.default_rng(4))
+    problem = replace(problem, kinds=[replace(kind, cost=1000 * kind.cost) for kind in problem.kinds])
+    assert problem.scale is not None
+    solver = stepped(library, problem, 2, least_barrier=1.0)
+    w, y, below, above = (solver.get(name) for name in ("w", "y", "below", "above"))
+    _, figures = solver.prepare(least_barrier=1.0)
+    fixed = problem.lower == problem.upper
+    nlp = problem.program["nlp"]
+    rows = np.asarray(ca.Function("rows", [nlp["x"]], [nlp["g"]])(w)).ravel()  # all are equations
+    free = lagrangian(problem, w, y) - below + above
+    assert figures.stationarity == pytest.approx(np.abs(free[~fixed]).max(), rel=1e-6)
+    assert figures.violation == pytest.approx(np.abs(rows).max(), rel=1e-6)
+    bounded = ~fixed & (problem.lower > -1e19)
+    products = np.abs((w - problem.lower)[bounded] * below[bounded] - 1.0)
+    bounded = ~fixed & (problem.upper < 1e19)
+    products = np.append(products, np.abs((problem.upper - w)[bounded] * above[bounded] - 1.0))
+    assert figures.complementarity == pytest.approx(products.max(), rel=1e-6)
+    first = w[:2] + np.array([0.3, -0.7])
+    _, _, figures = solver.feedback(first)
+    assert figures.deviation == pytest.approx(np.abs((first - w[:2]) / problem.scale[:2]).max(), rel=1e-9)
+    assert np.allclose(solver.get("w")[:2], first, rtol=1e-14)
+
+
+def lagrangian(problem: Problem, w: Array, y: Array) -> Array:
+    """The gradient of cost and rows."""
+    nlp = problem.program["nlp"]
+    multipliers = ca.MX.sym("y", nlp["g"].numel())
+    gradient = ca.gradient(nlp["f"] + ca.dot(multipliers, nlp["g"]), nlp["x"])
+    return np.asarray(ca.Function("l", [nlp["x"], multipliers], [gradient])(w, y)).ravel()
+
+
+@pytest.mark.parametrize(("given", "product"), [(1e9, 100.0), (0.0, 0.01), (50.0, 50.0), (0.02, 0.02)])
+@pytest.mark.parametrize("side", ["below", "above"])
+def test_multipliers_of_a_plan_are_limited(library: Library, side: str, given: float, product: float) -> None:
+    """A step begins with products of distances and multipliers from a hundredth to a hundred times the barrier's."""
+    problem, mu = balance()[0], 1e-3
+    solver = stepped(library, problem, 1, least_barrier=mu)
+    w, multipliers = solver.get("w"), solver.get(side)
+    distance = (w - problem.lower if side == "below" else problem.upper - w)[2]
+    multipliers[2] = given * mu / distance if given < 1e9 else given
+    solver.set(**{side: multipliers})
+    _, figures = solver.prepare(least_barrier=mu)
+    assert figures.complementarity == pytest.approx(
+        max(abs(product - 1) * mu, others(solver, problem, side, mu)), rel=1e-6
+    )
+
+
+def others(solver: Solver, problem: Problem, side: str, mu: float) -> float:
+    """The largest error of the other products."""
+    w, most = solver.get("w"), 0.0
+    for name, distance in (("below", w - problem.lower), ("above", problem.upper - w)):
+        z, kept = solver.get(name), (distance < 1e19) & (problem.lower < problem.upper)
+        if name == side:
+            kept[2] = False
+        ratio = np.clip(distance[kept] * z[kept] / mu, 0.01, 100)
+        most = max(most, float(np.abs(ratio - 1).max(initial=0)) * mu)
+    return most
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_plan_outside_of_its_bounds_is_put_on_the_central_path(library: Library, side: str) -> None:
+    """Bounds may change between periods: variables come inside, and a step goes on from there."""
+    problem, mu = balance()[0], 1e-3
+    solver = stepped(library, problem, 1, least_barrier=mu)
+    at = np.flatnonzero((problem.lower > -1e19) & (problem.lower < problem.upper))
+    u = solver.get("w")[at]
+    bounds = solver.lower if side == "lower" else solver.upper
+    bounds[at] = np.median(u)
+    assert (solver.get("w")[at] < solver.lower[at]).any() or (solver.get("w")[at] > solver.upper[at]).any()
+    status, figures = solver.prepare(least_barrier=mu)
+    assert status == "prepared"
+    assert figures.complementarity <= 99.001 * mu
+    assert solver.feedback(state(problem))[0] == "stepped"
+    assert (solver.get("w")[at] > solver.lower[at]).all()
+    assert (solver.get("w")[at] < solver.upper[at]).all()
+
+
+def test_a_step_goes_almost_to_a_bound(library: Library) -> None:
+    """99 % of the way, each variable its own; the figure is the least part that one took."""
+    problem = balance()[0]
+    solver = stepped(library, problem, 1, least_barrier=1e-3)
+    before = solver.get("w")
+    solver.prepare(least_barrier=1e-3)
+    _, _, figures = solver.feedback(np.array([3.0, 6.0]))  # far away: inputs hit their bounds
+    after, at = solver.get("w"), np.flatnonzero((problem.upper < 1e19) & (problem.lower < problem.upper))
+    parts = [(after[at] - before[at]) / (bound[at] - before[at]) for bound in (problem.lower, problem.upper)]
+    assert np.maximum(*parts).max() == pytest.approx(0.99, abs=1e-9)
+    assert 0 < figures.length < 1
 
 
 def test_a_guess_is_no_divergence(library: Library) -> None:

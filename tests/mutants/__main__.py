@@ -2,7 +2,8 @@
 
 Golden files do not count. The tests first run without the fault: where they fail, the fault is not tried. A fault is
 killed if a test fails, and survives if all pass; a run that cannot collect its tests is an error of the list. Outcomes
-are kept in `build/mutants.json` until the tree changes.
+are kept in `build/mutants.json` until the tree changes. `--drawn N` plants N faults that a machine draws from a
+`--seed`, in the files whose paths have the text of `--only` in them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from tests.mutants.drawn import draw
 from tests.mutants.faults import GOLDEN, ROOT, Fault, read_faults
 
 FOLDERS = ("benchmarks", "csrc", "docs", "generated", "generator", "models", "python", "studies", "templates", "tests")
@@ -89,10 +91,12 @@ class Trial:
 
 
 @click.command()
-@click.option("--only", default="", help="Plant the faults alone whose name has this in it.")
-def main(only: str) -> None:
+@click.option("--only", default="", help="Plant the faults alone whose name, or file, has this in it.")
+@click.option("--drawn", type=click.IntRange(1), metavar="N", help="Plant N faults that a machine draws.")
+@click.option("--seed", type=int, default=0, help="Of the drawn ones.")
+def main(only: str, drawn: int | None, seed: int) -> None:
     """Print which faults are killed, and by which test; exit with 1 if fewer than 95 % are."""
-    faults = [f for f in read_faults() if only in f.name]
+    faults = draw(drawn, only, seed) if drawn else [f for f in read_faults() if only in f.name or only in f.file]
     known = _read_record()
     with _copy_tree() as tree:
         state, trial = _fingerprint(tree), Trial(tree)

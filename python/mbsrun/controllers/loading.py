@@ -186,6 +186,12 @@ class Controller:
         self._call("get_plan", self._controller, *map(self._pass, (times, states, inputs)))
         return Plan(times, states, inputs)
 
+    @property
+    def variables(self) -> Array:
+        """All variables of the kept plan, stage by stage, as the solver has them: a view."""
+        point = self._call("get_iterate", self._controller)
+        return np.frombuffer(self._ffi.buffer(point.w, 8 * point.variables), dtype=np.float64)
+
     def predict(self, state: ArrayLike, inputs: ArrayLike, seconds: float, steps: int = 10) -> Array:
         """Return the state after some time under constant inputs, by the model's own dynamics.
 
@@ -260,11 +266,6 @@ class Controller:
             array = memory[first : first + 8 * field.size].view(np.float64)
             views[field.name] = array.reshape(field.rows, -1) if field.rows else array
         return views
-
-    def _view_plan(self) -> Array:
-        """Return all variables of the kept plan, as the solver has them."""
-        point = self._call("get_iterate", self._controller)
-        return np.frombuffer(self._ffi.buffer(point.w, 8 * point.variables), dtype=np.float64)
 
     def _name_status(self, found: Any) -> dict[str, Any]:
         message = self._ffi.string(self._call("explain", found.status)).decode()

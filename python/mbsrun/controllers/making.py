@@ -97,6 +97,7 @@ def make(
     tables = build(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
+    guess = place_guess(transcription, tables, start, plant)
     design = Design(
         name=choose_name(problem.name, kernels.manifest.prefix, prefix),
         version=kernels.manifest.generator.split()[-1],
@@ -106,7 +107,8 @@ def make(
         transcription=transcription,
         tables=tables,
         sources=find_sources(problem, transcription, tables, kernels.manifest),
-        guess=place_guess(transcription, tables, start, plant),
+        guess=guess,
+        plan=guess,
         prediction=choose_prediction(kernels, tables),
     )
     used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)
@@ -124,6 +126,7 @@ def _finish(design: Design, copied: Mapping[str, str], place: Path, emulated: bo
     result = controller.solve()
     if not result.is_solved:
         raise UnsolvedError(describe_failure(result))
+    design = replace(design, plan=controller.variables.copy())
     single = measure_single(place, controller.manifest, compiler)
     figures = Figures(
         double=controller.bytes,

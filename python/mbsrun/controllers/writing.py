@@ -41,6 +41,7 @@ class Design:
     tables: StageProgram
     sources: Sources
     guess: Array
+    plan: Array  # the optimum, once it is known
     prediction: tuple[Kernel, ...]  # kernels that give accelerations and rates; none: the model's own motion is unknown
 
     @property
@@ -172,7 +173,12 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         ),
         f"{name}_main.c": lay_out("controller/main.c", stride=max(1, design.problem.intervals // 10), **common),
         f"{name}_check.c": lay_out("controller/check.c", cost=f"{cost:.7g}", **common),
-        f"{name}_guess.c": lay_out("controller/guess.c", guess=wrap(map(write_real, design.guess)), **common),
+        f"{name}_guess.c": lay_out(
+            "controller/guess.c",
+            guess=wrap(map(write_real, design.guess)),
+            plan=wrap(write_short(x) for x in design.plan),
+            **common,
+        ),
         f"{name}.pc": lay_out("controller/controller.pc", **common),
     }
     parts |= {**_write_tables(design, common, wrap), **write_formulas(design)}
@@ -213,6 +219,11 @@ def scale_cost(problem: Problem) -> float:
 def choose_barrier(problem: Problem, cost: float, share: float = BARRIER) -> float:
     """Return a barrier parameter for the solver, which minimises the scaled cost; 0 where the optimum is 0."""
     return float(f"{share * scale_cost(problem) * abs(cost):.6g}")
+
+
+def write_short(x: float) -> str:
+    """Write a number of the stored plan: rounded, so that roundings of machines do not show."""
+    return write_real(float(f"{x:.5g}"))
 
 
 def write_formulas(design: Design) -> dict[str, str]:

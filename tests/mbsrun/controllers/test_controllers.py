@@ -304,7 +304,7 @@ def test_a_rescue_recovers_from_a_plan_that_has_diverged(controller: Controller)
     near, warm = controller.rescue(state)
     controller.prepare()
     controller.feedback(state)
-    controller._view_plan()[:] = 1e30  # as steps leave it that go wrong
+    controller.variables[:] = 1e30  # as steps leave it that go wrong
     assert controller.prepare().status == "diverged"
     inputs, step = controller.feedback(state)
     assert step.status == "not prepared"
@@ -322,14 +322,14 @@ def test_a_rescue_takes_the_guess_where_the_plan_leads_nowhere(controller: Contr
     """A plan without numbers, of which no step knows yet."""
     state = [0.0, 0.4, 0.0, 0.0]
     controller.solve()
-    controller._view_plan()[:] = np.nan
+    controller.variables[:] = np.nan
     assert controller.rescue(state)[1].is_solved
     assert np.isfinite(controller.plan().inputs).all()
     kept = controller.plan().inputs[0]
     inputs, result = controller.rescue([np.nan, 0.4, 0.0, 0.0])
     assert result.status == "bad problem"
     assert np.array_equal(inputs, kept)
-    controller._view_plan()[:] = np.nan
+    controller.variables[:] = np.nan
     assert controller.rescue(state, iterations=1)[1].status == "iteration limit"
 
 

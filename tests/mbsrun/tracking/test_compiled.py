@@ -202,7 +202,7 @@ def test_a_plan_that_has_diverged_is_solved_for_anew(written: Controller, proble
     controller.feedback(np.zeros(1), np.ones(1))
     controller.prepare(0.05, {})
     controller.feedback(np.array([0.05]), np.ones(1))
-    written._view_plan()[:] = 1e30
+    written.variables[:] = 1e30
     controller.prepare(0.1, {})
     rescued = controller.feedback(np.array([0.1]), np.ones(1))
     assert (rescued.status, rescued.is_solved, rescued.is_rescue) == ("solved", True, True)
