@@ -26,8 +26,8 @@ typedef mbs_stages_real real;
 
 /* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees
  * that it could be one. LANES_ADD: a += x b, for a number x; LANES_ADD_EACH: a += x b, for lanes x; LANE: number c of a. */
-#if defined(__arm__) && !defined(__ARM_NEON) && !defined(MBS_SCALAR)
-#define MBS_SCALAR /* no vectors: loops are smaller, and as fast */
+#if defined(__arm__) && !defined(__ARM_NEON) && defined(__OPTIMIZE_SIZE__) && !defined(MBS_SCALAR)
+#define MBS_SCALAR /* no vectors: loops are smaller, and a few per cent slower */
 #endif
 #if defined(__GNUC__) && !defined(MBS_SCALAR)
 typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
