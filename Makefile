@@ -59,6 +59,7 @@ fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz loops $(FUZZ) $(FUZZ_LOOPS)
 	$(BIN)/python -m tests.fuzz problems $(FUZZ) $(FUZZ_PROBLEMS)
 	$(BIN)/python -m tests.fuzz mjcf $(FUZZ)
+	$(BIN)/python -m tests.fuzz robots $(FUZZ)
 	$(BIN)/python -m tests.fuzz bounds $(FUZZ) $(FUZZ_BOUNDS)
 
 lint: $(VENV)/installed-dev

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mbsgen.model.model import Law
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, touching
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, robots, touching
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
 
@@ -66,6 +65,13 @@ def test_the_comparison_sees_another_spring(tmp_path: Path, monkeypatch: pytest.
     assert mjcf_files.examine(tmp_path / "machine.xml") == ""
     monkeypatch.setattr("mbsgen.importing.mjcf.make_law", lambda *_: Law())
     assert "residual" in mjcf_files.examine(tmp_path / "machine.xml")
+
+
+def test_robots_are_read_as_others_read_them() -> None:
+    """By Pinocchio, and by Drake where it is installed."""
+    tally = robots.search(6, seed=0)
+    assert tally.findings == []
+    assert tally.agreed >= 4
 
 
 def test_files_with_nothing_in_them_are_changed() -> None:

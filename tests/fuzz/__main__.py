@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, touching
+from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, robots, touching
 
 
 @click.group()
@@ -78,6 +78,17 @@ def problems_command(count: int, seed: int, keep: Path | None) -> None:
 def mjcf_command(count: int, seed: int, keep: Path | None) -> None:
     """Draw files of MJCF from its schema: what is imported without a warning moves as in MuJoCo."""
     sys.exit(run(mjcf_files.search, count, seed, None if keep is None else keep.resolve()))
+
+
+@cli.command("robots")
+@click.option("--count", default=400, show_default=True, help="Robots to try.")
+@click.option("--seed", default=0, show_default=True, help="The first seed; each robot has the next.")
+@click.option("--keep", type=click.Path(path_type=Path), help="A folder for the files that disagree.")
+def robots_command(count: int, seed: int, keep: Path | None) -> None:
+    """Draw robots in URDF and SDF: Pinocchio and Drake read the same motions."""
+    if not robots.has_drake():
+        click.echo("without Drake, which `pip install drake` installs: robots in URDF of joints with one freedom alone")
+    sys.exit(run(robots.search, count, seed, keep))
 
 
 @cli.command("bounds")

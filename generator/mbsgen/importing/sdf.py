@@ -107,6 +107,7 @@ class _File:
             self._close(joint, *ends[joint.key])
         for joint in self._frames.all("joint"):
             self._couple(joint)
+        self._draft.warn_of_limits()
         gravity = self._read_gravity()
         return self._draft.finish(self._name or "robot", gravity, self._root)
 
@@ -382,6 +383,10 @@ class _File:
             if joint.element.attributes.get("type") == "gearbox":
                 text = "a gearbox is not part of the model; give a constraint of its two joints"
                 self._findings.warn(joint.element, text)
+        touching = [x for x in self._world.all("model") if any(one.tag == "collision" for one in x.walk())]
+        if len(touching) > 1 or any(read_flag(x.element, "self_collide") for x in self._frames.all("model")):
+            text = "contacts of links are not part of the model; describe them under contacts"
+            self._findings.sum_up(text, alters=True)
         if found.idle:
             shown = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(found.idle.items()))
             self._findings.sum_up(f"of no meaning for the dynamics: {shown}")

@@ -73,7 +73,8 @@ class Frames:
     entries: dict[str, Entry] = field(default_factory=dict)
     _poses: dict[str, Pose] = field(default_factory=dict)
     _links: dict[str, str] = field(default_factory=lambda: {WORLD: WORLD})  # that carry frames
-    _first: dict[str, str] = field(default_factory=dict)  # the first link in each model
+    _first: dict[str, str] = field(default_factory=dict)  # the first link of each model, itself in no model inside
+    _inner: dict[str, str] = field(default_factory=dict)  # the first model in each model
 
     def __post_init__(self) -> None:
         self._poses[WORLD] = ORIGIN
@@ -94,15 +95,10 @@ class Frames:
                 continue
             self.entries[key] = Entry(element, scope, key)
             if element.tag == "link":
-                self._note_first(key, scope)
+                self._first.setdefault(scope, key)
             if element.tag == "model":
+                self._inner.setdefault(scope, key)
                 self.add(key, element)
-
-    def _note_first(self, link: str, scope: str) -> None:
-        """Note a link as the first one of the models around it that have none yet."""
-        while scope != WORLD and scope not in self._first:
-            self._first[scope] = link
-            scope = self.entries[scope].scope
 
     def all(self, tag: str) -> Iterator[Entry]:
         """Yield the entries of one kind, in the order of the file."""
@@ -179,10 +175,10 @@ class Frames:
         return entry.scope
 
     def _find_canonical(self, entry: Entry) -> str | None:
-        """Return the link that a model's frame is attached to."""
+        """Return the link that a model's frame is attached to: its first link, else the first model's in it."""
         if name := entry.element.attributes.get("canonical_link", ""):
             return self.find(entry.element, name, entry.key)
-        return self._first.get(entry.key, WORLD)
+        return self._first.get(entry.key, self._inner.get(entry.key, WORLD))
 
     def read_pose(self, element: Element) -> Pose:
         """Read a <pose>: a position, then roll, pitch and yaw, or a quaternion x, y, z, w."""

@@ -30,7 +30,7 @@ from mbsgen.importing.findings import UNEXPANDED, Findings, is_xacro, read_numbe
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
-from mbsgen.importing.urdf_frames import read_axis, read_origin
+from mbsgen.importing.urdf_frames import read_axis, read_origin, tilt_z
 from mbsgen.importing.urdf_loops import add_loops, has_loops, is_dependent
 from mbsgen.importing.urdf_vocabulary import VOCABULARY
 from mbsgen.importing.vocabulary import Survey, survey
@@ -148,6 +148,7 @@ class _Robot:
         bodies = self._add_links(roots[0], links, carried)
         add_loops(self._root, bodies, carriers, self._draft)
         self._tell_conventions(roots[0], carried)
+        self._draft.warn_of_limits()
         return self._draft.finish(self._root.attributes.get("name", "robot"), GRAVITY, self._root)
 
     def _index(self, *tags: str) -> dict[str, Element]:
@@ -234,8 +235,7 @@ class _Robot:
             case "floating":
                 yield from self._resist(joint, move_freely(joint, quaternion=self._choices.quaternions))
             case "planar":
-                x, y, z = map(float, read_axis(joint, self._findings))
-                yield from self._resist(joint, list_moves("planar", joint, actuated=False, normal=[x, y, z]))
+                yield from self._list_plane(joint)
             case "spherical":
                 yield from self._resist(joint, self._list_ball(joint))
             case "fixed":
@@ -245,16 +245,13 @@ class _Robot:
         self._refuse_mimic(joint)
 
     def _read_drake(self, joint: Element, kind: str, name: str) -> Iterator[Move]:
-        """Read a <drake:joint>: a ball, a plane across z, turns about x and then y, or a screw."""
+        """Read a <drake:joint>: a ball, a plane, turns about x and then y, or a screw."""
         self._refuse_mimic(joint)
         match kind:
             case "ball":
                 yield from self._resist(joint, self._list_ball(joint))
             case "planar":
-                moves = list_moves("planar", joint, actuated=False, plane="xy")
-                dynamics = joint.first("dynamics")
-                losses = (0.0,) * 3 if dynamics is None else self._findings.numbers(dynamics, "damping", (0.0,) * 3)
-                yield from (replace(move, law=make_law(damping=x)) for move, x in zip(moves, losses, strict=True))
+                yield from self._list_plane(joint)
             case "universal":
                 yield from self._resist(joint, list_moves("universal", joint, actuated=False))
             case "screw":
@@ -274,7 +271,29 @@ class _Robot:
             self._findings.tell(joint, text)
         return list_moves(kind, joint, actuated=False)
 
-    def _resist(self, joint: Element, moves: list[Move]) -> list[Move]:
+    def _list_plane(self, joint: Element) -> list[Move]:
+        """List two slides across the axis, and a turn about it.
+
+        Drake has three numbers for damping: along x and y of the frame whose z axis turns to the axis the shortest way,
+        and about the axis.
+        """
+        normal = read_axis(joint, self._findings)
+        x, y, z = map(float, normal)
+        moves = list_moves("planar", joint, actuated=False, normal=[x, y, z])
+        dynamics = joint.first("dynamics")
+        if dynamics is None or len(dynamics.attributes.get("damping", "").split()) != 3:
+            return self._resist(joint, moves)
+        losses = self._findings.numbers(dynamics, "damping", (0.0, 0.0, 0.0))
+        if min(losses) < 0:
+            self._findings.fault(dynamics, f"damping is {min(losses):g}", "give 0 or more")
+        if losses[0] != losses[1]:
+            tilt = tilt_z(normal)
+            moves = [replace(move, axis=axis) for move, axis in zip(moves, tilt.T, strict=True)]
+        self._lossy += any(losses)
+        kept = self._resist(joint, moves, is_damped=True)
+        return [replace(move, law=make_law(damping=max(d, 0.0))) for move, d in zip(kept, losses, strict=True)]
+
+    def _resist(self, joint: Element, moves: list[Move], *, is_damped: bool = False) -> list[Move]:
         """Add the damping of a joint of several freedoms, but neither friction nor rotors.
 
         Drake and MuJoCo have the same damping along and about each axis.
@@ -284,7 +303,8 @@ class _Robot:
         dynamics = joint.first("dynamics")
         if dynamics is None:
             return moves
-        damping, friction = (self._read_loss(dynamics, key) for key in ("damping", "friction"))
+        damping = 0.0 if is_damped else self._read_loss(dynamics, "damping")
+        friction = self._read_loss(dynamics, "friction")
         if self._read_armature(dynamics):
             self._findings.warn(dynamics, "the rotor of a joint of several freedoms is left out")
         if any(move.floats for move in moves):

@@ -44,3 +44,17 @@ def read_axis(joint: Element, findings: Findings) -> Array:
         findings.fault(element, "an axis without direction", "give a nonzero one, e.g. 0 0 1")
         axis = DEFAULT_AXIS
     return np.array(axis)
+
+
+def tilt_z(direction: Array) -> Array:
+    """Return the rotation that turns the z axis to a direction the shortest way; a half turn about x where it is -z."""
+    x, y, z = direction / np.linalg.norm(direction)
+    if z <= -1:
+        return np.diag([1.0, -1.0, -1.0])
+    return np.array(
+        [
+            [1 - x * x / (1 + z), -x * y / (1 + z), x],
+            [-x * y / (1 + z), 1 - y * y / (1 + z), y],
+            [-x, -y, z],
+        ]
+    )

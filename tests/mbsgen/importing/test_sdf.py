@@ -418,3 +418,19 @@ def test_the_frame_of_a_model_in_the_model_is_named_by_its_path(tmp_path: Path) 
     assert first == second
     assert first.bodies[1].parent == "a"
     assert "no frame" in refuse(save(tmp_path, chains[0].replace("M1::__model__", "M1::b::__model__")))
+
+
+def test_a_model_is_attached_to_its_own_first_link(tmp_path: Path) -> None:
+    """A link of a model in it comes after, wherever it stands in the file: as sdformat chooses, by Drake."""
+    inner = f'<model name="deep">{link("c")}</model>'
+    chain = f'{link("a")}<model name="M1">{inner}{link("b")}</model>' + joint("jb", "fixed", "a", "M1", place="")
+    bodies = {body.name: body.parent for body in import_model(save(tmp_path, chain)).model.bodies}
+    assert (bodies["M1::b"], bodies["M1::deep::c"]) == ("a", "base")
+
+
+def test_ranges_and_contacts_that_nothing_keeps_are_warned_of(tmp_path: Path) -> None:
+    limit = "<limit><lower>-1</lower></limit>"
+    chain = CHAIN.replace("<xyz>0.6 0 0.8</xyz>", f"<xyz>0.6 0 0.8</xyz>{limit}", 1)
+    imported = import_model(save(tmp_path, f"{chain}<self_collide>true</self_collide>"))
+    assert "warning: the ranges of 1 joint bound problems alone: a simulation passes them" in told(imported)
+    assert "warning: contacts of links are not part of the model" in told(imported)

@@ -94,7 +94,9 @@ def attempt(kind: Format, tree: ET.Element, folder: Path) -> Imported | str:
 
 
 def warnings(found: Imported | str) -> list[str]:
-    return [] if isinstance(found, str) else [notice.text for notice in found.notices if notice.alters]
+    """Return the texts of the warnings, except of the one on ranges, which every file has."""
+    notices = () if isinstance(found, str) else found.notices
+    return [notice.text for notice in notices if notice.alters and not notice.text.startswith("the ranges of")]
 
 
 def alter(value: str) -> str:
