@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.model.model import Law
 from tests.fuzz import bounds, inputs, linkages, loops, mechanisms, mjcf_files, phased, problems, robots, touching
 from tests.fuzz.absolute import Absolute, Data
 from tests.fuzz.kinematics import fifty_digits
