@@ -29,7 +29,7 @@ STAGES_OPTIONS: Mapping[str, Option] = {
     "barrier": POSITIVE,
     "by_stage": SWITCH,
     "push": Amount(1e-20, 0.5),
-    "relax": Amount(0.0, 1e-2),
+    "relax": Amount(0.0, 0.5),
     "scale_by_bounds": SWITCH,
     "scaled": SWITCH,
     "seconds": POSITIVE,
