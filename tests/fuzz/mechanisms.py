@@ -57,7 +57,7 @@ CHOICES: Mapping[str, Reductions] = {
     "relative angles": replace(FEW, absolute=False),
 }
 WITH_DERIVATIVES = 50
-WRITTEN = 10  # one mechanism in so many is written whole, with functions together and in several languages
+WRITTEN = 10  # every tenth mechanism is written whole, with functions together and in several languages
 SKEW = ([0.6, 0, 0.8], [1, -2, 0.5], [0, 1, 1])
 NUMBERS = {"given": 16, "runtime": 2, "zeros": 2, "approximate": 1}  # what is done with the file's numbers, how often
 STATES = 256  # at which an approximation is compared; it was measured at 4096

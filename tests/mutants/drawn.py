@@ -76,7 +76,7 @@ class Change:
 
 
 def draw(count: int, only: str, seed: int) -> list[Fault]:
-    """Draw faults in the files whose path has `only` in it; as many of each file as it has of all changes, about."""
+    """Draw faults in the files whose path has `only` in it; each in proportion to its size."""
     found = [(file, tests, change) for file, tests in list_files(only) for change in list_changes(ROOT / file)]
     chosen = random.Random(seed).sample(found, min(count, len(found)))
     return [_write(file, tests, change) for file, tests, change in sorted(chosen, key=lambda x: (x[0], x[2].start))]

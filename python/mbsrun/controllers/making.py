@@ -97,7 +97,7 @@ def make(
     tables = build(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
-    guess = place_guess(transcription, tables, start, plant)
+    placed = place_guess(transcription, tables, start, plant)
     design = Design(
         name=choose_name(problem.name, kernels.manifest.prefix, prefix),
         version=kernels.manifest.generator.split()[-1],
@@ -107,8 +107,8 @@ def make(
         transcription=transcription,
         tables=tables,
         sources=find_sources(problem, transcription, tables, kernels.manifest),
-        guess=guess,
-        plan=guess,
+        guess=placed,
+        plan=placed,
         prediction=choose_prediction(kernels, tables),
     )
     used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)

@@ -15,6 +15,7 @@ from mbsgen.manifest import FILE_NAME, read
 from mbsgen.pipeline import Options, generate
 from mbsgen.request import OptionError
 from mbsgen.targets.symbols import check_prefix, describe_mangling
+from tests.mbsgen.targets.programs import read_numbers, run
 
 CC = ("cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0")
 MODEL = """\
@@ -77,11 +78,6 @@ def write_unit(place: Path, folder: str, function: str, call: str = TYPED, prefi
     return out
 
 
-def run(*command: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command, whatever its status."""
-    return subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
-
-
 def list_sources(folder: Path) -> list[Path]:
     """List all C files of a folder, its programs among them."""
     return sorted(folder.glob("*.c"))
@@ -106,13 +102,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(place, "c", HEAVY, prefix="heavy_arm")
     (place / "main.c").write_text(MAIN)
     return place
-
-
-def read_numbers(program: Path) -> list[float]:
-    """Run a program, and return the numbers that it prints."""
-    done = run(program, cwd=program.parent)
-    assert done.returncode == 0, done.stderr
-    return list(map(float, done.stdout.split()))
 
 
 @pytest.mark.parametrize("call", [TYPED, CASADI])

@@ -13,7 +13,7 @@ from mbsgen.request import OptionError
 from mbsrun.cli import cli
 from mbsrun.controllers.folder import read
 from mbsrun.controllers.making import choose_name
-from tests.mbsgen.targets.test_symbols import read_numbers, run
+from tests.mbsgen.targets.programs import read_numbers, run
 
 CC = ("cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0")
 MODEL = """\

@@ -268,7 +268,7 @@ def test_poles_beside_a_change_point_are_doubted(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.parametrize("angle", [1e-6, -1e-4, 1e-2])
 def test_a_small_force_is_missing_too(angle: float) -> None:
-    """Rounding alone is no force: the weight's moment at a small angle is told in its size, and hanging is at rest."""
+    """Rounding alone is no force: the weight's moment at a small angle is shown in its size, and hanging is at rest."""
     kernels = _load("double_pendulum")
     weight = abs(float(kernels("impl", q=[angle, 0], qd=[0, 0], qdd=[0, 0])["Phi"][0]))
     with pytest.raises(BalanceError, match=re.escape(f"a force of {weight:.3g} along")):

@@ -109,7 +109,7 @@ def carry_states(problem: PhasedProblem, k: int, found: Sequence[Trajectory], pl
 
 
 def _carry(state: State, link: Link, known: Mapping[str, float]) -> State:
-    """Give a state the start that a link gives it, as far as the state leaves it open."""
+    """Return a state with the start that a link gives it, as far as the state leaves it open."""
     text = dict(link.map).get(state.name, state.name)
     if state.guess is not None or state.start[0] == state.start[1] or text is None:
         return state

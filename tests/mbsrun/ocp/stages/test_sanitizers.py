@@ -13,7 +13,7 @@ import numpy as np
 from mbsgen import resources
 from mbsgen.manifest import FILE_NAME, read
 from mbsrun.controllers.arrays import Arrays, write_kinds
-from mbsrun.controllers.sources import read_kernels
+from mbsrun.controllers.sources import name_kernel, read_kernels
 from mbsrun.external import load_on_demand
 from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder
@@ -170,8 +170,8 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     folder = find_folder(model, Extent(("impl",)))
     manifest = read(folder / FILE_NAME)
     called = {i: manifest.kernel(name_called(f)) for i, f in enumerate(data.functions) if isinstance(f, KernelFunction)}
-    files = read_kernels(folder, manifest, called.values())
-    names = tuple(called[i].symbol if i in called else f"f{i}" for i in range(len(data.functions)))
+    files = read_kernels(folder, manifest, called.values(), manifest.symbols)
+    names = tuple(name_kernel(called[i], manifest, manifest.symbols) if i in called else f"f{i}" for i in range(len(data.functions)))
     for name, function in zip(names, data.functions, strict=True):
         if isinstance(function, FormulaFunction):
             files[f"{name}.c"] = formulas.write(function.formula, name, function.derivative)
