@@ -171,7 +171,8 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     manifest = read(folder / FILE_NAME)
     called = {i: manifest.kernel(name_called(f)) for i, f in enumerate(data.functions) if isinstance(f, KernelFunction)}
     files = read_kernels(folder, manifest, called.values(), manifest.symbols)
-    names = tuple(name_kernel(called[i], manifest, manifest.symbols) if i in called else f"f{i}" for i in range(len(data.functions)))
+    own = {i: name_kernel(kernel, manifest, manifest.symbols) for i, kernel in called.items()}
+    names = tuple(own.get(i, f"f{i}") for i in range(len(data.functions)))
     for name, function in zip(names, data.functions, strict=True):
         if isinstance(function, FormulaFunction):
             files[f"{name}.c"] = formulas.write(function.formula, name, function.derivative)
