@@ -22,13 +22,12 @@ from mbsrun.ocp.optimality import Judgement, judge, linearise
 from mbsrun.ocp.problem import SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.solution import Run
-from mbsrun.ocp.status import ACCEPTABLE, ELSEWHERE, JUMPED, NOT_FEASIBLE, NOT_OPTIMAL, OPEN, SOLVED, explain
+from mbsrun.ocp.status import ACCEPTABLE, ELSEWHERE, JUMPED, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, explain
 
 OWN, OTHER = "mbs", "ipopt"
 FINAL = (  # ends of a search after which no other method is asked: it had an answer, or the time was over
     SOLVED,
     ACCEPTABLE,
-    OPEN,
     JUMPED,
     ELSEWHERE,
     "Maximum_CpuTime_Exceeded",

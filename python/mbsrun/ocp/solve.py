@@ -136,14 +136,14 @@ class Solver:
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
+        gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
+        if gap > most:  # before other constraints, which open loops violate, too
+            finding, remedy = explain(OPEN, run.iterations)
+            return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         if cause:
             finding, remedy = explain(run.status, run.iterations)
             return Failure(problem, run, f"{finding}, {cause}", remedy)
         solution = replace(solution, run=run)
-        gap, most = solution.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
-        if gap > most:
-            finding, remedy = explain(OPEN, run.iterations)
-            return Failure(problem, replace(run, status=OPEN), f"{finding}, by {gap:.1e} of {most:.1e}", remedy)
         for status, find in ((JUMPED, find_jump), (ELSEWHERE, find_other_assembly)):
             if cause := find(solution, self.plant):
                 finding, remedy = explain(status, run.iterations)

@@ -111,17 +111,17 @@ class Energy:
 
     @property
     def tolerated(self) -> float:
-        """Return the largest drift without a warning: a part of the energy exchanged or kinetic, or rounding."""
-        return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max(), self.rounding))
+        """Return the largest drift without a warning: a part of the energy exchanged or kinetic, or rounding.
+
+        Every time adds its own rounding, to the state and to the work.
+        """
+        return float(max(DRIFT * self.exchanged, STILL * self.kinetic.max(), self.rounding * self.kinetic.size))
 
     @property
     def rounding(self) -> float:
-        """Return the rounding error of the energies: a smaller drift shows nothing of the integration.
-
-        Every time adds its own, to the state and to the work.
-        """
+        """Return the rounding error of the energies at one time: a smaller drift shows nothing of the integration."""
         sizes = [np.abs(x).max() for x in (self.kinetic, self.potential, self.work)]
-        return float(np.finfo(float).eps * max(sizes) * self.kinetic.size)
+        return float(np.finfo(float).eps * max(sizes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
 from mbsgen.roles import Role
 from mbsrun.closure import CLOSED, Closure
-from mbsrun.ocp import schemes
+from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
 from mbsrun.ocp.checks import ProblemError
@@ -32,7 +32,7 @@ from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import settle, solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import JUMPED, OPEN
+from mbsrun.ocp.status import JUMPED, OPEN, SOLVED
 from mbsrun.ocp.structure import structure
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
@@ -432,13 +432,29 @@ def test_the_re_simulation_shows_that_loops_stay_closed() -> None:
 
 def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
     """A solver that accepts the guess at once ends with the gap of the guess."""
-    problem = reach(Loops.MULTIPLIERS)
-    problem = replace(problem, solver=SolverOptions(options=(("acceptable_tol", 1e20), ("acceptable_iter", 1))))
-    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
-    assert isinstance(guess, Trajectory)
-    found = solve(problem, arms(), guess=replace(guess, point_q=guess.point_q + 0.05))
+    found = solve_from_open_loops(SolverOptions(options=(("acceptable_tol", 1e20), ("acceptable_iter", 1))))
     assert isinstance(found, Failure)
     assert found.run.status == OPEN
+    assert "loops stay open" in found.finding
+
+
+def test_ipopt_is_asked_after_a_solve_that_leaves_loops_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here `mbs` calls every guess a solution."""
+    hasty = replace(methods.METHODS["mbs"], make=lambda _: lambda start: methods.Answer(start.x, SOLVED, 1))
+    monkeypatch.setattr("mbsrun.ocp.solve.METHODS", {**methods.METHODS, "mbs": hasty})
+    found = solve_from_open_loops(SolverOptions(method="mbs", fallback=True))
+    assert isinstance(found, Solution), found.finding
+    assert found.run.method == "ipopt"
+    assert "loops stay open" in found.run.instead
+    assert found.cost.total == pytest.approx(solved(Loops.MULTIPLIERS, Representation.IMPL).cost.total, rel=1e-6)
+
+
+def solve_from_open_loops(solver: SolverOptions) -> Solution | Failure:
+    """Solve from a guess whose loops are open by 5 cm."""
+    problem = replace(reach(Loops.MULTIPLIERS), solver=solver)
+    guess = make_guess(problem, arms(), schemes.build(problem.family, problem.degree))
+    assert isinstance(guess, Trajectory)
+    return solve(problem, arms(), guess=replace(guess, point_q=guess.point_q + 0.05))
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

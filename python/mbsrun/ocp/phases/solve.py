@@ -184,15 +184,15 @@ class PhasedSolver:
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return PhasedFailure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
-        if cause:
-            finding, remedy = explain(run.status, run.iterations)
-            return PhasedFailure(problem, run, f"{finding}, {cause}", remedy)
         for part in solution.phases:
             gap, most = part.violation.closure or 0.0, max(OPENED, problem.solver.tolerance)
-            if gap > most:
+            if gap > most:  # before other constraints, which open loops violate, too
                 finding, remedy = explain(OPEN, run.iterations)
                 finding = f"phase {part.problem.name}: {finding}, by {gap:.1e} of {most:.1e}"
                 return PhasedFailure(problem, replace(run, status=OPEN), finding, remedy)
+        if cause:
+            finding, remedy = explain(run.status, run.iterations)
+            return PhasedFailure(problem, run, f"{finding}, {cause}", remedy)
         for part, plant in zip(solution.phases, self.plants.phases, strict=True):
             for status, find in ((JUMPED, find_jump), (ELSEWHERE, find_other_assembly)):
                 if cause := find(part, plant):

@@ -195,5 +195,7 @@ def test_a_linked_state_needs_no_start(tmp_path: Path) -> None:
 def test_a_state_that_no_link_leads_to_needs_a_start(tmp_path: Path) -> None:
     """The message names the place, and that null is free."""
     (tmp_path / "rocket.ocp.yaml").write_text(STAGES.replace("{v: {start: 0}, m:", "{m:"), "utf-8")
-    with pytest.raises(InputError, match=r"rocket.ocp.yaml:\d+: states.v.start: missing; give it, e.g. 0.0"):
+    with pytest.raises(
+        InputError, match=r"rocket.ocp.yaml:\d+: states.v.start: missing; give it, e.g. 0.0; null is free$"
+    ):
         read_phased_problem(tmp_path / "rocket.ocp.yaml", load_on_demand)
