@@ -186,7 +186,7 @@ class Sections:
         )
 
     def ask_end(self) -> Iterator[Demand]:
-        end, own, number = self.data.get("end", {}), self.own, self.problem.number
+        end, number = self.data.get("end", {}), self.problem.number
         for name, where in end.get("sensors", {}).items():
             wanted = {axis: number(x) for axis, x in where.items()}
             if "radius" in wanted:
@@ -198,14 +198,23 @@ class Sections:
             for axis in "xyz":
                 x = number(where.get(axis, 0))
                 yield Demand(f"end v{axis} {name}", self.last[f"v{axis}_{spell(name)}"], (x, x))
-        for name, x in end.get("pose", {}).items():
-            if name not in own.turning:
-                yield Demand(f"end {name}", self.last[f"q_{spell(name)}"], (number(x), number(x)))
-        for key, prefix in (("velocity", "qd"), ("acceleration", "qdd")):
-            given = end.get(key, {})
-            given = dict.fromkeys(own.free, 0.0) if given == "zero" else given
-            for name, x in given.items():
-                yield Demand(f"end {key} {name}", self.last[f"{prefix}_{spell(name)}"], (number(x), number(x)))
+        for key, prefix in (("pose", "q"), ("velocity", "qd"), ("acceleration", "qdd")):
+            for name, x in self.list_ends(key).items():
+                title = f"end {name}" if key == "pose" else f"end {key} {name}"
+                yield Demand(title, self.last[f"{prefix}_{spell(name)}"], (x, x))
+
+    def list_ends(self, key: str) -> dict[str, float]:
+        """Return the given values of the end's pose, velocity or acceleration; attitudes have another condition."""
+        given = self.data.get("end", {}).get(key, {})
+        given = dict.fromkeys(self.own.free, 0.0) if given == "zero" else given
+        return {
+            name: self.problem.number(x) for name, x in given.items() if key != "pose" or name not in self.own.turning
+        }
+
+    def ends_within(self, name: str, key: str, limits: Range) -> bool:
+        """Return whether the end gives a coordinate or a velocity, within its limits: they ask nothing more of it."""
+        value = self.list_ends(key).get(name)
+        return value is not None and limits[0] <= value <= limits[1]
 
     def find_attitudes(self) -> list[float]:
         """Return the squared distance of each attitude at the end from the one that is asked for."""
@@ -240,8 +249,8 @@ class Sections:
             points, mesh = motion.point_q[:, :, i].ravel(), motion.q[:, i]
             if name in self.known:
                 continue
-            start = not self.is_free(name, velocity=False)
-            yield from self.bound(f"bound {name}", points, mesh, limits, start=start)
+            start, end = not self.is_free(name, velocity=False), self.ends_within(name, "pose", limits)
+            yield from self.bound(f"bound {name}", points, mesh, limits, start=start, end=end)
         given = bounds.get("velocities", {})
         for i, name in enumerate(own.velocities):
             speed = coordinates[name].max_speed
@@ -250,8 +259,8 @@ class Sections:
             points, mesh = motion.point_qd[:, :, i].ravel(), motion.qd[:, i]
             if name in self.known:
                 continue
-            start = not self.is_free(name, velocity=True)
-            yield from self.bound(f"bound of the velocity {name}", points, mesh, limits, start=start)
+            start, end = not self.is_free(name, velocity=True), self.ends_within(name, "velocity", limits)
+            yield from self.bound(f"bound of the velocity {name}", points, mesh, limits, start=start, end=end)
 
     @staticmethod
     def names(given: Any, name: str) -> bool:
