@@ -315,15 +315,20 @@ def test_a_plan_outside_of_its_bounds_is_put_on_the_central_path(library: Librar
     assert (solver.get("w")[at] < solver.upper[at]).all()
 
 
-def test_a_step_goes_almost_to_a_bound(library: Library) -> None:
-    """99 % of the way, each variable its own; the figure is the least part that one took."""
-    problem = balance()[0]
-    solver = stepped(library, problem, 1, least_barrier=1e-3)
+@pytest.mark.parametrize("relax", [0.0, 1e-8, 1e-3])
+def test_a_step_goes_almost_to_a_bound(library: Library, relax: float) -> None:
+    """99 % of the way to the bound that gives, each variable its own; the figure is the least part that one took."""
+    problem, options = balance()[0], {"least_barrier": 1e-3, "relax": relax}
+    solver = stepped(library, problem, 1, **options)
     before = solver.get("w")
-    solver.prepare(least_barrier=1e-3)
+    solver.prepare(**options)
     _, _, figures = solver.feedback(np.array([3.0, 6.0]))  # far away: inputs hit their bounds
     after, at = solver.get("w"), np.flatnonzero((problem.upper < 1e19) & (problem.lower < problem.upper))
-    parts = [(after[at] - before[at]) / (bound[at] - before[at]) for bound in (problem.lower, problem.upper)]
+    bounds = [
+        bound[at] + sign * relax * np.maximum(1, abs(bound[at]))
+        for sign, bound in ((-1, problem.lower), (1, problem.upper))
+    ]
+    parts = [(after[at] - before[at]) / (bound - before[at]) for bound in bounds]
     assert np.maximum(*parts).max() == pytest.approx(0.99, abs=1e-9)
     assert 0 < figures.length < 1
 
