@@ -98,9 +98,13 @@ class Judgement:
 
 
 def judge(point: Point, tolerance: float, weight: float, multipliers: Array | None = None) -> Judgement:
-    """Judge a point that a method with a tolerance found, for a cost whose largest weight is given."""
+    """Judge a point that a method with a tolerance found, for a cost whose largest weight is given.
+
+    Derivatives of the Lagrangian as small as the tolerance are rounding, however small the gradient is.
+    """
     same = max(SAME, LOOSE * tolerance)
-    allowed = same * point.reach + PRODUCT * tolerance * weight * point.sides
+    rest = float(point.size.sum()) + PRODUCT * point.sides
+    allowed = same * point.reach + tolerance * weight * rest
     decrease, is_sure = bound(point, allowed, multipliers)
     return Judgement(decrease, allowed, point.reach, point.violation, same, is_sure or decrease <= allowed)
 

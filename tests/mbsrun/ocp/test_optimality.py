@@ -128,12 +128,12 @@ def test_multipliers_of_a_solver_are_a_proof() -> None:
 
 
 def test_what_is_allowed_grows_with_the_tolerance() -> None:
-    """1e-6 of the gradient's reach, and the products that a barrier leaves; a looser tolerance allows more."""
+    """1e-6 of the gradient's reach, and what a tolerance leaves of derivatives and products; a looser one allows more."""
     point = at([2.0, 0.0], [1, 1], [(0, 9), (0, 9)])
     assert (point.reach, point.sides) == (3.0, 1)  # one bound is nearer than the region goes
     tight, loose = judge(point, 1e-8, 5.0), judge(point, 1e-4, 5.0)
-    assert tight.allowed == pytest.approx(3e-6 + 1e-9 * 5)
-    assert loose.allowed == pytest.approx(3e-2 + 1e-5 * 5)
+    assert tight.allowed == pytest.approx(3e-6 + 1e-8 * 5 * (3 + 0.1))
+    assert loose.allowed == pytest.approx(3e-2 + 1e-4 * 5 * (3 + 0.1))
     assert (tight.decrease, tight.ratio) == (pytest.approx(2.0), pytest.approx(2 / 3))
     assert not tight.is_optimal
 
