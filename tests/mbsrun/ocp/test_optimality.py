@@ -128,7 +128,7 @@ def test_multipliers_of_a_solver_are_a_proof() -> None:
 
 
 def test_what_is_allowed_grows_with_the_tolerance() -> None:
-    """1e-6 of the gradient's reach, and what a tolerance leaves of derivatives and products; a looser one allows more."""
+    """1e-6 of the gradient's reach, and what a tolerance leaves of derivatives and products: more if it is looser."""
     point = at([2.0, 0.0], [1, 1], [(0, 9), (0, 9)])
     assert (point.reach, point.sides) == (3.0, 1)  # one bound is nearer than the region goes
     tight, loose = judge(point, 1e-8, 5.0), judge(point, 1e-4, 5.0)
