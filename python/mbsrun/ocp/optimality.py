@@ -34,6 +34,7 @@ from mbsrun.ocp.program import Matrix
 SAME = 1e-6  # what the cost may still fall by, over what its gradient alone would let it fall
 LOOSE = 100.0  # the same over the solver's tolerance, where that is looser
 PRODUCT = 0.1  # of a distance and a multiplier, over the tolerance, as interior points leave it
+VANISHING = 100.0  # the largest entry of a gradient that is no measure, over the tolerance
 ROUNDS = 4  # of least squares
 LEAST = 1e-12  # a distance, over the size of the region, below which a variable is taken to stay
 REGULAR = 1e-12  # on the diagonal of dependent rows
@@ -100,11 +101,13 @@ class Judgement:
 def judge(point: Point, tolerance: float, weight: float, multipliers: Array | None = None) -> Judgement:
     """Judge a point that a method with a tolerance found, for a cost whose largest weight is given.
 
-    Derivatives of the Lagrangian as small as the tolerance are rounding, however small the gradient is.
+    A gradient that vanishes, as where a cost of squares is 0, is no measure: there, derivatives of the Lagrangian as
+    small as the tolerance are rounding.
     """
-    same = max(SAME, LOOSE * tolerance)
-    rest = float(point.size.sum()) + PRODUCT * point.sides
-    allowed = same * point.reach + tolerance * weight * rest
+    same, left = max(SAME, LOOSE * tolerance), tolerance * weight
+    allowed = same * point.reach + PRODUCT * left * point.sides
+    if np.abs(point.c).max(initial=0.0) <= VANISHING * left:
+        allowed += left * float(point.size.sum())
     decrease, is_sure = bound(point, allowed, multipliers)
     return Judgement(decrease, allowed, point.reach, point.violation, same, is_sure or decrease <= allowed)
 

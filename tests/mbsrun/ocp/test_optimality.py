@@ -21,7 +21,7 @@ from mbsrun.ocp.optimality import Judgement, Point, bound, judge, linearise
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.problem import Bounds, Problem, SolverOptions
+from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import Solver, solve
@@ -127,13 +127,39 @@ def test_multipliers_of_a_solver_are_a_proof() -> None:
     assert not is_exact
 
 
+@pytest.mark.parametrize(
+    ("gradient", "is_optimal"),
+    [((1e-20, 0), True), ((2.9e-8, -2.9e-8), True), ((2e-7, -2e-7), False), ((0, 3.1e-6), False)],
+)
+def test_a_gradient_within_the_tolerance_lowers_nothing(gradient: tuple[float, float], is_optimal: bool) -> None:
+    """A cost of weight 3: 3e-8 in each variable of size 1 is left by a tolerance of 1e-8."""
+    assert judge(at([0, 0], gradient, [FREE] * 2), 1e-8, 3.0).is_optimal == is_optimal
+
+
+@pytest.mark.parametrize(
+    "cost", ["(sin(q_slide) - 0.3)**2", "(sin(q_slide) - 0.3)**4", "(exp(q_slide) - 2)**2 + qd_slide**2"]
+)
+@pytest.mark.parametrize("method", [None, "ipopt"])
+def test_a_cost_of_squares_may_be_zero(cost: str, method: str | None, mass: OnDemand) -> None:
+    """The gradient vanishes with the cost, and the answer is a solution, of `mbs` or of IPOPT after it."""
+    asked = replace(
+        push(8),
+        cost=Cost(terminal=(Term(cost, 1.0),)),
+        end=End(),
+        solver=SolverOptions(method=method),
+    )
+    outcome = solve(asked, mass)
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.cost.total == pytest.approx(0.0, abs=1e-9)
+
+
 def test_what_is_allowed_grows_with_the_tolerance() -> None:
-    """1e-6 of the gradient's reach, and what a tolerance leaves of derivatives and products: more if it is looser."""
+    """1e-6 of the gradient's reach, and the products that a barrier leaves; a looser tolerance allows more."""
     point = at([2.0, 0.0], [1, 1], [(0, 9), (0, 9)])
     assert (point.reach, point.sides) == (3.0, 1)  # one bound is nearer than the region goes
     tight, loose = judge(point, 1e-8, 5.0), judge(point, 1e-4, 5.0)
-    assert tight.allowed == pytest.approx(3e-6 + 1e-8 * 5 * (3 + 0.1))
-    assert loose.allowed == pytest.approx(3e-2 + 1e-4 * 5 * (3 + 0.1))
+    assert tight.allowed == pytest.approx(3e-6 + 1e-9 * 5)
+    assert loose.allowed == pytest.approx(3e-2 + 1e-5 * 5)
     assert (tight.decrease, tight.ratio) == (pytest.approx(2.0), pytest.approx(2 / 3))
     assert not tight.is_optimal
 
