@@ -1,9 +1,10 @@
 """The usual sizes of a program's variables: guess and bounds -> a scale for each, 1 where it is near that.
 
-All variables of one quantity (a coordinate, a state, an input, ...) have one scale: the largest of its guess, but at
-least a thousandth of its largest bound, and at most that bound. Between LEAST and MOST it is 1, so problems in units
-that suit them are solved as they are; else it is a power of 2, by which numbers are divided without rounding. Scales of
-rows follow from their first derivatives by the scaled variables: see `csrc/stages/solve.c`.
+Variables of a mechanism, in metres and radians, have none: a guess at rest says nothing of their sizes. All variables
+of one quantity that a problem adds (a state, a control, an unknown, the horizon) have one scale. It is the largest of
+its guess, but at least a thousandth of its largest bound, and at most that bound. Between LEAST and MOST it is 1, so
+problems in units that suit them are solved as they are; else it is a power of 2, by which numbers are divided without
+rounding. Scales of rows follow from their first derivatives by the scaled variables: see `csrc/stages/solve.c`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.transcription import Transcription
 
 LEAST, MOST = 1e-1, 1e1  # sizes that need no scale
+NOTHING = 1e-9  # guesses below this are zeros that rounded
 SHARE = 1e-3  # of a bound: a guess may be smaller by chance
 
 
@@ -39,25 +41,17 @@ def round_scale(largest: float, limits: Array) -> float:
     known = limits[np.isfinite(limits) & (limits > 0)]
     bound = float(known.max()) if known.size else np.inf
     found = largest if bound == np.inf else min(max(largest, SHARE * bound if largest else bound), bound)
-    if not np.isfinite(found) or found == 0 or LEAST <= found <= MOST:
+    if not np.isfinite(found) or found < NOTHING or LEAST <= found <= MOST:
         return 1.0
     return float(2.0 ** np.round(np.log2(found)))
 
 
 def _list_groups(own: Transcription) -> Iterator[Indices]:
-    """List the variables of each quantity."""
+    """List the variables of each quantity that the problem adds."""
     layout, extras = own.layout, own.layout.extras
     for parts in (
-        (layout.mesh, layout.points),
-        (layout.accelerations,),
-        (layout.multipliers,),
-        (layout.drives,),
-        (layout.driving,),
-        (layout.inputs, layout.point_inputs),
         (extras.states, extras.point_states),
         (extras.controls, extras.point_controls),
-        (extras.forces,),
-        (extras.wrenches,),
         (layout.unknowns,),
         *([(np.array([layout.horizon]),)] if layout.horizon is not None else []),
     ):
