@@ -70,7 +70,7 @@ def test_flops_are_those_of_the_c(seed: int) -> None:
 
 def count_operations(text: str, function: str) -> int:
     """Count operations in the body of a C function; sines and cosines where they are used."""
-    start = text.index(f"int {function}(")
+    start = text.rindex(f"int {function}(")  # before it come plain names, which call the function
     inner = text[start : text.index("\n}\n", start)]
     rights = re.findall(r"^ +(?:const mbs_real )?\w+(?:\[\d+\])? = ([^;{&]+);$", inner, re.MULTILINE)
     angles = re.findall(r"mbs_angles\d+\[[^=]*\] = \{([^}]*)\};", inner)
