@@ -100,7 +100,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_nlp_method_that_is_added_solves_a_problem() -> None:
     """12 / (1 - 1/N^2) for a push from rest to rest, as by IPOPT; iterates are shown, and its own options known."""
     seen: list[Progress] = []
-    options = SolverOptions(method="toy", options=(("eps", 1e-8),))
+    options = SolverOptions(1e-6, method="toy", options=(("eps", 1e-8),))
     outcome = solve(replace(push(8), solver=options), double_integrator(), seen.append)
     assert isinstance(outcome, Solution)
     assert outcome.cost.total == pytest.approx(12 / (1 - 1 / 64), rel=1e-6)
