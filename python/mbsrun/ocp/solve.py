@@ -88,21 +88,26 @@ class Solver:
         self.program = Prepared(self.transcription.program, plant)
         self._solvers: dict[SolverOptions, methods.Solver] = {}
 
-    def solve(self, problem: Problem, guess: Trajectory, watch: Watch | None = None) -> Solution | Failure:
+    def solve(
+        self, problem: Problem, guess: Trajectory, watch: Watch | None = None, usual: Trajectory | None = None
+    ) -> Solution | Failure:
         """Solve a problem of the same structure from a guess on its grid; `watch` is called in every iteration.
+
+        `usual` is a motion of usual sizes, by default the guess: an answer to a looser problem is none.
 
         A guess in which the solver finds nothing to improve may be a saddle or a maximum as well, so it is moved a
         little and solved again. A judge refuses answers whose cost can still fall. Where `mbs` has no answer, IPOPT is
         asked, if the options permit it; the run says so.
         Raises ProblemError for a problem with faults, ValueError for one of another structure.
         """
-        first = self._solve(problem, guess, watch)
+        usual = guess if usual is None else usual
+        first = self._solve(problem, guess, watch, usual)
         if isinstance(first, Solution) or not wants_other(problem.solver, first.run):
             return first
-        found = tell_both(first, self._solve(problem.with_solver(OTHER), guess, watch))
+        found = tell_both(first, self._solve(problem.with_solver(OTHER), guess, watch, usual))
         return replace(found, problem=replace(found.problem, solver=problem.solver))
 
-    def _solve(self, problem: Problem, guess: Trajectory, watch: Watch | None) -> Solution | Failure:
+    def _solve(self, problem: Problem, guess: Trajectory, watch: Watch | None, usual: Trajectory) -> Solution | Failure:
         """Solve by one method."""
         problem = replace(problem, loops=problem.loops or self._loops)
         check_problem(problem, self.plant.manifest)
@@ -118,7 +123,12 @@ class Solver:
             finding = "the guess has numbers that are not finite"
             return Failure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         freed = free_targets(problem, self.plant, guess.q[-1])
-        outcome = search(x, lambda x: self._call(freed, x, watch))
+        scales = find_scales(
+            self.transcription,
+            self.transcription.pack(complete(usual, problem, self.plant)),
+            self.transcription.variable_bounds(freed),
+        )
+        outcome = search(x, lambda x: self._call(freed, x, watch, scales))
         run, found, clash = outcome.run, outcome.x, outcome.clash
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations, has_model=bool(self.plant.manifest.coordinates))
@@ -179,13 +189,11 @@ class Solver:
         except NoNumbersError:
             return ""
 
-    def _call(self, problem: Problem, x: Array, watch: Watch | None) -> Outcome:
+    def _call(self, problem: Problem, x: Array, watch: Watch | None, scales: Array) -> Outcome:
         """Run the solver from x."""
         lower, upper = self.transcription.variable_bounds(problem)
         g_lower, g_upper = self.transcription.constraint_bounds(problem)
         parameters = self.transcription.parameters(problem)
-
-        scales = find_scales(self.transcription, x, (lower, upper))
         told = None if watch is None else report(watch)
         start = Start(x, parameters, lower, upper, g_lower, g_upper, told, scales)
         outcome = call(self._solver(problem), start)
@@ -354,12 +362,12 @@ def solve(
         return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), *describe_unreachable(start))
     problem = settle(problem, plant, start)
     check_problem(problem, plant.manifest)
-    solver = make(problem, plant)
+    solver, usual = make(problem, plant), start
     for amount in list_steps(problem)[:-1]:
-        found = solver.solve(set_relaxation(problem, amount), start, watch)
+        found = solver.solve(set_relaxation(problem, amount), start, watch, usual)
         if isinstance(found, Solution):  # else the step after begins where this one did
             start = found.trajectory
-    return solver.solve(problem, start, watch)
+    return solver.solve(problem, start, watch, usual)
 
 
 def find_jump(solution: Solution, plant: Plant) -> str:

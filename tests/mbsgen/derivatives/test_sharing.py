@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from mbsgen import pipeline
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.pipeline import Options, make
+from mbsgen.pipeline import Options, Product, make
 from mbsgen.request import CodeSize
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
@@ -55,10 +56,16 @@ def test_what_has_a_loop_for_sure_is_not_written_straight() -> None:
     straight = make(MODELS / "double_pendulum.yaml", options)
     staged = make(MODELS / "double_pendulum.yaml", replace(options, size=STAGED))
     assert straight.manifest.model_hash != staged.manifest.model_hash
-    for file, text in straight.files.items():
+    for file in straight.files:
         if not file.startswith("report"):
-            renamed = staged.files[file].replace(staged.manifest.model_hash, straight.manifest.model_hash)
-            assert renamed == text, file
+            assert _hide_hashes(staged, file) == _hide_hashes(straight, file), file
+
+
+def _hide_hashes(made: Product, file: str) -> str:
+    """Return a file without the hash of its model, and without the tag of its symbols that follows from it."""
+    tag = re.search(r"_TAG 0x(\w+)", made.files["double_pendulum.h"])
+    assert tag is not None
+    return made.files[file].replace(made.manifest.model_hash, "").replace(tag[1], "")
 
 
 def test_stages_take_what_setup_gives() -> None:

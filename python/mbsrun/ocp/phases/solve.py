@@ -132,12 +132,13 @@ class PhasedSolver:
         return other
 
     def _solve_relaxed(self, guess: Guess, watch: Watch | None) -> PhasedSolution | PhasedFailure:
+        usual = guess  # its sizes: an answer to a looser problem has none
         for phases in [*list_relaxed([phase.problem for phase in self.problem.phases])][:-1]:
-            found = self._relax(phases)._solve(guess, watch)
+            found = self._relax(phases)._solve(guess, watch, usual)
             if isinstance(found, PhasedSolution):
                 known = zip((unknown.name for unknown in found.unknowns), found.unknown_values, strict=True)
                 guess = Guess(tuple(phase.trajectory for phase in found.phases), tuple(known))
-        return self._solve(guess, watch)
+        return self._solve(guess, watch, usual)
 
     def _relax(self, phases: list[Problem]) -> PhasedSolver:
         """Return a solver of the same program for other ranges of constraints."""
@@ -146,7 +147,7 @@ class PhasedSolver:
         relaxed.problem = replace(self.problem, phases=tuple(replace(phase, problem=own) for phase, own in changed))
         return relaxed
 
-    def _solve(self, guess: Guess, watch: Watch | None) -> PhasedSolution | PhasedFailure:
+    def _solve(self, guess: Guess, watch: Watch | None, usual: Guess) -> PhasedSolution | PhasedFailure:
         problem = self.problem
         for phase, plant in zip(problem.phases, self.plants.phases, strict=True):
             if crossed := find_crossed_bounds(phase.problem, plant.manifest):
@@ -164,7 +165,8 @@ class PhasedSolver:
         except NoNumbersError as lack:
             finding = f"the guess has no numbers: {lack}"
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
-        outcome = search(x, lambda x: self._call(self._find_method(), x, watch))
+        scales = own.find_scales(own.pack(problem, self._complete(usual)), own.variable_bounds(problem))
+        outcome = search(x, lambda x: self._call(self._find_method(), x, watch, scales))
         run, found = outcome.run, outcome.x
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             has_model = any(plant.manifest.coordinates for plant in self.plants.phases)
@@ -286,11 +288,11 @@ class PhasedSolver:
         order = Order(self.program, options.tolerance, options.max_iterations, scaling, settings, options.threads)
         return METHODS[methods.choose(options)].make(order)
 
-    def _call(self, solver: methods.Solver, x: Array, watch: Watch | None) -> Outcome:
+    def _call(self, solver: methods.Solver, x: Array, watch: Watch | None, scales: Array) -> Outcome:
         own, problem = self.transcription, self.problem
         bounds = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
         told = None if watch is None else report(watch)
-        start = Start(x, own.parameters(problem), *bounds, told, own.find_scales(x, bounds[:2]))
+        start = Start(x, own.parameters(problem), *bounds, told, scales)
         outcome = call(solver, start)
         return replace(outcome, run=replace(outcome.run, method=methods.choose(self._options)))
 
