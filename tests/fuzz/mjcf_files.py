@@ -43,6 +43,7 @@ LEGAL = (  # here
     "mass and inertia of moving bodies must be larger",  # unless nothing beyond them has mass
     "must be positive in geom", "both pos and fromto", "fromto requires",  # of geoms that have no mass
     "springyield should not be defined",  # which is warned of
+    "inertia should be specified in the mesh asset",  # of geoms that have no mass
 )  # fmt: skip
 IDLE = {"user", "material", "mesh", "hfield", "type", "fluidcoef", "fluidshape", "fitscale", "rgba", "name", "simple",
         "fuse", "surfacevel", "align", "condim", "plugin", "castshadow", "params", "normal", "texcoord", "smoothnormal",
@@ -317,10 +318,10 @@ class _Draw:
             ("damping", self._numbers(self._rng.choice((1, 1, 2, 3)), 0, 2)),
             ("frictionloss", self._number(0, 1)),
             ("armature", self._number(0, 1)),
-            ("springdamper", "0.1 1"),
+            ("springdamper", self._numbers(2, 0.1, 2)),
             ("springyield", "0.1"),
         ):
-            share = 0.04 if key in ("springdamper", "springyield") else 0.3
+            share = {"springdamper": 0.1, "springyield": 0.04}.get(key, 0.3)
             found |= {key: word} if self._chance(share) else {}
         found |= self._limits("range", "limited", 2) if self._chance(0.3) else {}
         found |= self._limits("actuatorfrcrange", "actuatorfrclimited", 9) if self._chance(0.2) else {}
@@ -347,7 +348,9 @@ class _Draw:
         if shape == "mesh":
             attributes |= {"mesh": self._rng.choice(self._meshes)}
             del attributes["size"]
-        if shape in ("box", "capsule", "cylinder", "ellipsoid") and self._chance(0.3):
+        elif self._meshes and self._chance(0.3):
+            attributes |= {"mesh": self._rng.choice(self._meshes), "fitscale": self._number(0.5, 2)}
+        elif shape in ("box", "capsule", "cylinder", "ellipsoid") and self._chance(0.3):
             attributes = {"type": shape, "size": self._number(0.05, 0.3), "fromto": self._numbers(6)}
         for key, word in (
             ("mass", self._number(0.1, 3)),
@@ -355,6 +358,7 @@ class _Draw:
             ("group", self._rng.choice("0123")),
             ("contype", "0"),
             ("conaffinity", "0"),
+            ("shellinertia", "true"),
         ):
             attributes |= {key: word} if self._chance(0.2) else {}
         return Part("geom", {**attributes, **self._class()})

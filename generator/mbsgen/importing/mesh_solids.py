@@ -10,7 +10,8 @@ Pyramids join each triangle to a point; their volumes are signed by the side on 
 
 Sources: MuJoCo, XML reference, `asset/mesh`; the integrals of a simplex by its corners: Tonon, Explicit exact formulas
 for the 3-D tetrahedron inertia tensor, 2004. Files are untrusted: trimesh reads them from bytes of limited size, and
-opens no other file.
+opens no other file. An MSH file, MuJoCo's own, holds four counts, then corners, normals and texture coordinates in
+single precision, and triangles: all numbers have four bytes, in the order of the machines that MuJoCo runs on.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ Rule = Literal["legacy", "exact", "convex", "shell"]
 Faces = NDArray[np.int64]
 
 RULES: tuple[Rule, ...] = ("legacy", "exact", "convex", "shell")
-FORMATS = {".stl": "stl", ".obj": "obj"}
-MEDIA = {"model/stl": "stl", "model/obj": "obj"}
+FORMATS = {".stl": "stl", ".obj": "obj", ".msh": "msh"}
+MEDIA = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
 MAX_BYTES = 1 << 27
 MAX_FACES = 2_000_000
 LEAST = 1e-14  # MuJoCo's least volume [m3]
@@ -50,26 +51,42 @@ class MeshError(Exception):
 
 def read_triangles(path: Path, kind: str) -> tuple[Array, Faces]:
     """Read the corners and the triangles of a file of this kind. Raises MeshError."""
-    trimesh = _find_trimesh(path.name)
     try:
         content = read_bytes(path, MAX_BYTES)
     except InputError as error:
         fault = error.faults[0]
         raise MeshError(f"the mesh {path.name}: {fault.finding}", fault.remedy) from None
+    corners, faces = _read_msh(content, path.name) if kind == "msh" else _read_common(content, kind, path.name)
+    if len(faces) > MAX_FACES:
+        raise MeshError(f"{path.name} has {len(faces)} triangles", f"give at most {MAX_FACES}, or an <inertial>")
+    return corners, faces
+
+
+def _read_msh(content: bytes, name: str) -> tuple[Array, Faces]:
+    counts = np.frombuffer(content[:16], "<i4") if len(content) >= 16 else np.zeros(4, np.int32)
+    corners, normals, textures, faces = map(int, counts)
+    fits = corners > 3 and faces >= 0 and normals in (0, corners) and textures in (0, corners)
+    if not fits or len(content) != 16 + 4 * (3 * corners + 3 * normals + 2 * textures + 3 * faces):
+        raise MeshError(f"{name} cannot be read as a mesh: its counts are of another size", "export it again")
+    places = np.frombuffer(content, "<f4", 3 * corners, 16).astype(float)
+    triangles = np.frombuffer(content, "<i4", 3 * faces, len(content) - 12 * faces).astype(np.int64)
+    return places.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def _read_common(content: bytes, kind: str, name: str) -> tuple[Array, Faces]:
+    trimesh = _find_trimesh(name)
     more = {"skip_materials": True} if kind == "obj" else {}
     try:
         mesh = trimesh.load(io.BytesIO(content), file_type=kind, force="mesh", process=False, **more)
         corners, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
     except Exception as error:  # readers of untrusted files fail in any way
         told = str(error).splitlines() or [type(error).__name__]
-        raise MeshError(f"{path.name} cannot be read as a mesh: {told[0][:120]}", "export it again") from None
+        raise MeshError(f"{name} cannot be read as a mesh: {told[0][:120]}", "export it again") from None
     if kind == "stl" and not len(faces):
-        raise MeshError(f"{path.name} cannot be read as a mesh: it has no triangles", "export it again")
+        raise MeshError(f"{name} cannot be read as a mesh: it has no triangles", "export it again")
     if kind == "stl":  # whose triangles share no corners
         corners, shared = np.unique(corners, axis=0, return_inverse=True)
         faces = shared.reshape(-1)[faces]
-    if len(faces) > MAX_FACES:
-        raise MeshError(f"{path.name} has {len(faces)} triangles", f"give at most {MAX_FACES}, or an <inertial>")
     return corners, faces
 
 

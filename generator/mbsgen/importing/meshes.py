@@ -1,4 +1,9 @@
-"""The meshes of MJCF -> solids: vertices and faces of the file, or of an STL or OBJ file that it names."""
+"""The meshes of MJCF -> solids, and shapes that are fitted to them.
+
+Vertices and faces are in the file, or in a file in STL, OBJ or MSH that it names. A shape fitted to a mesh lies along
+the principal axes of the mesh's solid, the last one along the longest, and has the extents of the box of the same
+inertia. Source: MuJoCo, XML reference, `asset/mesh`, `geom/mesh`.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +18,13 @@ from mbsgen.importing.geoms import Assets
 from mbsgen.importing.inheritance import MAIN
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mesh_solids import FORMATS, MEDIA, RULES, Faces, MeshError, Rule, enclose, measure, read_triangles
-from mbsgen.importing.poses import Array
+from mbsgen.importing.poses import Array, Pose
 from mbsgen.importing.solids import Solid
 from mbsgen.model.orientations import turn_quaternion
 
 MAX_NUMBERS = 3_000_000
+ALIKE = 1e-5  # of two extents: MuJoCo's corners have single precision
+INERTIAL = "give the body an <inertial>"
 
 
 class Meshes:
@@ -30,15 +37,37 @@ class Meshes:
         self._folder = Path(top.file).parent
         self._root = (self._folder if root is None else root).resolve()
         self._usual: Rule = "exact" if compiler.get("exactmeshinertia") == "true" else "legacy"
+        self._is_bounded = compiler.get("fitaabb") == "true"
         self._findings = findings
         self._known: dict[str, Solid] = {}
 
     def weigh(self, name: str, mass: float | None, density: float) -> Solid:
         """Return the solid of a mesh in its own frame, of a mass or a density. Raises MeshError."""
+        unit = self._look_up(name)
+        return unit.scaled(density if mass is None else mass / unit.mass)
+
+    def fit(self, name: str, shape: str, scale: float) -> tuple[list[float], Pose]:
+        """Return the sizes of a shape fitted to a mesh, and its pose in the mesh's frame. Raises MeshError."""
+        if self._is_bounded:
+            raise MeshError(f"a {shape} fitted to the box of a mesh (fitaabb) is not computed here", INERTIAL)
+        unit = self._look_up(name)
+        moments, axes = np.linalg.eigh(unit.inertia)
+        moments, axes = moments[::-1], axes[:, ::-1] * np.linalg.det(axes[:, ::-1])
+        a, b, c = np.sqrt(np.maximum(1.5 * (moments.sum() - 2 * moments) / unit.mass, 0.0))
+        if shape in ("capsule", "cylinder") and c - b < ALIKE * c:
+            text = f"the mesh {abbreviate(name)} has no longest axis, along which a {shape} could be fitted"
+            raise MeshError(text, f"give the {shape} a size and a pose instead of a mesh, or the body an <inertial>")
+        sizes = {
+            "sphere": ((a + b + c) / 3,),
+            "capsule": ((a + b) / 2, max(0.0, c - (a + b) / 4)),
+            "cylinder": ((a + b) / 2, c),
+        }.get(shape, (a, b, c))
+        return [scale * float(size) for size in sizes], Pose(axes, unit.com)
+
+    def _look_up(self, name: str) -> Solid:
         if name not in self._known:
             self._known[name] = self._measure(name)
-        unit = self._known[name]
-        return unit.scaled(density if mass is None else mass / unit.mass)
+        return self._known[name]
 
     def _measure(self, name: str) -> Solid:
         element = self._assets.meshes.get(name)
@@ -51,9 +80,7 @@ class Meshes:
         if rule is None:
             raise MeshError(f"inertia is {abbreviate(attributes['inertia'])}", f"give {', '.join(RULES)}")
         if "builtin" in attributes or element.first("plugin") is not None:
-            raise MeshError(
-                "the inertia of a mesh that MuJoCo makes is not computed here", "give the body an <inertial>"
-            )
+            raise MeshError("the inertia of a mesh that MuJoCo makes is not computed here", INERTIAL)
         corners, faces = self._read(attributes)
         is_hull = rule == "convex" or not len(faces)
         if is_hull and self._findings.number(element, "maxhullvert", -1.0, attributes) > 0:

@@ -17,7 +17,7 @@ import numpy as np
 from mbsgen.documents import abbreviate
 from mbsgen.expressions import Call, Expression, Name, Number, Operation, Power
 from mbsgen.importing.closing import Spot
-from mbsgen.importing.drafting import Choices, Draft, Imported, Move, list_moves, make_law, move_freely
+from mbsgen.importing.drafting import Choices, Draft, Imported, Move, damp, list_moves, make_law, move_freely
 from mbsgen.importing.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
@@ -38,6 +38,7 @@ from mbsgen.importing.mjcf_actuators import JOINTS, TERMS, read_actuators, read_
 from mbsgen.importing.mjcf_schema import review
 from mbsgen.importing.mjcf_settings import read_limits, read_settings
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
+from mbsgen.importing.reference import Degree, Reference
 from mbsgen.importing.solids import NOTHING, Solid, add
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Law, Visual
 from mbsgen.model.orientations import find_turns, turn, turn_quaternion
@@ -57,8 +58,22 @@ MARKS = frozenset(  # elements without mass and force, or read elsewhere
 
 
 def read_mjcf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    """Make a model of an MJCF file. Raises InputError with all its faults."""
-    return _Scene(include_files(root, choices.root, findings), choices, findings).read()
+    """Make a model of an MJCF file. Raises InputError with all its faults.
+
+    Springs that the file gives by times need the inertias of all bodies, so such a file is read twice.
+    """
+    whole = include_files(root, choices.root, findings)
+    is_timed = any("springdamper" in element.attributes for element in whole.walk())
+    springs = _Scene(whole, choices, Findings(whole.file), {}).find_springs() if is_timed else {}
+    return _Scene(whole, choices, findings, springs).read()
+
+
+@dataclass(frozen=True)
+class _Spring:
+    """A spring and a damper that follow from a time constant and a ratio of damping."""
+
+    stiffness: float
+    damping: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +98,9 @@ class _Waiting:
 class _Scene:
     """An MJCF file during reading."""
 
-    def __init__(self, root: Element, choices: Choices, findings: Findings) -> None:
+    def __init__(
+        self, root: Element, choices: Choices, findings: Findings, springs: Mapping[int, _Spring | None]
+    ) -> None:
         review(root, findings)
         self._root = root
         self._choices = choices
@@ -98,6 +115,10 @@ class _Scene:
         self._used_sites = {*choices.sensors, *list_sites(root)}
         self._assets = read_assets(root, self._settings.compiler, self._defaults, Findings(root.file))
         self._meshes = Meshes(self._assets, self._settings.compiler, root, choices.root, findings)
+        self._springs = springs  # by the identities of joints; None: nothing determines it
+        self._reference = Reference()
+        self._times: dict[int, tuple[float, ...]] = {}  # time constants and ratios of damping
+        self._degrees: dict[int, list[int]] = {}  # numbers in the reference, by the identities of joints
         self._touching = 0  # number of geoms of bodies that may have contacts
 
     def read(self) -> Imported:
@@ -119,6 +140,21 @@ class _Scene:
         self._tell_sections()
         self._draft.warn_of_limits()
         return self._draft.finish(self._root.attributes.get("model", "scene"), self._settings.gravity, self._root)
+
+    def find_springs(self) -> Mapping[int, _Spring | None]:
+        """Find the springs that the file gives by times, by the inertia in its pose, as MuJoCo's compiler does."""
+        worlds = [*self._root.all("worldbody")]
+        self._scale = self._find_scale(worlds)
+        for world in worlds:
+            self._add_bodies(world)
+        inertias = self._reference.find_inertias()
+        if not np.isfinite(inertias).all():
+            return dict.fromkeys(self._times)
+        found: dict[int, _Spring | None] = {}
+        for joint, (time, ratio) in self._times.items():
+            inertia = 1.0 / float(np.mean(1.0 / inertias[self._degrees[joint]]))
+            found[joint] = _Spring(inertia / (time * ratio) ** 2, 2 * inertia / time)
+        return found
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
@@ -145,6 +181,8 @@ class _Scene:
         inner = Pose(np.eye(3), -anchor, ())
         self._draft.show(own, self._read_visuals(parts, inner))
         found = Place(Spot(own, inner), carrier.home @ around @ step)
+        self._reference.add_body(own, parent, found.home, solid.shifted(-anchor))
+        self._list_degrees(parts, own, found.home)
         if name:
             self._draft.add_frame(name, own, inner, body)
             self._register.bodies.setdefault(name, found)
@@ -306,7 +344,7 @@ class _Scene:
                 align = part.element.attributes.get("align", "auto")
                 if (self._settings.compiler.get("alignfree", "false") if align == "auto" else align) == "true":
                     self._findings.tell(part.element, "align: coordinates are of the body's frame in the file")
-                self._warn_of_six(part.element, attributes, "a free joint")
+                moves = self._resist(part.element, attributes, moves, "a free joint")
                 continue
             position = self._findings.numbers(part.element, "pos", (0.0, 0.0, 0.0), attributes=attributes)
             before, anchor = anchor, (part.around @ place(position)).position
@@ -319,10 +357,10 @@ class _Scene:
                 elif not alone:
                     text = "a ball beside other joints has no quaternion: it is turns about z, y, x"
                     self._findings.tell(part.element, text)
-                self._warn_of_six(part.element, attributes, "a ball")
                 driven = not self._drives.efforts or attributes.get("name") in self._drives.efforts
                 is_quaternion = self._choices.quaternions and alone
-                moves += list_moves("ball" if is_quaternion else "spherical", part.element, step, actuated=driven)
+                turns = list_moves("ball" if is_quaternion else "spherical", part.element, step, actuated=driven)
+                moves += self._resist(part.element, attributes, turns, "a ball")
             else:
                 moves.append(self._read_move(part, kind, attributes, step))
         return moves, anchor
@@ -333,6 +371,29 @@ class _Scene:
         starts = (*pose.position, z, y, x)
         for move, start in zip(move_freely(element, quaternion=self._choices.quaternions), starts, strict=True):
             yield replace(move, start=float(start))
+
+    def _list_degrees(self, parts: list[_Placed], body: str, home: Pose) -> None:
+        """Note the degrees of freedom of a body in the pose of the file, whose springs may follow from them."""
+        for part in (part for part in parts if part.element.tag in JOINTS):
+            kind, element = self._read_kind(part), part.element
+            attributes = self._defaults.resolve(element, part.active)
+            armature = self._findings.number(element, "armature", 0.0, attributes)
+            armature += self._drives.rotors[attributes.get("name", "")]
+            position = self._findings.numbers(element, "pos", (0.0, 0.0, 0.0), attributes=attributes)
+            axis = self._findings.numbers(element, "axis", (0.0, 0.0, 1.0), attributes=attributes)
+            point = home.position if kind == "free" else (home @ part.around @ place(position)).position
+            along = home.rotation @ part.around.rotation @ np.array(axis)
+            along = along / (np.linalg.norm(along) or 1.0)
+            slides: list[Array] = {"slide": [along], "free": [*np.eye(3)]}.get(kind, [])
+            turns: list[Array] = {"hinge": [along], "slide": []}.get(kind, [*home.rotation.T])
+            self._degrees[id(element)] = [
+                self._reference.add_degree(body, Degree(is_turn, line, point, armature))
+                for is_turn, lines in ((False, slides), (True, turns))
+                for line in lines
+            ]
+            time, ratio = self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)
+            if time > 0 and ratio > 0:
+                self._times[id(element)] = time, ratio
 
     def _read_move(self, part: _Placed, kind: str, attributes: Mapping[str, str], step: Pose) -> Move:
         element, name = part.element, attributes.get("name")
@@ -383,6 +444,10 @@ class _Scene:
         """Read spring, damper and dry friction of a joint, which flags may disable."""
         nothing = (0.0,) * TERMS
         spring, damper = (read_polynomial(element, x, attributes, self._findings) for x in ("stiffness", "damping"))
+        if (timed := self._springs.get(id(element))) is not None:
+            spring, damper = (timed.stiffness, *spring[1:]), (timed.damping, *damper[1:])
+            text = f"springdamper: a stiffness of {timed.stiffness:g} and a damping of {timed.damping:g}"
+            self._findings.tell(element, f"{text}, by the inertia in the pose of the file")
         damper = tuple(x + y for x, y in zip(damper, self._drives.dampers[name or ""], strict=True))
         spring = nothing if self._settings.lacks("spring") else spring
         damper = nothing if self._settings.lacks("damper") else damper
@@ -404,26 +469,43 @@ class _Scene:
         return largest if effort is None else min(effort, largest)
 
     def _warn_joint(self, element: Element, attributes: Mapping[str, str]) -> None:
-        if min(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)) > 0:
-            self._findings.warn(element, "springdamper: give stiffness and damping instead; it is left out")
+        if id(element) in self._springs and self._springs[id(element)] is None:
+            self._findings.warn(element, "springdamper is left out: in the pose of the file, something has no inertia")
         if self._findings.number(element, "springyield", 0.0, attributes) > 0 and not self._settings.lacks("spring"):
             self._findings.warn(element, "springyield: the spring is elastic beyond it")
 
-    def _warn_of_six(self, element: Element, attributes: Mapping[str, str], what: str) -> None:
-        flags = {"stiffness": "spring", "damping": "damper", "frictionloss": "frictionloss", "armature": ""}
-        kept = [key for key, flag in flags.items() if not self._settings.lacks(flag)]
-        found = [key for key in kept if any(read_polynomial(element, key, attributes, self._findings))]
-        if min(self._findings.numbers(element, "springdamper", (0.0, 0.0), attributes=attributes)) > 0:
-            found.append("springdamper")
-        if self._findings.number(element, "springyield", 0.0, attributes) > 0 and not self._settings.lacks("spring"):
-            found.append("springyield")
-        if what == "a ball" and self._read_limits(element, attributes, "range", "limited"):
-            found += [] if self._settings.lacks("limit") else ["range"]
-        for key in found:
-            self._findings.warn(element, f"{key} of {what} is left out: it is about no single coordinate")
+    def _resist(self, element: Element, attributes: Mapping[str, str], moves: list[Move], what: str) -> list[Move]:
+        """Damp a ball or a free body, alike in all directions; warn of the forces that a model does not have."""
+        findings, timed = self._findings, self._springs.get(id(element))
+        damping, *higher = read_polynomial(element, "damping", attributes, findings)
+        damping = damping if timed is None else timed.damping
+        is_spring = timed is not None or any(read_polynomial(element, "stiffness", attributes, findings))
+        floats = any(move.floats for move in moves)
+        left_out = {
+            "stiffness": is_spring and not self._settings.lacks("spring"),
+            "damping": damping and floats and not self._settings.lacks("damper"),
+            "the damping of second and third order": any(higher) and not self._settings.lacks("damper"),
+            "frictionloss": any(read_polynomial(element, "frictionloss", attributes, findings))
+            and not self._settings.lacks("frictionloss"),
+            "armature": any(read_polynomial(element, "armature", attributes, findings)),
+            "springyield": findings.number(element, "springyield", 0.0, attributes) > 0
+            and not self._settings.lacks("spring"),
+            "springdamper": id(element) in self._springs and timed is None,
+            "range": what == "a ball" and self._limits_ball(element, attributes),
+        }
+        for key in (key for key, is_there in left_out.items() if is_there):
+            findings.warn(element, f"{key} of {what} is left out: it is about no single coordinate")
         if attributes.get("name") in self._drives.efforts:
             inputs = "has no inputs" if what == "a free joint" else "has an input for each of its turns"
-            self._findings.warn(element, f"the actuator of {what} is left out: it {inputs} in a model")
+            findings.warn(element, f"the actuator of {what} is left out: it {inputs} in a model")
+        return moves if floats or self._settings.lacks("damper") else damp(moves, damping)
+
+    def _limits_ball(self, element: Element, attributes: Mapping[str, str]) -> bool:
+        limits = self._read_limits(element, attributes, "range", "limited")
+        if limits is not None and limits[0] != 0:
+            text = f"the range of a ball begins at {limits[0]:g}"
+            self._findings.fault(element, text, "give 0 and the largest angle of its turn")
+        return limits is not None and not self._settings.lacks("limit")
 
     def _tell_start(self, element: Element, pose: Pose) -> None:
         origin = ", ".join(f"{x:.6g}" for x in pose.position)
@@ -481,7 +563,7 @@ class _Scene:
         low, high = self._settings.groups
         mass = self._findings.number(element, "mass", 0.0, attributes) if "mass" in attributes else None
         density = self._findings.number(element, "density", DENSITY, attributes)
-        shape = attributes.get("type", "mesh" if "mesh" in attributes else "sphere")
+        shape = attributes.get("type", "sphere")
         if not low <= group <= high or mass == 0 or (mass is None and density == 0) or shape in WEIGHTLESS:
             return
         try:
@@ -500,22 +582,28 @@ class _Scene:
     ) -> tuple[Solid, Pose] | None:
         """Return the solid of a geom, and its pose; None after a fault. Raises MeshError."""
         if shape == "mesh":
+            if attributes.get("shellinertia") == "true":
+                self._findings.fault(element, "shellinertia of a mesh", 'give the mesh itself inertia="shell"')
             return self._meshes.weigh(attributes.get("mesh", ""), mass, density), self._read_pose(element, attributes)
         if shape not in SHAPES:
             raise MeshError(f"the inertia of a {shape[:40]} is not computed here", INERTIAL)
-        if "mesh" in attributes:
-            raise MeshError(f"the inertia of a {shape} fitted to a mesh is not computed here", INERTIAL)
-        if attributes.get("shellinertia") == "true":
-            raise MeshError("the inertia of a shell is not computed here", INERTIAL)
         size, pose = self._measure(element, attributes, shape)
         if min(size) <= 0:
             found = " ".join(f"{length:g}" for length in size)
             self._findings.fault(element, f"the size of a {shape} is {found}", "give more than 0")
             return None
-        return make_solid(shape, size, mass=mass, density=density), pose
+        is_shell = self._findings.choice(element, "shellinertia", ("false", "true"), attributes) == "true"
+        return make_solid(shape, size, mass=mass, density=density, is_shell=is_shell), pose
 
     def _measure(self, element: Element, attributes: Mapping[str, str], shape: str) -> tuple[list[float], Pose]:
-        """Read the size of a shape, and its pose; two points also give its length and direction."""
+        """Read the size of a shape, and its pose; two points, or a mesh, also give its length and direction.
+
+        Raises MeshError.
+        """
+        if "mesh" in attributes:
+            scale = self._findings.number(element, "fitscale", 1.0, attributes)
+            size, pose = self._meshes.fit(attributes["mesh"], shape, scale)
+            return size, self._read_pose(element, attributes) @ pose
         count = SIZES[shape]
         words = attributes.get("size", "").split()
         spans = self._has_span(element, attributes, shape)
@@ -562,16 +650,17 @@ class _Scene:
             color = self._assets.colors.get(attributes.get("material", ""))
         if color == "" or self._findings.number(element, "group", 0.0, attributes) > LAST_GROUP:
             return None
-        shape, turns = attributes.get("type", "mesh" if "mesh" in attributes else "sphere"), self._choices.quarter_turns
+        shape, turns = attributes.get("type", "sphere"), self._choices.quarter_turns
         if shape == "mesh":
             file, scale = self._assets.find_mesh(attributes.get("mesh", ""), self._findings)
             pose = inner @ part.around @ self._read_pose(element, attributes)
             return make_visual("mesh", scale, pose, turns, color or "", file)
-        if "mesh" in attributes:
-            raise UndrawnError(f"it is a {shape[:40]} fitted to a mesh")
         if shape not in SHAPES:
             raise UndrawnError(f"its type is {abbreviate(shape)}")
-        half, own = self._measure(element, attributes, shape)
+        try:
+            half, own = self._measure(element, attributes, shape)
+        except MeshError as error:
+            raise UndrawnError(error.finding) from None
         return make_visual(*scale_shape(shape, half), inner @ part.around @ own, turns, color or "")
 
     # --- the rest ----------------------------------------------------------------------------------------------------

@@ -72,8 +72,8 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
             "angle assetdir autolimits eulerseq inertiafromgeom inertiagrouprange meshdir settotalmass strippath "
             "exactmeshinertia",
             "balanceinertia boundinertia boundmass",
-            "coordinate",
-            "alignfree conflict discardvisual fitaabb fusestatic passthrough savecanonical savecompiled saveinertial "
+            "coordinate fitaabb",
+            "alignfree conflict discardvisual fusestatic passthrough savecanonical savecompiled saveinertial "
             "texturedir usethread convexhull",
             "lengthrange=unchecked",
         ),
@@ -116,17 +116,18 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
         "inertial": _list(f"diaginertia fullinertia mass pos {_TURNS}"),
         "joint": _list(
             "actuatorfrclimited actuatorfrcrange armature axis class damping frictionloss limited name pos range ref "
-            "springref stiffness type",
-            "springdamper springyield",
+            "springdamper springref stiffness type",
+            "springyield",
             "",
             "actuatorgravcomp group margin solimpfriction solimplimit solreffriction solreflimit user",
         ),
         "freejoint": _list("name", idle="align group"),
         "geom": _list(
-            f"class conaffinity contype density fromto group mass mesh pos rgba size type {_TURNS}",
+            "class conaffinity contype density fitscale fromto group mass mesh pos rgba shellinertia size type "
+            f"{_TURNS}",
             "",
-            "shellinertia",
-            "adhesion castshadow condim fitscale fluidcoef fluidshape friction gap hfield margin material name "
+            "",
+            "adhesion castshadow condim fluidcoef fluidshape friction gap hfield margin material name "
             "priority solimp solmix solref surfacevel user",
             "plugin=unchecked",
         ),

@@ -45,6 +45,15 @@ def write_stl(corners: Array, faces: NDArray[np.int64]) -> bytes:
     return bytes(80) + struct.pack("<I", len(faces)) + rows
 
 
+def write_msh(corners: Array, faces: NDArray[np.int64], *, more: bool = False) -> bytes:
+    """Write corners and triangles; `more`: normals and texture coordinates, of no meaning here, between them."""
+    n = len(corners)
+    extra = struct.pack(f"<{5 * n}f", *range(5 * n)) if more else b""
+    counts = struct.pack("<4i", n, n * more, n * more, len(faces))
+    places = struct.pack(f"<{3 * n}f", *corners.ravel())
+    return counts + places + extra + struct.pack(f"<{faces.size}i", *faces.ravel())
+
+
 def write_obj(corners: Array, faces: NDArray[np.int64]) -> str:
     return (
         "mtllib secret.mtl\n"
@@ -87,7 +96,7 @@ def test_meshes_of_the_file(rule: Rule, more: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("name", ["m.stl", "m.obj", "M.STL"])
+@pytest.mark.parametrize("name", ["m.stl", "m.obj", "M.STL", "m.msh"])
 def test_meshes_of_other_files(rule: Rule, name: str, tmp_path: Path) -> None:
     """Below the folder of meshes; their materials are not opened."""
     corners, faces = make_angle()
@@ -95,9 +104,51 @@ def test_meshes_of_other_files(rule: Rule, name: str, tmp_path: Path) -> None:
     folder.mkdir()
     if name.lower().endswith("stl"):
         (folder / name).write_bytes(write_stl(corners, faces))
+    elif name.endswith("msh"):
+        (folder / name).write_bytes(write_msh(corners, faces, more=rule == "exact"))
     else:
         (folder / name).write_text(write_obj(corners, faces))
     assert_mujoco_agrees(write(tmp_path, f'file="{name}" inertia="{rule}"', 'density="300"', 'meshdir="parts"'))
+
+
+FITTED = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("shape", FITTED)
+@pytest.mark.parametrize("more", ["", 'shellinertia="true" fitscale="1.3" size="7"'])
+def test_shapes_fitted_to_a_mesh(rule: Rule, shape: str, more: str, tmp_path: Path) -> None:
+    corners, faces = make_angle()
+    path = write(tmp_path, f'vertex="{show(corners)}" face="{show(faces)}" inertia="{rule}"', more)
+    path.write_text(path.read_text().replace('type="mesh"', f'type="{shape}"'))
+    assert_mujoco_agrees(path)
+    (drawn,) = import_model(path).model.bodies[0].visuals
+    assert drawn.shape == shape
+
+
+def test_a_mesh_without_a_type_is_a_sphere_fitted_to_it(tmp_path: Path) -> None:
+    """As MuJoCo reads it: the usual type of a geom, or its class's, stays."""
+    corners, faces = make_angle()
+    path = write(tmp_path, f'vertex="{show(corners)}" face="{show(faces)}"')
+    path.write_text(path.read_text().replace('type="mesh"', ""))
+    assert_mujoco_agrees(path)
+
+
+def test_what_is_not_fitted(tmp_path: Path) -> None:
+    """A cube has no longest axis, along which a cylinder could lie; the box of a mesh is not computed."""
+    cube = " ".join(f"{x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    path = write(tmp_path, f'vertex="{cube}"')
+    text = path.read_text()
+    for shape in FITTED:
+        path.write_text(text.replace('type="mesh"', f'type="{shape}"'))
+        if shape in ("capsule", "cylinder"):
+            assert "has no longest axis" in refuse(path)
+        else:
+            assert_mujoco_agrees(path)
+    path.write_text(text.replace("<compiler ", '<compiler fitaabb="true" ').replace('type="mesh"', 'type="box"'))
+    assert "(fitaabb) is not computed here" in refuse(path)
+    path.write_text(text.replace('type="mesh"', 'type="mesh" shellinertia="true"'))
+    assert "shellinertia of a mesh" in refuse(path)
 
 
 def test_points_have_the_solid_of_their_hull(tmp_path: Path) -> None:
@@ -137,7 +188,9 @@ def test_a_prism_has_its_volume_and_moments() -> None:
         ('vertex="0 0 0 1 0 0 0 1 0 0 0 1" maxhullvert="4"', "a hull of fewer corners"),
         ('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="0 1 1"', "scale or refquat of the mesh is 0"),
         ('builtin="sphere" params="1"', "a mesh that MuJoCo makes"),
-        ('file="m.msh"', "a mesh in .msh is not computed here"),
+        ('file="m.ply"', "a mesh in .ply is not computed here"),
+        ('file="bad.msh"', "bad.msh cannot be read as a mesh: its counts are of another size"),
+        ('file="bad.stl" content_type="model/vnd.mujoco.msh"', "bad.stl cannot be read as a mesh: its counts"),
         ('file="none.stl"', "the mesh none.stl: there is no such file"),
         ('file="bad.stl"', "bad.stl cannot be read as a mesh"),
         ('file="../m.stl"', "is not in the folder of the model"),
@@ -145,6 +198,7 @@ def test_a_prism_has_its_volume_and_moments() -> None:
 )
 def test_meshes_without_a_solid_are_refused(mesh: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.stl").write_bytes(b"solid \xff\xff nothing")
+    (tmp_path / "bad.msh").write_bytes(write_msh(*make_angle())[:-1])
     assert text in refuse(write(tmp_path, mesh))
 
 

@@ -14,6 +14,7 @@ from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
 from mbsgen.importing.poses import place
+from mbsgen.model.following import list_joints
 from mbsgen.model.model import Body, Fixed, Friction, Joint, Law
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -214,7 +215,7 @@ def test_contacts_that_a_model_leaves_out_are_a_warning(tmp_path: Path) -> None:
 def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     inner = world(
         f'<body name="a" gravcomp="1"><joint name="one"/>{INERTIAL}'
-        f'<body name="b" pos="1 0 0"><joint type="ball" damping="0.2"/>{INERTIAL}</body></body>'
+        f'<body name="b" pos="1 0 0"><joint type="ball" stiffness="0.2"/>{INERTIAL}</body></body>'
     )
     acting = (
         '<tendon><fixed name="t"><joint joint="one" coef="1"/></fixed></tendon>'
@@ -228,7 +229,7 @@ def test_what_alters_the_motion_is_told_one_by_one(tmp_path: Path) -> None:
     found = "\n".join(warnings(imported))
     for text in (
         "body[a]: warning: gravcomp",
-        "joint: warning: damping of a ball is left out",
+        "joint: warning: stiffness of a ball is left out",
         "tendon/fixed[t]: warning: fixed (tendon)",
         'position[p]: warning: position of joint "one": gains and dynamics are left out',
         "motor[m]: warning: motor: only actuators of joints become inputs",
@@ -488,12 +489,71 @@ def test_an_inertial_within_a_frame_is_placed_by_it(tmp_path: Path) -> None:
 def test_forces_of_balls_and_yielding_springs_are_warned_of(tmp_path: Path) -> None:
     ball = pendulum('<joint name="j" type="ball" springdamper="0.1 1" range="0 60"/>')
     found = "\n".join(warnings(import_model(write(tmp_path, ball + '<actuator><motor joint="j"/></actuator>'))))
-    for text in ("springdamper of a ball is left out", "range of a ball is left out", "the actuator of a ball"):
+    for text in ("stiffness of a ball is left out", "range of a ball is left out", "the actuator of a ball"):
         assert text in found
+    path = write(tmp_path, pendulum('<joint type="ball" stiffness="0 0 2"/>'))
+    assert "stiffness of a ball is left out" in "".join(warnings(import_model(path)))
     path = write(tmp_path, pendulum('<joint stiffness="3" springyield="0.1"/>'))
     assert "springyield: the spring is elastic beyond it" in "".join(warnings(import_model(path)))
     path = write(tmp_path, pendulum('<joint type="free" name="j"/>') + '<actuator><motor joint="j"/></actuator>')
     assert "the actuator of a free joint is left out" in "".join(warnings(import_model(path)))
+
+
+TIMED = """<body name="a" pos="0 0 1" euler="10 20 30"><joint name="one" axis="0 1 1" pos="0.1 0.2 0.3" ref="10"
+  springdamper="0.1 1" springref="20" armature="0.1" stiffness="3 4 5" damping="1 2 3"/>
+  <joint name="two" axis="1 1 1" pos="0.3 0 0.1" ref="40" springdamper="0.1 0.5"/>{}
+  <frame pos="0.3 0 0.1" euler="50 0 0"><body name="b" pos="1 0 0" euler="0 30 20">
+    <joint name="slide" type="slide" axis="0 1 2" ref="0.2" springdamper="0.2 0.5"/>{}
+    <body name="c" pos="0.5 0 0"><joint name="ball" type="ball" pos="0.1 0 0" springdamper="0.3 2" armature="0.2"/>{}
+  </body></body></frame></body>
+  <body name="chair" pos="0 1 0"><joint type="free" springdamper="0.5 0.7"/>{}</body>""".format(*[INERTIAL] * 4)
+
+
+@pytest.mark.parametrize("settings", ["", '<compiler settotalmass="30"/>', '<option><flag spring="disable"/></option>'])
+def test_springs_by_times_are_those_that_mujoco_compiles(settings: str, tmp_path: Path) -> None:
+    """By the inertia in the pose of the file, with rotors; the terms of higher order stay, and so do dampers of motors.
+
+    Of a ball and of a free body the damping alone is read, the mean over its freedoms.
+    """
+    import mujoco
+
+    drive = '<actuator><motor joint="one" armature="2" gear="3" damping="7"/></actuator>'
+    path = write(tmp_path, settings + world(TIMED) + drive)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    imported = import_model(path, Choices(locked=(("slide", 0.1),)))
+    assert {x.text.split(" of ")[0] for x in imported.notices if x.alters and "no single coordinate" in x.text} == (
+        {"armature"} if "spring" in settings else {"stiffness", "armature"}
+    )
+    laws = {step.name: step.joint.law for step in list_joints(imported.model)}
+    assert "slide" not in laws
+    for name in ("one", "two"):
+        joint, law = model.joint(name), laws[name]
+        damping = joint.damping[0] + (9 * 7 if name == "one" else 0)
+        assert value_of(law.damping) == pytest.approx(damping, rel=1e-12)
+        if "spring" in settings:
+            assert value_of(law.stiffness) == 0
+        else:
+            assert value_of(law.stiffness) == pytest.approx(joint.stiffness[0], rel=1e-12)
+    assert evaluate_expression(laws["one"].force, {"q": 1.0, "qd": 0.0}, FLOATS) != 0 or "spring" in settings
+    for name, at in (("c", "ball"), ("chair", model.njnt - 1)):
+        for turn in body(imported, name).joints:
+            assert value_of(turn.law.damping) == pytest.approx(model.joint(at).damping[0], rel=1e-12)
+
+
+def test_a_spring_by_time_needs_an_inertia(tmp_path: Path) -> None:
+    tip = '<body name="tip"><joint name="loose"/></body>'
+    bare = world(f'<body name="rod"><joint name="j" springdamper="0.1 1"/>{INERTIAL}{tip}</body>')
+    imported = import_model(write(tmp_path, bare), Choices(locked=(("loose", 0.0),)))
+    assert "springdamper is left out" in "".join(warnings(imported))
+
+
+def test_the_range_of_a_ball_begins_at_0(tmp_path: Path) -> None:
+    import mujoco
+
+    path = write(tmp_path, pendulum('<joint type="ball" range="-10 60"/>'))
+    with pytest.raises(ValueError, match="ball joint"):
+        mujoco.MjModel.from_xml_path(str(path))
+    assert "the range of a ball begins at -10" in faults_of(path)
 
 
 def test_a_shorter_row_keeps_the_end_of_the_inherited_one(tmp_path: Path) -> None:

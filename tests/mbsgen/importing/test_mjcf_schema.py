@@ -179,7 +179,8 @@ VALUES: dict[str, dict[str, str | tuple[str, ...]]] = {
 ELSEWHERE = {  # treated as listed by other tests
     ("default", "class"), ("mesh", "face"), ("mesh", "vertex"), ("mesh", "name"), ("body", "sleep"),
     ("freejoint", "name"), ("geom", "mesh"), ("site", "name"), ("site", "class"), ("motor", "name"),
-    ("general", "name"), ("motor", "group"), ("general", "group"), ("mesh", "content_type"),
+    ("general", "name"), ("motor", "group"), ("general", "group"), ("mesh", "content_type"), ("geom", "fitscale"),
+    ("compiler", "fitaabb"),
 }  # fmt: skip
 WORDS = {  # of idle attributes whose values are no numbers
     "conflict": "merge", "passthrough": "textures", "align": "true", "simple": "false", "fuse": "false",

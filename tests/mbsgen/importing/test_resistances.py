@@ -1,4 +1,4 @@
-"""Damping of joints with several freedoms, in URDF and SDF: the forces that it adds to the equations of motion.
+"""Damping of joints with several freedoms, in URDF, SDF and MJCF: the forces that it adds to the equations of motion.
 
 A damped ball resists by a moment -d omega, and a slide by a force -d v: by virtual power, T^T d T qd resists the
 coordinates, where T qd are the velocities in the moving frame. The matrices are from `tests.import_peers`, and are not
@@ -117,3 +117,30 @@ def test_losses_of_zero_are_no_part_of_the_equations(tmp_path: Path) -> None:
     inner = link("a") + link("b") + link("c") + joint("j", "continuous", "a", "b", zero)
     inner += joint("k", "fixed", "b", "c", '<dynamics damping="3"/>')
     assert not any("part of the equations" in n.text for n in import_model(write(tmp_path, inner)).notices)
+
+
+@pytest.mark.parametrize("kind", ["ball", "free"])
+def test_balls_and_free_bodies_of_mjcf_are_damped(kind: str, tmp_path: Path) -> None:
+    """As MuJoCo's passive forces; a joint in the base of a tree, or on a body that moves."""
+    inertial = '<inertial pos="0.1 0 0.2" mass="1.5" diaginertia="0.02 0.03 0.025"/>'
+    own = f'<joint type="{kind}" damping="{DAMPING}"/>{inertial}'
+    inner = f'<body name="b" pos="0 0.3 0" euler="10 20 30">{own}</body>'
+    before = 0 if kind == "free" else 1
+    if before:
+        inner = f'<body name="a"><joint name="k"/>{inertial}{inner}</body>'
+    path = tmp_path / "machine.xml"
+    path.write_text(f"<mujoco><worldbody>{inner}</worldbody></mujoco>")
+    imported = import_model(path)
+    assert not [notice for notice in imported.notices if notice.alters]
+    for q, qd, qdd in STATES[..., : 6 if kind == "free" else 3]:
+        at = [np.concatenate([np.full(before, 0.3), values]) for values in (q, qd, qdd)]
+        expected = [*[0.0] * before, *expect("floating" if kind == "free" else kind, q, qd)]
+        np.testing.assert_allclose(find_resistance(imported.model, *at), expected, atol=1e-12)
+    path.write_text(path.read_text().replace(f'damping="{DAMPING}"', 'damping="4 0 1"'))
+    assert any("second and third order" in x.text for x in import_model(path).notices if x.alters)
+    path.write_text(path.read_text().replace("<world", '<option><flag damper="disable"/></option><world', 1))
+    imported = import_model(path)
+    assert not [notice for notice in imported.notices if notice.alters]
+    assert not find_resistance(imported.model, *at).any()
+    quaternion = import_model(path.with_name("machine.xml"), Choices(quaternions=True))
+    assert not [notice for notice in quaternion.notices if notice.alters]
