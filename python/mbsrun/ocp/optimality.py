@@ -204,10 +204,11 @@ def _improve(point: Point) -> Iterator[float]:
 
 def _solve(point: Point) -> float | None:
     """Return chi by linear programming; None where that does not end in time."""
+    size = float(np.abs(point.c).max(initial=0.0)) or 1.0  # HiGHS takes small costs for none
     found = milp(
-        point.c,
+        point.c / size,
         bounds=Bounds(-point.below, point.above),
         constraints=LinearConstraint(point.J, -point.row_below, point.row_above),
         options={"time_limit": SECONDS},
     )
-    return max(0.0, -float(found.fun)) if found.status == 0 else None
+    return max(0.0, -size * float(found.fun)) if found.status == 0 else None
