@@ -29,7 +29,9 @@ from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import ACCEPTABLE, SOLVED
 
 METHODS = ("mbs", "ipopt")
-NEAR = (("mu_init", 1e-7), ("bound_push", 1e-9), ("bound_frac", 1e-9))  # IPOPT at an answer
+Options = tuple[tuple[str, float], ...]
+NEAR: Options = (("mu_init", 1e-7), ("bound_push", 1e-9), ("bound_frac", 1e-9))  # IPOPT at an answer
+STRICT: Options = (*NEAR, ("bound_relax_factor", 0.0))
 SAME = 1e-6  # relative difference of costs within which two answers are one
 ROUNDING = 1e-9  # a cost below which differences are absolute
 
@@ -46,6 +48,7 @@ class Solve:
     seconds: float
     cost: float
     nearby: float | None = None  # the cost that IPOPT finds from there, where it was asked
+    strict: float | None = None  # the same with bounds that do not give
 
     @property
     def is_solved(self) -> bool:
@@ -55,7 +58,13 @@ class Solve:
     @property
     def is_wrong(self) -> bool:
         """Return whether a lower cost is near."""
-        return self.nearby is not None and differ(self.cost, self.nearby) and self.nearby < self.cost
+        is_lower = self.nearby is not None and differ(self.cost, self.nearby) and self.nearby < self.cost
+        return is_lower and not self.is_loose
+
+    @property
+    def is_loose(self) -> bool:
+        """Return whether the cost is not determined to these digits: bounds that give by 1e-8 change it by more."""
+        return self.nearby is not None and self.strict is not None and differ(self.nearby, self.strict)
 
 
 def differ(a: float, b: float) -> bool:
@@ -63,7 +72,7 @@ def differ(a: float, b: float) -> bool:
     return abs(a - b) > max(SAME * max(abs(a), abs(b)), ROUNDING)
 
 
-def choose(problem: Problem, method: str, options: tuple[tuple[str, float], ...] = ()) -> Problem:
+def choose(problem: Problem, method: str, options: Options = ()) -> Problem:
     """Return a problem for a method."""
     return replace(problem, solver=replace(problem.solver, method=method, options=options))
 
@@ -78,7 +87,8 @@ def solve_both(number: int, folder: Path) -> tuple[Solve, Solve]:
         for method, o in zip(METHODS, outcomes, strict=True)
     )
     if isinstance(outcomes[0], Solution) and (not theirs.is_solved or differ(ours.cost, theirs.cost)):
-        ours = replace(ours, nearby=_look_nearby(problem, plant, outcomes[0]))
+        nearby, strict = (_look_nearby(problem, plant, outcomes[0], options) for options in (NEAR, STRICT))
+        ours = replace(ours, nearby=nearby, strict=strict)
     return ours, theirs
 
 
@@ -86,9 +96,9 @@ def _read_cost(outcome: Solution | Failure) -> float:
     return outcome.cost.total if isinstance(outcome, Solution) else math.nan
 
 
-def _look_nearby(problem: Problem, plant: Plant, found: Solution) -> float | None:
+def _look_nearby(problem: Problem, plant: Plant, found: Solution, options: Options) -> float | None:
     """Return the cost that IPOPT finds from an answer; None where it finds none."""
-    outcome = solve(choose(problem, "ipopt", NEAR), plant, guess=found.trajectory)
+    outcome = solve(choose(problem, "ipopt", options), plant, guess=found.trajectory)
     return outcome.cost.total if isinstance(outcome, Solution) else None
 
 
@@ -102,6 +112,7 @@ class Summary:
     problems: int
     solved: tuple[int, int]
     wrong: int
+    loose: int  # where the cost is not determined to these digits
     others: int  # where both found an answer, and not the same one
     iterations: tuple[int, int]  # where both found the same
     ratio: float  # geometric mean there
@@ -110,7 +121,15 @@ class Summary:
     def cells(self) -> tuple[str, ...]:
         """Return the cells of a line."""
         solved, iterations = (f"{ours}, {theirs}" for ours, theirs in (self.solved, self.iterations))
-        return str(self.problems), solved, str(self.wrong), str(self.others), iterations, f"{self.ratio:.2f}"
+        return (
+            str(self.problems),
+            solved,
+            str(self.wrong),
+            str(self.loose),
+            str(self.others),
+            iterations,
+            f"{self.ratio:.2f}",
+        )
 
 
 def summarise(pairs: Sequence[tuple[Solve, Solve]]) -> Summary:
@@ -122,6 +141,7 @@ def summarise(pairs: Sequence[tuple[Solve, Solve]]) -> Summary:
         problems=len(pairs),
         solved=(sum(a.is_solved for a, _ in pairs), sum(b.is_solved for _, b in pairs)),
         wrong=sum(a.is_wrong for a, _ in pairs),
+        loose=sum(a.is_loose for a, _ in pairs),
         others=len(both) - len(same),
         iterations=(sum(a.iterations for a, _ in same), sum(b.iterations for _, b in same)),
         ratio=math.exp(float(np.mean(ratios))) if ratios else math.nan,
@@ -146,20 +166,22 @@ def write_page(solves: Sequence[Solve]) -> str:
         "`python -m benchmarks.ocp.ends` wrote this page. Random problems end on their limits, have rows twice,",
         "fixed variables, equations that follow from others, or no interior (`mbsrun.lab.ends`). Of two numbers in a",
         "cell, the first one is of `mbs`, the second one of IPOPT. An answer is wrong where IPOPT finds a lower cost",
-        f"from it, by {SAME:g} of it. Iterations and their mean ratio are of problems to which both found the same",
-        "answer.",
+        f"from it, by {SAME:g} of it. Where IPOPT's own two costs there, with bounds that give by 1e-8 and bounds",
+        "that do not, differ by more than that, the cost is undetermined. Iterations and their mean ratio are of",
+        "problems to which both found the same answer.",
         "",
-        "| kind | problems | solved | wrong | other minima | iterations | mean ratio |",
-        "|---|---|---|---|---|---|---|",
+        "| kind | problems | solved | wrong | undetermined | other minima | iterations | mean ratio |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for kind in KINDS:
         if own := [(a, b) for a, b in pairs if a.kind == kind]:
             lines.append(f"| {kind} | {' | '.join(summarise(own).cells)} |")
     lines.append(f"| **all** | {' | '.join(summarise(pairs).cells)} |")
-    if listed := [(a, b) for a, b in pairs if a.is_wrong or not (a.is_solved and b.is_solved)]:
+    if listed := [(a, b) for a, b in pairs if a.is_wrong or a.is_loose or not (a.is_solved and b.is_solved)]:
         lines += ["", "| number | kind | `mbs` | cost | IPOPT | cost |", "|---|---|---|---|---|---|"]
         lines += [
-            f"| {a.number} | {a.kind} | {'wrong, ' * a.is_wrong}{a.status}, {a.iterations} | {a.cost:.9g} "
+            f"| {a.number} | {a.kind} | {'wrong, ' * a.is_wrong}{'undetermined, ' * a.is_loose}"
+            f"{a.status}, {a.iterations} | {a.cost:.9g} "
             f"| {b.status}, {b.iterations} | {b.cost:.9g} |"
             for a, b in listed
         ]

@@ -19,9 +19,9 @@ from mbsrun.ocp.statement import read_problem
 from tests.csrc.stages import Library, compile_solver
 
 
-def made(number: int, method: str, cost: float, nearby: float | None = None) -> Solve:
+def made(number: int, method: str, cost: float, nearby: float | None = None, strict: float | None = None) -> Solve:
     status = "Restoration_Failed" if math.isnan(cost) else "Solve_Succeeded"
-    return Solve(number, "stop", method, status, 10, 0.1, cost, nearby)
+    return Solve(number, "stop", method, status, 10, 0.1, cost, nearby, nearby if strict is None else strict)
 
 
 def read(number: int, folder: Path) -> Problem:
@@ -56,12 +56,15 @@ def test_an_answer_is_wrong_where_a_lower_cost_is_near() -> None:
         (made(1, "mbs", 1.001, 1.0), made(1, "ipopt", 1.0)),
         (made(2, "mbs", 1.001, 1.001), made(2, "ipopt", 1.0)),
         (made(3, "mbs", math.nan), made(3, "ipopt", 1.0)),
+        (made(4, "mbs", 1.001, 1.0, strict=1.0005), made(4, "ipopt", 1.0)),
     ]
     summary = ends.summarise(pairs)
-    assert (summary.solved, summary.wrong, summary.others, summary.iterations) == ((3, 4), 1, 2, (10, 10))
+    assert (summary.solved, summary.others, summary.iterations) == ((4, 5), 3, (10, 10))
+    assert (summary.wrong, summary.loose) == (1, 1)
     page = ends.write_page([solve for both in pairs for solve in both])
     assert "| 1 | stop | wrong, Solve_Succeeded, 10 | 1.001 |" in page
     assert "| 3 | stop | Restoration_Failed, 10 | nan |" in page
+    assert "| 4 | stop | undetermined, Solve_Succeeded, 10 | 1.001 |" in page
 
 
 def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

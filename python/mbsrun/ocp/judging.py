@@ -22,7 +22,7 @@ from mbsrun.ocp.optimality import Judgement, judge, linearise
 from mbsrun.ocp.problem import SolverOptions
 from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.solution import Run
-from mbsrun.ocp.status import ACCEPTABLE, ELSEWHERE, JUMPED, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, explain
+from mbsrun.ocp.status import ACCEPTABLE, ELSEWHERE, JUMPED, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, STALLED, explain
 
 OWN, OTHER = "mbs", "ipopt"
 FINAL = (  # ends of a search after which no other method is asked: it had an answer, or the time was over
@@ -46,6 +46,19 @@ class Outcome:
     clash: tuple[int, ...]  # rows that stay violated
     multipliers: Array | None  # of the rows, where the method returns them
     start: Start  # the numbers of the program
+
+
+def appeal(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float) -> Outcome:
+    """Return an outcome without more digits as acceptable where the judge finds it optimal.
+
+    Where constraints leave hardly any room, multipliers grow without end, and no method meets conditions on them.
+    """
+    if outcome.run.status != STALLED or not np.isfinite(outcome.x).all():
+        return outcome
+    found = _judge(program, outcome, solver.tolerance, weight)
+    if found is None or not (found.is_feasible and found.is_optimal):
+        return outcome
+    return replace(outcome, run=replace(outcome.run, status=ACCEPTABLE))
 
 
 def examine(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float) -> tuple[Run, str]:

@@ -25,7 +25,7 @@ from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.guess import Pose, adapt, make_guess
-from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
+from mbsrun.ocp.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Iterate, Order, Start
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem, SolverOptions
@@ -128,7 +128,9 @@ class Solver:
             self.transcription.pack(complete(usual, problem, self.plant)),
             self.transcription.variable_bounds(freed),
         )
+        weight = max(map(abs, problem.cost.weights))
         outcome = search(x, lambda x: self._call(freed, x, watch, scales))
+        outcome = appeal(self.program, outcome, problem.solver, weight)
         run, found, clash = outcome.run, outcome.x, outcome.clash
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             finding, remedy = explain(run.status, run.iterations, has_model=bool(self.plant.manifest.coordinates))
@@ -142,7 +144,7 @@ class Solver:
             return Failure(problem, run, finding, remedy)
         try:
             solution = self._solution(problem, run, found)
-            run, cause = examine(self.program, outcome, problem.solver, max(map(abs, problem.cost.weights)))
+            run, cause = examine(self.program, outcome, problem.solver, weight)
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 SOLVED = "Solve_Succeeded"
 ACCEPTABLE = "Solved_To_Acceptable_Level"
+STALLED = "Search_Direction_Becomes_Too_Small"  # no more progress in double precision
 UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
@@ -43,7 +44,7 @@ _REASONS: Mapping[str, tuple[str, str]] = MappingProxyType(
             "drop a constraint, or take more intervals",
         ),
         "NonIpopt_Exception_Thrown": ("the search was interrupted", "let it run to its end"),
-        "Search_Direction_Becomes_Too_Small": (
+        STALLED: (
             "the search makes no more progress in double precision after {iterations} iterations",
             "try another guess, or a larger solver.tolerance",
         ),

@@ -26,7 +26,7 @@ from mbsrun.ocp.program import Matrix
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import NOT_FEASIBLE, NOT_OPTIMAL, SOLVED
+from mbsrun.ocp.status import ACCEPTABLE, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, STALLED
 from mbsrun.ocp.summary import summarise
 from mbsrun.tracking.solving import SolvingController
 from tests.mbsrun.ocp.plants import push
@@ -262,8 +262,10 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: str, method: str = "mbs") -> 
         def solve_wrongly(start: Start) -> Answer:
             calls.append(change)
             if change == "gives up":
-                return Answer(start.x, "Search_Direction_Becomes_Too_Small", 7)
+                return Answer(start.x, STALLED, 7)
             answer = right(start)
+            if change == "stalls":
+                return replace(answer, status=STALLED)
             return replace(answer, x=move(answer.x, start, order, change), status=SOLVED, iterations=5)
 
         return solve_wrongly
@@ -302,6 +304,18 @@ def solve_failing(problem: Problem, plant: OnDemand, monkeypatch: pytest.MonkeyP
         outcome = solve(problem, plant)
     assert isinstance(outcome, Failure)
     return outcome
+
+
+def test_an_optimum_without_more_digits_is_acceptable(mass: OnDemand, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search stalls at the optimum, and the judge says so; where it stalls elsewhere, there is no solution."""
+    alone = replace(push(8), solver=SolverOptions(fallback=False))
+    with monkeypatch.context() as patch:
+        spoil(patch, "stalls")
+        outcome = solve(alone, mass)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.status == ACCEPTABLE
+    assert outcome.cost.total == pytest.approx(LEAST, rel=1e-7)
+    assert solve_failing(alone, mass, monkeypatch, "gives up").run.status == STALLED
 
 
 @pytest.mark.parametrize("change", ["gives up", "not optimal", "not feasible"])

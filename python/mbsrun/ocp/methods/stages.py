@@ -20,7 +20,7 @@ from mbsrun.ocp.program import Program
 from mbsrun.ocp.stages import binding
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.tables import StageProgram
-from mbsrun.ocp.status import ACCEPTABLE, INVALID, SOLVED, NoNumbersError
+from mbsrun.ocp.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNumbersError
 
 STAGES_OPTIONS: Mapping[str, Option] = {
     "acceptable_iterations": COUNT,
@@ -43,7 +43,7 @@ STATUSES = {
     "MBS_STAGES_INFEASIBLE": INFEASIBLE,
     "MBS_STAGES_ITERATION_LIMIT": "Maximum_Iterations_Exceeded",
     "MBS_STAGES_TIME_LIMIT": "Maximum_WallTime_Exceeded",
-    "MBS_STAGES_OUT_OF_DIGITS": "Search_Direction_Becomes_Too_Small",
+    "MBS_STAGES_OUT_OF_DIGITS": STALLED,
     "MBS_STAGES_UNBOUNDED": "Diverging_Iterates",
     "MBS_STAGES_CALLBACK_FAILED": INVALID,
 }

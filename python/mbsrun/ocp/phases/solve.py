@@ -20,7 +20,7 @@ from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.judging import OTHER, Outcome, examine, tell_both, wants_other
+from mbsrun.ocp.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
 from mbsrun.ocp.methods import METHODS, Order, Start
 from mbsrun.ocp.phases.checks import check_phases, name_phase
 from mbsrun.ocp.phases.guess import Unreached, adapt_guess, carry_states, guess_phases, solve_links
@@ -167,6 +167,7 @@ class PhasedSolver:
             return PhasedFailure(problem, Run(BAD_GUESS, 0, 0.0, 0.0), finding, "take another guess")
         scales = own.find_scales(own.pack(problem, self._complete(usual)), own.variable_bounds(problem))
         outcome = search(x, lambda x: self._call(self._find_method(), x, watch, scales))
+        outcome = appeal(self.program, outcome, problem.solver, problem.weight)
         run, found = outcome.run, outcome.x
         if run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(found).all():
             has_model = any(plant.manifest.coordinates for plant in self.plants.phases)
