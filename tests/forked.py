@@ -58,7 +58,8 @@ def main(number: int) -> None:
     """Answer requests at the socket of this number, each in a copy of this process."""
     for module in (*COMMANDS.values(), *ALSO):
         importlib.import_module(module)
-    list(importlib.import_module(COMMANDS["mbsrun"]).cli.commands.values())  # loads them
+    for module in COMMANDS.values():
+        list(importlib.import_module(module).cli.commands.values())  # loads them
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the answering copies leave no zombies
     with socket.socket(fileno=number) as listener:
         while True:

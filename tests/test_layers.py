@@ -76,6 +76,7 @@ MBSGEN = Package(
         "report drawing appearance output scaling oracle interpreted closed_comparison formulas",
         "comparison",
         "pipeline",
+        "commands",
         "cli",
         "__main__",
     ),

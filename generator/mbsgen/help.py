@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
 from importlib import import_module
+from keyword import iskeyword
 from typing import Any
 
 import click
@@ -29,19 +31,32 @@ class ModelCommand(click.Command):
         _write_sections(formatter, rows)
 
 
-class CommandsOnDemand(MutableMapping[str, click.Command]):
-    """Commands of a package, loaded when they are used: `fit-motion` is its `fit_motion.fit_motion_command`."""
+@dataclass(frozen=True)
+class Entry:
+    """A command in the list of `--help`, which loads none of them."""
 
-    def __init__(self, package: str, names: Iterable[str]) -> None:
+    name: str
+    argument: str  # the first one, as `--help` writes it
+    summary: str
+
+
+class CommandsOnDemand(MutableMapping[str, click.Command]):
+    """Commands of a package, loaded when they are used: `fit-motion` is its `fit_motion.fit_motion_command`.
+
+    A module whose name is a word of Python ends in _: `import_.import_command`.
+    """
+
+    def __init__(self, package: str, entries: Iterable[Entry]) -> None:
         self._package = package
-        self._commands: dict[str, click.Command | None] = dict.fromkeys(names)
+        self._commands: dict[str, click.Command | None] = dict.fromkeys(entry.name for entry in entries)
 
     def __getitem__(self, name: str) -> click.Command:
         """Return a command."""
         command = self._commands[name]
         if command is None:
-            module = name.replace("-", "_")
-            command = getattr(import_module(f"{self._package}.{module}"), f"{module}_command")
+            word = name.replace("-", "_")
+            module = import_module(f"{self._package}.{word}{'_' if iskeyword(word) else ''}")
+            command = getattr(module, f"{word}_command")
             assert isinstance(command, click.Command), "the module has the command of its name"
             self._commands[name] = command
         return command
@@ -68,7 +83,7 @@ class CommandsBySubject(click.Group):
 
     command_class = ModelCommand
 
-    def __init__(self, *arguments: Any, subjects: Mapping[str, Sequence[str]] | None = None, **own: Any):
+    def __init__(self, *arguments: Any, subjects: Mapping[str, Sequence[Entry]] | None = None, **own: Any):
         super().__init__(*arguments, **own)
         self._subjects = subjects
 
@@ -78,18 +93,19 @@ class CommandsBySubject(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under the titles of their subjects."""
-        subjects = self._subjects or {COMMANDS: tuple(self.commands)}
-        _write_sections(
-            formatter,
-            {title: [_describe(self.commands[name], ctx) for name in names] for title, names in subjects.items()},
-        )
+        subjects = self._subjects or {COMMANDS: [describe(command, ctx) for command in self.commands.values()]}
+        rows = {
+            title: [(f"{entry.name} {entry.argument}".strip(), entry.summary) for entry in entries]
+            for title, entries in subjects.items()
+        }
+        _write_sections(formatter, rows)
 
 
-def _describe(command: click.Command, ctx: click.Context) -> tuple[str, str]:
-    """Return a command with its first argument, and its summary."""
+def describe(command: click.Command, ctx: click.Context) -> Entry:
+    """Return the entry of a command that is loaded."""
     own = click.Context(command, info_name=command.name, parent=ctx)
     words = [word for part in command.params if isinstance(part, click.Argument) for word in part.get_usage_pieces(own)]
-    return " ".join([command.name or "", *words[:1]]), command.get_short_help_str(limit=_WHOLE)
+    return Entry(command.name or "", *(words[:1] or [""]), command.get_short_help_str(limit=_WHOLE))
 
 
 def _write_sections(formatter: click.HelpFormatter, sections: Mapping[str, Sequence[tuple[str, str]]]) -> None:

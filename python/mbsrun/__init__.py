@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mbsrun.controllers.loading import Controller, controller
-from mbsrun.external import Mechanism, load
-
 if TYPE_CHECKING:
+    from mbsrun.controllers.loading import Controller, controller
+    from mbsrun.external import Mechanism, load
     from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
 
 __all__ = ["Controller", "Mechanism", "OptimalControl", "ProblemError", "controller", "load", "problem", "read_problem"]
 
+_MODULES = {
+    **dict.fromkeys(("Controller", "controller"), "controllers.loading"),
+    **dict.fromkeys(("Mechanism", "load"), "external"),
+    "ProblemError": "ocp.checks",
+    **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
+}
+
 
 def __getattr__(name: str) -> Any:
-    """Import optimal control at its first use: it takes SciPy, which kernels do without."""
-    if name in ("OptimalControl", "problem", "read_problem"):
-        from mbsrun.optimal import control
+    """Import what is used, at its first use: NumPy for kernels, SciPy and CasADi for optimal control."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    found = globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return found
 
-        return getattr(control, name)
-    if name == "ProblemError":
-        from mbsrun.ocp.checks import ProblemError
 
-        return ProblemError
-    raise AttributeError(f"module {__name__} has no attribute {name}")
+def __dir__() -> list[str]:
+    """List the names that modules give at their first use, too."""
+    return sorted({*globals(), *__all__})

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import version
 
 import click
 
 from mbsgen.errors import MbsError
-from mbsgen.help import CommandsBySubject, CommandsOnDemand
-from mbsrun.commands.console import BAD_INPUT, say
-from mbsrun.environment import describe_installation
+from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
+
+BAD_INPUT = 2  # exit code: an unacceptable file or argument
 
 HELP = """Simulate multibody systems, and solve their optimal control problems.
 
@@ -23,19 +22,45 @@ examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, p
 """
 
 COMMANDS = {
-    "Motions": ("simulate", "inverse", "linearise", "animate"),
-    "Optimal control": ("solve", "sweep"),
-    "Controllers": ("controller", "track"),
-    "Recorded motions": ("fit-motion", "inverse-dynamics"),
-    "Other programs": ("fmu", "playground"),
-    "Speed and accuracy": ("advise", "chart", "lab", "study"),
-    "Files": ("cache",),
+    "Motions": (
+        Entry("simulate", "MODEL", "Integrate a motion; write it with an animation."),
+        Entry("inverse", "MODEL", "Compute the forces that a given motion takes."),
+        Entry("linearise", "MODEL", "Find linear equations, modes and poles about a pose."),
+        Entry("animate", "MODEL", "Write motions as a page, a GIF, a picture or an MP4."),
+    ),
+    "Optimal control": (
+        Entry("solve", "PROBLEM", "Find an optimal motion; write it with an animation."),
+        Entry("sweep", "PROBLEM", "Solve for many targets, in several representations."),
+    ),
+    "Controllers": (
+        Entry("controller", "PROBLEM", "Write the problem as a controller in C."),
+        Entry("track", "PROBLEM", "Control a simulated mechanism; solve at each sample."),
+    ),
+    "Recorded motions": (
+        Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers."),
+        Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
+    ),
+    "Other programs": (
+        Entry("fmu", "MODEL", "Write a functional mock-up unit of FMI 2.0 or 3.0."),
+        Entry("playground", "MODEL", "Write a page that simulates the mechanism by its C."),
+    ),
+    "Speed and accuracy": (
+        Entry("advise", "MODEL", "Find the fastest choices, for errors up to a limit."),
+        Entry("chart", "", "Measure speed against accuracy, and draw it."),
+        Entry("lab", "[CASES]...", "Run the cases in which methods fail, and judge them."),
+        Entry("study", "PROBLEM", "Carry out the study of a paper, and report."),
+    ),
+    "Files": (Entry("cache", "", "List generated and compiled files, or remove them."),),
 }
 
 
 def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     """Print everything that was found: versions, compiler, cache."""
     if asked and not ctx.resilient_parsing:
+        from importlib.metadata import version  # both take a while to load
+
+        from mbsrun.environment import describe_installation
+
         click.echo(f"mbsrun, version {version('mbsgen')}")
         for name, text in describe_installation().items():
             click.echo(f"{name:<12}{text}")
@@ -46,7 +71,7 @@ def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     cls=CommandsBySubject,
     help=HELP,
     subjects=COMMANDS,
-    commands=CommandsOnDemand("mbsrun.commands", (name for names in COMMANDS.values() for name in names)),
+    commands=CommandsOnDemand("mbsrun.commands", (entry for entries in COMMANDS.values() for entry in entries)),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.option(
@@ -61,8 +86,8 @@ def main() -> None:
     try:
         cli()
     except MbsError as error:
-        say(str(error))
+        click.echo(str(error), err=True)
         sys.exit(BAD_INPUT)
     except OSError as error:
-        say(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        click.echo(f"{error.filename}: {error.strerror}" if error.filename else str(error), err=True)
         sys.exit(BAD_INPUT)

@@ -6,9 +6,8 @@ import copy
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-import casadi as ca
 from numpy.typing import ArrayLike
 
 from mbsgen.manifest import Kernel, Manifest
@@ -16,6 +15,9 @@ from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_unneed
 from mbsrun.binding import ArgumentError
 from mbsrun.kernel import Array, Kernels
 from mbsrun.models import WHOLE, Extent, derive_equations, find_folder, is_model
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
@@ -71,6 +73,8 @@ class Mechanism(Kernels):
             raise ArgumentError(f"{name} is written for acados, not for CasADi; take {' or '.join(forms)}")
         orders = kernel.order.derivatives
         family = [found.name for order in orders if (found := self.manifest.find(kernel.base, order))]
+        import casadi as ca  # takes long to load, and NumPy's users do without
+
         external = ca.external(kernel.symbol, str(self.compile(*family)))
         names, outputs = [a.name for a in kernel.inputs], [a.name for a in kernel.outputs]
         fixed = {a.name: self._hidden for a in kernel.inputs if a.role is Role.SETUP}
@@ -113,6 +117,8 @@ def _fix(
         given = [*inputs, *unneeded, *map(name_adjoint, outputs)]
         adjoint = function.reverse(1)
         derivatives["adj1"] = _fix(adjoint, given, [*map(name_adjoint, inputs)], fixed, Order.ADJOINT, known)
+    import casadi as ca
+
     symbols = {name: ca.MX.sym(name, function.sparsity_in(name)) for name in inputs}
     results = function(**symbols, **fixed)
     cache = {f"{prefix}_{function.name()}": derivative for prefix, derivative in derivatives.items()}

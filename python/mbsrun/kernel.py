@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse as scipy_sparse
 
 from mbsgen import manifest as manifests
 from mbsgen import resources
@@ -23,6 +22,9 @@ from mbsgen.manifest import FIRST_LENGTH, Kernel, Manifest
 from mbsgen.roles import FAMILY, Order, Role, name_kernel
 from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 __all__ = ["ArgumentError", "Array", "KernelError", "Kernels", "Place", "find_place"]
 
@@ -181,7 +183,7 @@ class Kernels:
         """
         return self(name_kernel(name, Order.ADJOINT_JACOBIAN), sparse=sparse, **inputs)
 
-    def matrix(self, name: str, result: str, nonzeros: Array) -> scipy_sparse.csc_array:
+    def matrix(self, name: str, result: str, nonzeros: Array) -> csc_array:
         """Make a sparse matrix of a result of the kernel `name` with `sparse=True`, for one state."""
         kernel = self._binder.describe(name)
         a = next((a for a in kernel.outputs if a.name == result), None)
@@ -195,7 +197,9 @@ class Kernels:
             )
         row = np.tile(np.arange(a.rows), a.cols) if a.row is None else np.array(a.row, dtype=int)
         colind = np.arange(a.cols + 1) * a.rows if a.colind is None else np.array(a.colind, dtype=int)
-        return scipy_sparse.csc_array((nonzeros, row, colind), shape=(a.rows, a.cols))
+        from scipy.sparse import csc_array  # takes long to load, and few need it
+
+        return csc_array((nonzeros, row, colind), shape=(a.rows, a.cols))
 
     def __getattr__(self, name: str) -> Callable[..., dict[str, Array]]:
         """Return a kernel as a function."""

@@ -379,9 +379,9 @@ def test_help_and_version(arguments: list[str]) -> None:
 def test_help_lists_commands_by_subject_and_options_of_robots_apart(run: Run) -> None:
     """Each summary stands whole on one line of 80 columns; `animate` lists the options of URDF and the like last."""
     lines = run("--help").stdout.splitlines()
-    for name, command in cli.cli.commands.items():
-        line = next(line for line in lines if line.startswith(f"  {name} "))
-        assert line.endswith(command.get_short_help_str(1000))
+    for entry in (entry for entries in cli.COMMANDS.values() for entry in entries):
+        line = next(line for line in lines if line.startswith(f"  {entry.name} "))
+        assert line.endswith(entry.summary)
         assert len(line) <= 80
     assert lines.index("Motions:") < lines.index("Optimal control:") < lines.index("Files:")
     own, _, robots = run("animate", "--help").stdout.partition("Options for robots in URDF, MJCF and SDF:")

@@ -42,9 +42,7 @@ Exit codes
 NOTHING_GOOD = 1  # exit code
 
 
-@click.command(
-    "advise", cls=ModelCommand, help=ADVISE_HELP, short_help="Find the fastest choices, for errors up to a limit."
-)
+@click.command("advise", cls=ModelCommand, help=ADVISE_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
 @click.option("--task", type=click.Choice(["simulate", "optimise", "control"]), default="simulate", help="simulate.")

@@ -69,9 +69,7 @@ class SizeType(click.ParamType[Size]):
         return size
 
 
-@click.command(
-    "animate", cls=ModelCommand, help=ANIMATE_HELP, short_help="Write motions as a page, a GIF, a picture or an MP4."
-)
+@click.command("animate", cls=ModelCommand, help=ANIMATE_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("motions", metavar="MOTION...", nargs=-1, required=True)
 @click.option(

@@ -29,7 +29,7 @@ Removed entries are made again when they are needed; entries that another proces
 """
 
 
-@click.command("cache", help=CACHE_HELP, short_help="List generated and compiled files, or remove them.")
+@click.command("cache", help=CACHE_HELP)
 @click.option("--clear", is_flag=True, help="Remove all of it.")
 @click.option(
     "--older-than",

@@ -96,7 +96,7 @@ The output folder gets
 """
 
 
-@click.group("chart", cls=CommandsBySubject, help=CHART_HELP, short_help="Measure speed against accuracy, and draw it.")
+@click.group("chart", cls=CommandsBySubject, help=CHART_HELP)
 def chart_command() -> None:
     """Measure and draw."""
 

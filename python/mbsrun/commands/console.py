@@ -21,8 +21,6 @@ from mbsgen.style import FORMATS, in_format, picture_format
 from mbsrun.ocp.problem import Problem, find_conflicts
 
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
-BAD_INPUT = 2
-
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
 
 MESSAGES = Console(stderr=True)

@@ -41,7 +41,7 @@ Exit codes
 """
 
 
-@click.command("controller", help=CONTROLLER_HELP, short_help="Write the problem as a controller in C.")
+@click.command("controller", help=CONTROLLER_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @output_folder("controller")
 @click.option(

@@ -63,9 +63,7 @@ Exit codes
 """
 
 
-@click.command(
-    "fit-motion", cls=ModelCommand, help=FIT_HELP, short_help="Fit the motion of joints to recorded markers."
-)
+@click.command("fit-motion", cls=ModelCommand, help=FIT_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")

@@ -37,7 +37,7 @@ Exit codes
 """
 
 
-@click.command("fmu", cls=ModelCommand, help=FMU_HELP, short_help="Write a functional mock-up unit of FMI 2.0 or 3.0.")
+@click.command("fmu", cls=ModelCommand, help=FMU_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "--fmi", type=click.Choice(["2.0", "3.0"]), default="3.0", show_default=True, help="The version of the standard."

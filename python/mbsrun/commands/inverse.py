@@ -37,9 +37,7 @@ Exit codes
 """
 
 
-@click.command(
-    "inverse", cls=ModelCommand, help=INVERSE_HELP, short_help="Compute the forces that a given motion takes."
-)
+@click.command("inverse", cls=ModelCommand, help=INVERSE_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(
     "--motion",

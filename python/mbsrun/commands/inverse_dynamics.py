@@ -68,9 +68,7 @@ Exit codes
 """
 
 
-@click.command(
-    "inverse-dynamics", cls=ModelCommand, help=HELP, short_help="Compute the forces that a recorded motion takes."
-)
+@click.command("inverse-dynamics", cls=ModelCommand, help=HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")

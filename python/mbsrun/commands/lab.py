@@ -41,7 +41,7 @@ Exit codes
 """
 
 
-@click.command("lab", help=LAB_HELP, short_help="Run the cases in which methods fail, and judge them.")
+@click.command("lab", help=LAB_HELP)
 @click.argument("names", metavar="[CASES]...", nargs=-1)
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), default="laboratory")
 @click.option("--list", "listed", is_flag=True, help="Print the cases and their criteria, and run nothing.")

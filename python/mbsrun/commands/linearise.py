@@ -58,7 +58,6 @@ _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less ar
     "linearise",
     cls=ModelCommand,
     help=LINEARISE_HELP,
-    short_help="Find linear equations, modes and poles about a pose.",
 )
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--pose", "poses", multiple=True, metavar="NAME=NUMBER", help="A coordinate [rad, m]: --pose pole=pi")

@@ -43,7 +43,6 @@ Exit codes
     "playground",
     cls=ModelCommand,
     help=PLAYGROUND_HELP,
-    short_help="Write a page that simulates the mechanism by its C.",
 )
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(

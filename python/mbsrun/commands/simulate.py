@@ -111,7 +111,6 @@ def list_keeping() -> str:
     "simulate",
     cls=ModelCommand,
     help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()),
-    short_help="Integrate a motion; write it with an animation.",
 )
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option(

@@ -93,7 +93,7 @@ Exit codes
 """
 
 
-@click.command("solve", help=SOLVE_HELP, short_help="Find an optimal motion; write it with an animation.")
+@click.command("solve", help=SOLVE_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @output_folder("solution")
 @click.option(

@@ -19,7 +19,6 @@ class NotInstalledError(MbsError):
 
 @click.command(
     "study",
-    short_help="Carry out the study of a paper, and report.",
     add_help_option=False,
     context_settings={"ignore_unknown_options": True},
 )

@@ -66,7 +66,7 @@ Exit codes
 """
 
 
-@click.command("sweep", help=SWEEP_HELP, short_help="Solve for many targets, in several representations.")
+@click.command("sweep", help=SWEEP_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @click.option(
     "-o",

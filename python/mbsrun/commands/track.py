@@ -87,7 +87,7 @@ LISTED = 8  # margins and statuses that are printed
 MAX_STEPS = 100  # of Newton's method in a sample
 
 
-@click.command("track", help=TRACK_HELP, short_help="Control a simulated mechanism; solve at each sample.")
+@click.command("track", help=TRACK_HELP)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @output_folder("track")
 @click.option("--settings", type=click.Path(path_type=Path), help="A file with settings; see above.")

@@ -326,6 +326,8 @@ class _Kinematics:
     def search(self, upright: tuple[str, ...]) -> Pose:
         """Descend from the start, then from poses spread over the bounds; return one that is reached, or the best."""
         best = self.descend(self.start, upright)
+        if best.is_reached and best.is_upright:
+            return best
         for start in self.starts():
             if best.is_reached and best.is_upright:
                 break

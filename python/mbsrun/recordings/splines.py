@@ -16,12 +16,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline, splrep
 
 from mbsgen.errors import MbsError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -116,6 +119,8 @@ def _lie_within(piece: Piece, times: Array) -> Mask:
 
 @lru_cache(maxsize=4096)
 def _make(piece: Piece) -> BSpline:
+    from scipy.interpolate import BSpline  # takes long to load, and most problems have no recording
+
     return BSpline(np.array(piece.knots), np.array(piece.coefficients), piece.degree)
 
 
@@ -132,6 +137,8 @@ def fit(times: Array, values: Array, treatment: Treatment) -> Track:
 
 
 def _fit_piece(t: Array, y: Array, times: Array, treatment: Treatment) -> Piece:
+    from scipy.interpolate import make_interp_spline, splrep
+
     degree = treatment.degree
     if len(t) <= degree:
         degree = len(t) - 1 - (len(t) % 2 == 1)  # odd: 1 or 3

@@ -1,0 +1,1 @@
+"""The commands of `mbsgen`: a file for each; `console` for messages, `importing` for the options of imports."""

@@ -1,0 +1,147 @@
+"""`mbsgen generate`, the default command: a model -> a folder of C, with the cost of its kernels."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from mbsgen.commands.console import DIFFERENT, show_progress
+from mbsgen.commands.importing import MODEL, importing, read_model
+from mbsgen.commands.report import print_report
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL
+from mbsgen.help import ModelCommand
+from mbsgen.importing import Choices
+from mbsgen.model.scene import EVERYTHING
+from mbsgen.output import find_differences, write_folder
+from mbsgen.pipeline import Options, make
+from mbsgen.targets.languages import TARGETS
+from mbsgen.targets.symbols import describe_mangling
+
+SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
+
+
+def _targets(command: Callable[..., None]) -> Callable[..., None]:
+    """Add an option for each target beside C; the command gets the names of the requested ones as `targets`."""
+
+    @functools.wraps(command)
+    def call(**given: object) -> None:
+        wanted = tuple(target.name for target in TARGETS if given.pop(target.name.replace("-", "_")))
+        command(targets=wanted, **given)
+
+    for target in reversed(TARGETS):
+        call = click.option(f"--{target.name}", is_flag=True, help=target.help)(call)
+    return call
+
+
+@click.command("generate", cls=ModelCommand)
+@MODEL
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
+@click.option(
+    "--runtime",
+    is_flag=True,
+    help="Make the numbers of the model parameters at run time, except zeros, quarter turns, axes and limits.",
+)
+@click.option("--zeros", is_flag=True, help="With --runtime: zeros and quarter turns too; this costs operations.")
+@click.option(
+    "--lump",
+    is_flag=True,
+    help="Place free masses by dividing by run-time parameters too. That saves flops; setup fails where one is 0.",
+)
+@click.option(
+    "--without",
+    multiple=True,
+    type=click.Choice(list(SWITCHES)),
+    help="Switch a reduction off; repeatable. Without share-frames, each angle also has its own sine.",
+)
+@_targets
+@click.option(
+    "--functions",
+    metavar="NAME,...",
+    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all.",
+)
+@click.option(
+    "--derivatives",
+    type=click.IntRange(0, 2),
+    default=2,
+    show_default=True,
+    help="The highest order of generated derivatives. CasADi needs both for exact Hessians.",
+)
+@click.option("--scene", type=click.Path(path_type=Path), help="A scene file: the part of the model to generate.")
+@click.option(
+    "--tolerance",
+    type=float,
+    help="Relative error allowed for functions: smaller effects are left out. By default, the scene's, or none.",
+)
+@click.option(
+    "--prefix",
+    metavar="NAME",
+    help="Let names in C begin with NAME; by default, the model's name. Models of one name need it in one program.",
+)
+@click.option("--check", is_flag=True, help="Write nothing; fail if the folder differs from the generated one.")
+@importing
+def generate_command(
+    model: Path,
+    out: Path,
+    runtime: bool,
+    zeros: bool,
+    lump: bool,
+    without: tuple[str, ...],
+    targets: tuple[str, ...],
+    functions: str | None,
+    derivatives: int,
+    scene: Path | None,
+    tolerance: float | None,
+    prefix: str | None,
+    check: bool,
+    choices: Choices,
+) -> None:
+    """Write a folder of C from MODEL; the default command.
+
+    It holds the kernels, their header, manifest.json, report.md and report.json. The cost of the kernels is printed.
+    The folder appears as a whole, and replaces one that mbsgen wrote before.
+    """
+    if lump and "lump" in without:
+        raise click.BadParameter("it contradicts --without lump; give one of the two", param_hint="--lump")
+    reductions = replace(ALL, lump_runtime=lump, **{SWITCHES[name]: False for name in without})
+    options = Options(
+        runtime=runtime,
+        zeros=zeros,
+        targets=targets,
+        reductions=reductions,
+        functions=None if functions is None else tuple(filter(None, map(str.strip, functions.split(",")))),
+        derivatives=derivatives,
+        scene=EVERYTHING if scene is None else scene,
+        tolerance=tolerance,
+        prefix=prefix,
+    )
+    source = read_model(model, choices)
+    with show_progress() as tell:
+        product = make(source, options, tell)
+    if lump and not product.manifest.parameters:
+        raise click.BadParameter(
+            "the model has no parameter at run time; give --runtime too, or leave it out", param_hint="--lump"
+        )
+    if check:
+        _check_folder({**product.files, **product.packages}, out)
+        return
+    write_folder({**product.files, **product.packages}, out)
+    print_report(product.report)
+    if notice := describe_mangling(product.manifest.model, product.manifest.prefix):
+        click.echo(f"note: {notice}", err=True)
+    click.echo(f"wrote {len(product.files) + len(product.packages)} files to {out}", err=True)
+
+
+def _check_folder(files: Mapping[str, str | bytes], out: Path) -> None:
+    """Print the files of a folder that differ from the generated ones; exit if there are any."""
+    different = find_differences(files, out)
+    for name in different:
+        click.echo(f"{out / name}: not as generated now", err=True)
+    if different:
+        sys.exit(DIFFERENT)
+    click.echo(f"{out}: as generated now", err=True)
