@@ -9,12 +9,13 @@ from pathlib import Path
 import click
 
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
+from mbsrun.commands.failures import print_failure
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.multistart import Wish
-from mbsrun.ocp.phases.files import SOLUTION, write_files
+from mbsrun.ocp.phases.files import write_files
 from mbsrun.ocp.phases.multistart import solve_phases_from_many
-from mbsrun.ocp.phases.placing import name_guesses, name_place
+from mbsrun.ocp.phases.placing import name_guesses
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.recorded import find_phased_guess
 from mbsrun.ocp.phases.refinement import refine_phases
@@ -23,7 +24,7 @@ from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.problem import Problem, Refinement
-from mbsrun.ocp.solution import Failure, Round
+from mbsrun.ocp.solution import Round
 from mbsrun.ocp.solve import Progress
 from mbsrun.ocp.summary import write_line
 
@@ -81,14 +82,6 @@ def solve_file(
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     return NOT_SOLVED if shortcomings else 0
-
-
-def print_failure(failure: Failure | PhasedFailure, file: Path, out: Path) -> None:
-    """Print why there is no solution, with the line of the part at fault; and that an earlier one is still there."""
-    place = f"{name_place(file, failure.place)}: " if failure.place else ""
-    say(f"{place}not solved ({failure.run.status}): {failure.finding}; {failure.remedy}")
-    if (out / SOLUTION).exists():
-        say(f"{out / SOLUTION} is from an earlier solve")
 
 
 def _ask(problem: PhasedProblem, accuracy: float) -> PhasedProblem:

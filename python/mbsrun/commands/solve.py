@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,24 +21,18 @@ from mbsrun.commands.console import (
     output_folder,
     say,
 )
-from mbsrun.commands.phases import print_failure, solve_file
-from mbsrun.commands.searching import print_starts, show_search
+from mbsrun.commands.failures import SOLUTION, print_failure
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.files import DISTRIBUTION
 from mbsrun.ocp.phases.placing import name_lines, naming_guess
 from mbsrun.ocp.phases.statement import has_phases
-from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
 from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.sensitivity import find_sensitivities
 from mbsrun.ocp.solution import Failure, Round, Solution, write_solution
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
@@ -46,10 +40,13 @@ from mbsrun.ocp.summary import list_shortcomings, summarise, write_line
 from mbsrun.ocp.table import write_table
 from mbsrun.ocp.trajectory import Trajectory
 
-SOLUTION = "solution.json"
+if TYPE_CHECKING:
+    from mbsrun.ocp.multistart import Wish
+
 TRAJECTORIES = "trajectories.png"
 MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
+DISTRIBUTION = "starts.png"  # of a search from many starts
 MESH = "mesh.png"  # of a refinement
 TABLE = "solution.csv"
 PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanism
@@ -188,6 +185,8 @@ def solve_command(
         raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
     wish = None
     if starts is not None:
+        from mbsrun.ocp.multistart import Wish  # here and below: what takes long to load, and few solves need
+
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
     if has_phases(file):
         left_out = {"target": target, "hops": hops, "workers": workers, "sensitivities": sensitivities or None}
@@ -223,8 +222,12 @@ def solve_command(
     with MESSAGES.status("integrating again") as status:
         outcome = resimulate(outcome, plant)
         if problem.refine is not None:
+            from mbsrun.ocp.refinement import refine
+
             outcome = refine(outcome, plant, lambda round_: status.update(_describe_round(round_)))
         if sensitivities:
+            from mbsrun.ocp.sensitivity import find_sensitivities
+
             status.update("differentiating the cost")
             outcome = find_sensitivities(outcome, plant)
         status.update("drawing")
@@ -261,6 +264,8 @@ def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish |
 
     def choose(problem: Problem) -> Problem:
         return _choose_way(problem, **choices)
+
+    from mbsrun.commands.phases import solve_file
 
     return solve_file(file, out, other, choose, solver, threads, fallback, accuracy, wish)
 
@@ -337,6 +342,9 @@ def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution
 
 def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out: Path) -> Solution | Failure | None:
     """Solve from many starts, and show how many ended and the best cost."""
+    from mbsrun.commands.searching import print_starts, show_search
+    from mbsrun.ocp.multistart import solve_from_many
+
     out.mkdir(parents=True, exist_ok=True)
     with show_search(wish.starts) as watch:
         starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, watch)
@@ -346,6 +354,8 @@ def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out:
 
 def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
     """Write the files of a solution, and return their names."""
+    from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
+
     out.mkdir(parents=True, exist_ok=True)
     write_solution(solution, out / SOLUTION)
     write_table(solution, plant, out / TABLE)
