@@ -103,14 +103,20 @@ class Defaults:
         if not name:
             self._findings.fault(section, "a default without a class", "name its class")
             return
+        if not top and name in self._classes:
+            self._findings.fault(section, f"a second default class {abbreviate(name)}", "give each its own name")
         if top:
             name = MAIN  # whatever its class is called
             if "class" in section.attributes:
                 self._classes.setdefault(section.attributes["class"], self._classes[MAIN])
         settings = self._classes.setdefault(name, {tag: dict(own) for tag, own in self._classes[outer].items()})
+        seen = set[str]()
         for element in section.children:
             if element.tag != "default":
                 kind = _find_kind(element.tag)
+                if element.tag in seen:
+                    self._findings.fault(element, f"a second {element.tag[:40]} of a default", "write one")
+                seen.add(element.tag)
                 settings[kind] = _override(settings.get(kind, {}), element.attributes)
                 if kind == _ACTUATOR and element.tag != "general":  # it sets them anew
                     kept = {key: text for key, text in settings[kind].items() if key not in SERVO}

@@ -9,8 +9,8 @@ Pyramids join each triangle to a point; their volumes are signed by the side on 
 - shell: the triangles themselves, of uniform density per area.
 
 Sources: MuJoCo, XML reference, `asset/mesh`; the integrals of a simplex by its corners: Tonon, Explicit exact formulas
-for the 3-D tetrahedron inertia tensor, 2004. Files are untrusted: trimesh reads them from bytes of limited size, and
-opens no other file. An MSH file, MuJoCo's own, holds four counts, then corners, normals and texture coordinates in
+for the 3-D tetrahedron inertia tensor, 2004. Files are untrusted: trimesh reads STL from bytes of limited size, and
+`obj_files` reads OBJ. An MSH file, MuJoCo's own, holds four counts, then corners, normals and texture coordinates in
 single precision, and triangles: all numbers have four bytes, in the order of the machines that MuJoCo runs on.
 """
 
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from mbsgen.documents import read_bytes
 from mbsgen.errors import InputError
+from mbsgen.importing.obj_files import ObjError, read_obj
 from mbsgen.importing.poses import Array
 from mbsgen.importing.solids import Solid
 
@@ -49,17 +50,32 @@ class MeshError(Exception):
         super().__init__(finding)
 
 
-def read_triangles(path: Path, kind: str) -> tuple[Array, Faces]:
-    """Read the corners and the triangles of a file of this kind. Raises MeshError."""
+def read_triangles(path: Path, kind: str) -> tuple[Array, Faces, int]:
+    """Read the corners and the triangles of a file of this kind, and the number of its faces that do not count.
+
+    Raises MeshError.
+    """
     try:
         content = read_bytes(path, MAX_BYTES)
     except InputError as error:
         fault = error.faults[0]
         raise MeshError(f"the mesh {path.name}: {fault.finding}", fault.remedy) from None
-    corners, faces = _read_msh(content, path.name) if kind == "msh" else _read_common(content, kind, path.name)
+    left_out = 0
+    if kind == "obj":
+        corners, faces, left_out = _read_obj(content, path.name)
+    else:
+        corners, faces = (_read_msh if kind == "msh" else _read_stl)(content, path.name)
     if len(faces) > MAX_FACES:
         raise MeshError(f"{path.name} has {len(faces)} triangles", f"give at most {MAX_FACES}, or an <inertial>")
-    return corners, faces
+    return corners, faces, left_out
+
+
+def _read_obj(content: bytes, name: str) -> tuple[Array, Faces, int]:
+    try:
+        file = read_obj(content)
+        return file.places, file.triangulate(), file.left_out
+    except ObjError as error:
+        raise MeshError(f"{name} cannot be read as a mesh: {error}", "export it again, in triangles") from None
 
 
 def _read_msh(content: bytes, name: str) -> tuple[Array, Faces]:
@@ -73,21 +89,18 @@ def _read_msh(content: bytes, name: str) -> tuple[Array, Faces]:
     return places.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
-def _read_common(content: bytes, kind: str, name: str) -> tuple[Array, Faces]:
+def _read_stl(content: bytes, name: str) -> tuple[Array, Faces]:
     trimesh = _find_trimesh(name)
-    more = {"skip_materials": True} if kind == "obj" else {}
     try:
-        mesh = trimesh.load(io.BytesIO(content), file_type=kind, force="mesh", process=False, **more)
+        mesh = trimesh.load(io.BytesIO(content), file_type="stl", force="mesh", process=False)
         corners, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
     except Exception as error:  # readers of untrusted files fail in any way
         told = str(error).splitlines() or [type(error).__name__]
         raise MeshError(f"{name} cannot be read as a mesh: {told[0][:120]}", "export it again") from None
-    if kind == "stl" and not len(faces):
+    if not len(faces):
         raise MeshError(f"{name} cannot be read as a mesh: it has no triangles", "export it again")
-    if kind == "stl":  # whose triangles share no corners
-        corners, shared = np.unique(corners, axis=0, return_inverse=True)
-        faces = shared.reshape(-1)[faces]
-    return corners, faces
+    corners, shared = np.unique(corners, axis=0, return_inverse=True)  # triangles of STL share no corners
+    return corners, shared.reshape(-1)[faces]
 
 
 def enclose(corners: Array) -> tuple[Array, Faces]:

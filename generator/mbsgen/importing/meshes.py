@@ -81,7 +81,7 @@ class Meshes:
             raise MeshError(f"inertia is {abbreviate(attributes['inertia'])}", f"give {', '.join(RULES)}")
         if "builtin" in attributes or element.first("plugin") is not None:
             raise MeshError("the inertia of a mesh that MuJoCo makes is not computed here", INERTIAL)
-        corners, faces = self._read(attributes)
+        corners, faces = self._read(element, attributes)
         is_hull = rule == "convex" or not len(faces)
         if is_hull and self._findings.number(element, "maxhullvert", -1.0, attributes) > 0:
             remedy = "take maxhullvert away, or give the body an <inertial>"
@@ -103,15 +103,20 @@ class Meshes:
             raise MeshError("scale or refquat of the mesh is 0", "give other numbers")
         return (corners - position) @ turn_quaternion(quaternion) * scale, bool(np.prod(scale) < 0)
 
-    def _read(self, attributes: Mapping[str, str]) -> tuple[Array, Faces]:
+    def _read(self, element: Element, attributes: Mapping[str, str]) -> tuple[Array, Faces]:
         """Read corners and triangles; no triangles where the file leaves them to the convex hull. Raises MeshError."""
         if "file" in attributes:
-            return read_triangles(self._find(attributes["file"]), self._find_kind(attributes))
+            kind = self._find_kind(attributes)
+            corners, faces, left_out = read_triangles(self._find(attributes["file"]), kind)
+            if left_out:
+                text = f"{left_out} faces of further objects are left out, as MuJoCo does"
+                self._findings.tell(element, text)
+            return corners, faces
         corners = _read_rows(attributes.get("vertex", ""), float)
-        faces = _read_rows(attributes.get("face", ""), int)
+        rows = _read_rows(attributes.get("face", ""), int)
         if len(corners) < 4:
             raise MeshError("the mesh has neither a file nor four vertices", "give one of these")
-        return corners, faces.astype(np.int64)
+        return corners, rows.astype(np.int64)
 
     def _find_kind(self, attributes: Mapping[str, str]) -> str:
         suffix = PurePosixPath(attributes["file"]).suffix.lower()

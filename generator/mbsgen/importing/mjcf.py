@@ -455,7 +455,8 @@ class _Scene:
         friction = 0.0 if self._settings.lacks("frictionloss") else friction
         if friction:
             self._findings.tell(element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
-        return make_law(spring[0], rest, damper[0], friction, speed, write_polynomials(spring, rest, damper))
+        linear = max(spring[0], 0.0), rest, max(damper[0], 0.0)
+        return make_law(*linear, friction, speed, write_polynomials(spring, rest, damper))
 
     def _read_effort(self, element: Element, attributes: Mapping[str, str], effort: float | None) -> float | None:
         """Return the largest force of the actuators at a joint; `effort` is theirs, before the joint's own limit."""
@@ -549,7 +550,12 @@ class _Scene:
     def _read_inertial(self, inertial: Element) -> Solid:
         attributes = inertial.attributes
         mass = self._findings.number(inertial, "mass", 0.0)
+        if missing := [key for key in ("pos", "mass") if key not in attributes]:
+            self._findings.fault(inertial, f"an inertial without {' and '.join(missing)}", "give pos, mass and inertia")
         if "fullinertia" in attributes:
+            if given := [key for key in ("diaginertia", *TURNS) if key in attributes]:
+                text = f"it has fullinertia, and {' and '.join(given)}"
+                self._findings.fault(inertial, text, "keep fullinertia, which is along the axes of the body, or these")
             xx, yy, zz, xy, xz, yz = self._findings.numbers(inertial, "fullinertia", (0.0,) * 6)
             tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
@@ -564,6 +570,9 @@ class _Scene:
         mass = self._findings.number(element, "mass", 0.0, attributes) if "mass" in attributes else None
         density = self._findings.number(element, "density", DENSITY, attributes)
         shape = attributes.get("type", "sphere")
+        for key, value in (("mass", mass or 0.0), ("density", density)):
+            if value < 0:
+                self._findings.fault(element, f"a {key} of {value:g}", "give 0 or more")
         if not low <= group <= high or mass == 0 or (mass is None and density == 0) or shape in WEIGHTLESS:
             return
         try:
@@ -687,12 +696,14 @@ class _Scene:
 
 
 def write_polynomials(spring: Sequence[float], rest: float, damper: Sequence[float]) -> Expression:
-    """Write the terms of second and third order of -(k1 x + k2 x^2 + k3 x^3) - (d1 v + d2 v |v| + d3 v^3)."""
+    """Write -(k1 x + k2 x^2 + k3 x^3) - (d1 v + d2 v |v| + d3 v^3) without linear terms that a law has, above 0."""
     q, qd = Name(COORDINATE), Name(RATE)
     x: Expression = q if not rest else Operation("-" if rest > 0 else "+", q, Number(abs(rest)))
     powers = (
+        (min(spring[0], 0.0), x),
         (spring[1], Power(x, 2)),
         (spring[2], Power(x, 3)),
+        (min(damper[0], 0.0), qd),
         (damper[1], Operation("*", qd, Call("abs", (qd,)))),
         (damper[2], Power(qd, 3)),
     )

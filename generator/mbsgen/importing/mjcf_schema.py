@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 
-from mbsgen.documents import nearest
+from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 
@@ -110,7 +110,7 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
             "material normal params smoothnormal texcoord",
             "plugin=refused",
         ),
-        "worldbody": _list(f"childclass name pos {_TURNS}", children=_BODY),
+        "worldbody": _list("childclass", "", f"pos {_TURNS}", "name", children=_BODY),
         "body": _list(f"childclass name pos {_TURNS}", "gravcomp mocap sleep", "", "fuse simple user", children=_BODY),
         "frame": _list(f"childclass pos {_TURNS}", "", "massscale scale scaling", "name", children=_BODY),
         "inertial": _list(f"diaginertia fullinertia mass pos {_TURNS}"),
@@ -162,8 +162,19 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
 )
 
 
+NAMED = (  # kinds of elements by whose names other elements find them: section, tags, names that exist
+    ("worldbody", ("body",), ("world",)),
+    ("worldbody", ("joint", "freejoint"), ()),
+    ("worldbody", ("site",), ()),
+    ("asset", ("mesh",), ()),
+)
+OF_WORLD = ("joint", "freejoint", "inertial")  # which the world does not have
+
+
 def review(root: Element, findings: Findings) -> None:
-    """Warn of the elements and attributes of a file that the schema does not have."""
+    """Warn of elements and attributes that the schema does not have; refuse names and parts that contradict others."""
+    _check_names(root, findings)
+    _check_world(root, findings)
     for element, entry, parent in _walk(root):
         if entry is None:
             meant = nearest(element.tag, list(parent.children))
@@ -175,6 +186,26 @@ def review(root: Element, findings: Findings) -> None:
                     meant = nearest(name, list(entry.attributes))
                     hint = f" (did you mean {meant}?)" if meant else ""
                     findings.warn(element, f"{name[:40]} is no attribute of it: it is left out{hint}")
+
+
+def _check_names(root: Element, findings: Findings) -> None:
+    for section, tags, given in NAMED:
+        lines: dict[str, str] = dict.fromkeys(given, "MuJoCo itself")
+        for element in (x for part in root.all(section) for x in part.walk() if x.tag in tags):
+            name = element.attributes.get("name", "")
+            if name in lines:
+                text = f"a second {tags[0]} called {abbreviate(name)}: {lines[name]} has the first"
+                findings.fault(element, text, "give each its own name")
+            elif name:
+                lines[name] = f"line {element.line}"
+
+
+def _check_world(root: Element, findings: Findings) -> None:
+    for world in root.all("worldbody"):
+        if wrong := [name for name in world.attributes if name in ("pos", *_TURNS.split())]:
+            findings.fault(world, f"the world has {' and '.join(wrong)}", "put its bodies into a <frame>, placed so")
+        for element in world.all(*OF_WORLD):
+            findings.fault(element, f"the world has a part <{element.tag}>", "move it into a body")
 
 
 def _walk(root: Element) -> Iterator[tuple[Element, Entry | None, Entry]]:

@@ -111,6 +111,38 @@ def test_meshes_of_other_files(rule: Rule, name: str, tmp_path: Path) -> None:
     assert_mujoco_agrees(write(tmp_path, f'file="{name}" inertia="{rule}"', 'density="300"', 'meshdir="parts"'))
 
 
+CUBE = "".join(f"v {x} {y} {z}\n" for x, y, z in
+               [(0, 0, 0), (1, 0, 0), (1, 1, 0.3), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])  # fmt: skip
+SIDES = "f 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"
+FAR = "v 5 5 5\nv 6 5 5\nv 5 6 5\nv 5 5 7\nf -1 -2 -3\nf -2 -3 -4\n"
+PYRAMID = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.5 2 0\nv 0 1 0\nv 0.5 0.5 1\n"
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    "text",
+    [
+        CUBE + "f 4 3 2 1\n" + SIDES,
+        CUBE + "f 3 2 1 4\n" + SIDES,
+        "o box\n" + CUBE + "f 4 3 2 1\n" + SIDES + "o tip\n" + FAR,
+        "g box\ng box\n" + CUBE + "f 4 3 2 1\ng rest\n" + SIDES + FAR,
+        "g box\ng box\n" + CUBE + "f 4 3 2 1\ng\n" + SIDES + "g rest\n" + FAR,
+        "o box\n" + CUBE + "usemtl a\nf 4 3 2 1\nusemtl b\ns 1\n" + SIDES,
+        PYRAMID + "f 5 4 3 2 1\n" + "".join(f"f {i} {i % 5 + 1} 6\n" for i in range(1, 6)),
+        CUBE + "v 3 3 3\nv 0 0 2 1 0 0\n",
+    ],
+)
+def test_what_counts_of_a_file_of_obj(rule: Rule, text: str, tmp_path: Path) -> None:
+    """The first object or group with faces, the shorter diagonal, and all corners for the hull."""
+    if rule == "exact" and "1\ng rest" in text:
+        return  # one side alone encloses nothing
+    (tmp_path / "m.obj").write_text(text)
+    path = write(tmp_path, f'file="m.obj" inertia="{rule}"')
+    assert_mujoco_agrees(path)
+    told = [notice.text for notice in import_model(path).notices]
+    assert any("faces of further objects are left out" in each for each in told) == (FAR in text)
+
+
 FITTED = ("sphere", "box", "capsule", "cylinder", "ellipsoid")
 
 
@@ -193,12 +225,20 @@ def test_a_prism_has_its_volume_and_moments() -> None:
         ('file="bad.stl" content_type="model/vnd.mujoco.msh"', "bad.stl cannot be read as a mesh: its counts"),
         ('file="none.stl"', "the mesh none.stl: there is no such file"),
         ('file="bad.stl"', "bad.stl cannot be read as a mesh"),
+        ('file="star.obj"', "a face of 5 corners is not convex"),
+        ('file="cut.obj"', "a face has a corner that does not exist"),
+        ('file="odd.obj"', "line 2 is no line of OBJ"),
+        ('file="long.obj"', "line 1 goes on in the next one"),
         ('file="../m.stl"', "is not in the folder of the model"),
     ],
 )
 def test_meshes_without_a_solid_are_refused(mesh: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.stl").write_bytes(b"solid \xff\xff nothing")
     (tmp_path / "bad.msh").write_bytes(write_msh(*make_angle())[:-1])
+    (tmp_path / "star.obj").write_text(PYRAMID.replace("0.5 2 0", "0.5 0.5 0") + "f 5 4 3 2 1\n")
+    (tmp_path / "cut.obj").write_text(CUBE + "f 1 2 9\n")
+    (tmp_path / "odd.obj").write_text("v 0 0 0\nv 0 x 0\n")
+    (tmp_path / "long.obj").write_text("v 0 \\\n0 0\n")
     assert text in refuse(write(tmp_path, mesh))
 
 

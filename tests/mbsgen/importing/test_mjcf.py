@@ -547,6 +547,59 @@ def test_a_spring_by_time_needs_an_inertia(tmp_path: Path) -> None:
     assert "springdamper is left out" in "".join(warnings(imported))
 
 
+GEOM = '<geom size="0.1"/>'
+
+
+@pytest.mark.parametrize(
+    ("inner", "text"),
+    [
+        (world(f'<body name="b"><joint/>{GEOM}<body name="b" pos="1 0 0">{GEOM}</body></body>'), "a second body"),
+        (
+            world(f'<body><joint name="j"/>{GEOM}<body pos="1 0 0"><joint name="j"/>{GEOM}</body></body>'),
+            "second joint",
+        ),
+        (pendulum('<joint/><site name="s"/><site name="s"/>'), "a second site called"),
+        ('<asset><mesh name="m" file="a.stl"/><mesh name="m" file="b.stl"/></asset>' + pendulum("<joint/>"), "mesh"),
+        (pendulum("<joint/>").replace("<worldbody", '<worldbody pos="1 0 0"'), "the world has pos"),
+        (world(f"{INERTIAL}<body><joint/>{INERTIAL}</body>"), "part <inertial>"),
+        (world(f"<joint/><body><joint/>{INERTIAL}</body>"), "part <joint>"),
+        (pendulum("<joint/>", FULL.replace("mass", 'quat="1 1 0 0" mass')), "it has fullinertia, and quat"),
+        (pendulum("<joint/>", FULL.replace("mass", 'diaginertia="1 1 1" mass')), "it has fullinertia, and diaginertia"),
+        (pendulum("<joint/>", '<inertial diaginertia="1 1 1"/>'), "an inertial without pos and mass"),
+        (pendulum("<joint/>", '<geom size="0.1" mass="-1"/><geom size="0.1" mass="2"/>'), "a mass of -1"),
+        (pendulum("<joint/>", '<geom size="0.1" density="-1"/><geom size="0.1" mass="2"/>'), "a density of -1"),
+        (
+            '<default><default class="a"/><default class="a"/></default>' + pendulum("<joint/>"),
+            "a second default class",
+        ),
+        ('<default><joint damping="1"/><joint damping="2"/></default>' + pendulum("<joint/>"), "a second joint of a"),
+    ],
+)
+def test_what_mujoco_refuses_is_refused(inner: str, text: str, tmp_path: Path) -> None:
+    """Each could be read in two ways, or not at all, and would change a motion without a word."""
+    import mujoco
+
+    path = write(tmp_path, inner)
+    with pytest.raises(ValueError, match=r"."):
+        mujoco.MjModel.from_xml_path(str(path))
+    assert text in faults_of(path)
+
+
+def test_negative_springs_and_dampers_are_mujocos(tmp_path: Path) -> None:
+    """A joint's law has none: they are part of its force."""
+    import mujoco
+
+    path = write(tmp_path, pendulum('<joint stiffness="-3 2" damping="-1 0.5" springref="20"/>'))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    law = only_joint(import_model(path), "rod").law
+    assert value_of(law.stiffness) == value_of(law.damping) == 0
+    data.qpos[0], data.qvel[0] = 0.7, -1.3
+    mujoco.mj_forward(model, data)
+    found = evaluate_expression(law.total, {"q": 0.7, "qd": -1.3}, FLOATS)
+    np.testing.assert_allclose(found, data.qfrc_passive[0], rtol=1e-13)
+
+
 def test_the_range_of_a_ball_begins_at_0(tmp_path: Path) -> None:
     import mujoco
 

@@ -128,8 +128,9 @@ VALUES: dict[str, dict[str, str | tuple[str, ...]]] = {
     "body": {**POSE, "name": "n", "childclass": "other", "gravcomp": "1", "mocap": "true", "sleep": ("", "")},
     "frame": {**POSE, "childclass": "other", "scale": "2", "massscale": "2", "scaling": "geometry"},
     "inertial": {
-        **{key: (value, 'mass="1" diaginertia="1 2 3"') for key, value in POSE.items()},
-        "pos": ("1 2 3", 'mass="1" diaginertia="1 2 2"'), "mass": ("2", 'diaginertia="1 2 2" pos="0.1 0 0"'),
+        **{key: (value, 'pos="0.1 0 0" mass="1" diaginertia="1 2 3"') for key, value in POSE.items()},
+        "pos": ("1 2 3", 'mass="1" diaginertia="1 2 2"', 'mass="1" diaginertia="1 2 2" pos="0.1 0 0"'),
+        "mass": ("2", 'diaginertia="1 2 2" pos="0.1 0 0"', 'diaginertia="1 2 2" pos="0.1 0 0" mass="1"'),
         "diaginertia": ("1 2 2", 'mass="1" pos="1 0 0"', 'mass="1" pos="1 0 0" diaginertia="1 1 1"'),
         "fullinertia": ("1 2 2 0.1 0.1 0", 'mass="1" pos="1 0 0"', 'mass="1" pos="1 0 0" diaginertia="1 1 1"'),
     },
