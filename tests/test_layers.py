@@ -183,7 +183,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.searching",
+        "commands.searching commands.failures",
         "commands.phases commands.recorded commands.animated commands.robots",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
         "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
