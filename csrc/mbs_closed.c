@@ -41,9 +41,10 @@ typedef struct {
     int is_ready;      /* J is decomposed, or dependent joints are chosen */
 } mbs_run;
 
+/* Evaluate a kernel; a mechanism without loops has none of theirs, and they would compute nothing. */
 static int call(mbs_call kernel)
 {
-    return kernel.f(kernel.arg, kernel.res, 0, 0, 0);
+    return kernel.f ? kernel.f(kernel.arg, kernel.res, 0, 0, 0) : 0;
 }
 
 static casadi_int find_largest(casadi_int size, const casadi_real *x)

@@ -153,7 +153,9 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     if request.tolerance is None:
         return _Trees(written, parametric, written, None)
     if written.is_constrained:
-        raise OptionError("tolerance: errors of mechanisms with loops are not estimated; leave the option out")
+        raise OptionError(
+            "tolerance: errors of mechanisms with loops, constraints or driven joints are not estimated; leave it out"
+        )
     approximation = approximate(written, request.tolerance, request)
     return _Trees(written, parametric, approximation.tree, approximation)
 

@@ -52,7 +52,7 @@ def build(tree: Tree) -> Tape:
 
     kinetic and potential, shape (1,) [J], the potential being 0 with all mass at the origin; momentum (3,) [kg m/s],
     angular_momentum (3,) [kg m2/s], com (3,): the centre of mass [m], unless
-    no body has a mass.
+    no body has a mass, at the numbers of the model file.
     """
     builder = Builder()
     state = declare_state(tree, builder, accelerations=False, forces=False, wrenches=False)
@@ -65,9 +65,16 @@ def build(tree: Tree) -> Tape:
     builder.output_dense(ports.POTENTIAL, [[-chain.gravity.dot(whole.S)]])
     builder.output_dense(ports.MOMENTUM, [[x] for x in whole.P])
     builder.output_dense(ports.ANGULAR_MOMENTUM, [[x] for x in whole.H])
-    if not whole.m.is_zero:
+    if not whole.m.is_zero and _has_mass(tree):
         builder.output_dense(ports.CENTRE_OF_MASS, [[x / whole.m] for x in whole.S])
     return builder.build("energy")
+
+
+def _has_mass(tree: Tree) -> bool:
+    """Return whether a body has a mass, at the numbers of the model file."""
+    values = {parameter.symbol: parameter.value for parameter in tree.parameters}
+    masses = (mass for body in tree.bodies for mass in (body.mass, *(part.mass for part in body.parts)))
+    return any(mass.xreplace(values) != 0 for mass in masses)
 
 
 def build_power(tree: Tree) -> Tape:

@@ -77,10 +77,16 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     taken = [i.port.role for tape in tapes.values() for i in tape.inputs]
     given = [o.port.role for tape in tapes.values() for o in tape.outputs]
     if not {*taken, *given}.isdisjoint(_LOOPS):
-        raise OptionError("acados: it would integrate loops apart, since nothing keeps them closed; leave it out")
+        raise OptionError(
+            "acados: it would integrate loops apart, since nothing keeps them closed, and it moves no driven joints; "
+            "leave it out"
+        )
     dynamics = [tape for tape in tapes.values() if tape.function in (residual, *explicit)]
     if any(_size(tape, Role.COORDINATE) != tape.outputs[0].sparsity.rows for tape in dynamics):
-        raise OptionError("acados: its states are q and qd, of one size; a joint with a quaternion has more of the one")
+        raise OptionError(
+            "acados: its states are q and qd, of one size, and a joint with a quaternion has more of the one; give the "
+            "joint turns in a row, or leave acados out"
+        )
 
     def measure(function: Function) -> int:
         return count(tapes.get(function.to(Order.LINEARISATION), tapes[function])).paper

@@ -123,7 +123,8 @@ def _follow(
     left = len(free) - np.linalg.matrix_rank(J[:, free], rtol=RANK) if free else 0
     if left:
         names = ", ".join(manifest.coordinates[i].name for i in joints)
-        raise FreeError(f"{left} freedoms are left when {names or 'nothing'} moves; give the motion of more joints")
+        count = "1 freedom is" if left == 1 else f"{left} freedoms are"
+        raise FreeError(f"{count} left when {names or 'nothing'} moves; give the motion of more joints")
     return pose, qd, qdd
 
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sympy import Integer
+from sympy import Expr, Integer, Symbol
 
 from mbsgen.formulations import energy, exp2, impl
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Kind, Parameter, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from tests.random_trees import Pinocchio, random_tree, values_of, with_laws, with_wrenches
 from tests.reference_models import pendulum
@@ -105,7 +105,10 @@ def test_a_pendulum_by_hand():
     assert values["angular_momentum"] == pytest.approx([0, 0.6 * qd, 0], rel=1e-15)
 
 
-def test_bodies_without_mass_have_no_centre():
+@pytest.mark.parametrize("mass", [Integer(0), Symbol("m"), 2 * Symbol("m")])
+def test_bodies_without_mass_have_no_centre(mass: Expr):
+    """The one of a mass that is 0 in the file alone would be 0/0 there."""
     bare = pendulum()
-    tree = replace(bare, bodies=(replace(bare.bodies[0], mass=Integer(0)),))
+    m = Parameter("m", Symbol("m"), 0.0, Kind.RUNTIME)
+    tree = replace(bare, bodies=(replace(bare.bodies[0], mass=mass),), parameters=(*bare.parameters, m))
     assert [o.name for o in energy.build(tree).outputs] == ["kinetic", "potential", "momentum", "angular_momentum"]
