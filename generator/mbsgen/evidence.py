@@ -203,6 +203,7 @@ class _Comparison:
         """The joints, coordinates, sensors and frames that are left, and their number in the whole model."""
         kept, names = {s.name for s in self.reduced.sensors}, [x.name for x in self.whole.sensors]
         frames, touching = _frames(self.whole), {x.name for x in self.reduced.distances}
+        bodies = [x.name for x in self.whole.bodies]
         return {
             Axis.VELOCITIES: (self.moving, len(self.whole.joints)),
             Axis.COORDINATES: (self.free, len(self.at)),
@@ -211,6 +212,11 @@ class _Comparison:
                 [k for k, x in enumerate(self.whole.distances) if x.name in touching],
                 len(self.whole.distances),
             ),
+            Axis.ELEMENTS: (
+                [k for k, name in enumerate(self.whole.elements) if name in self.reduced.elements],
+                len(self.whole.elements),
+            ),
+            Axis.BODIES: ([bodies.index(x.name) for x in self.reduced.bodies], len(bodies)),
             Axis.FRAMES: ([frames.index(frame) for frame in _frames(self.reduced)], len(frames)),
         }
 

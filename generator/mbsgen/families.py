@@ -203,7 +203,7 @@ def _choose_functions(tree: Tree, request: Request) -> Mapping[str, Entry]:
     """Choose functions by name, in the order of the catalogue; report all faulty names together."""
     present = select_functions(tree)
     if request.needed is None:
-        return present
+        return {name: entry for name, entry in present.items() if not entry.is_asked}
     names = [name for name in request.needed if name in present or name not in request.optional]
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
     for name in names:

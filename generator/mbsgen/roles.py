@@ -67,6 +67,8 @@ class Axis(Enum):
     INDEPENDENT = "independent"  # the velocities that determine all others
     DRIVEN = "driven"  # the joints whose accelerations are given
     FRAMES = "frames"  # one entry or more for each body, then for each sensor
+    BODIES = "bodies"  # the bodies, by the joints that carry them, followers included
+    ELEMENTS = "elements"  # springs and cables
 
 
 class Order(Enum):

@@ -22,6 +22,7 @@ from mbsgen.formulations import (
     closure,
     condition,
     coupling,
+    elements,
     energy,
     exp1,
     exp2,
@@ -30,6 +31,7 @@ from mbsgen.formulations import (
     poses,
     projection,
     rates,
+    reactions,
     reduced,
     semi,
     velocities,
@@ -56,6 +58,9 @@ class Need:
 SENSORS = Need(lambda tree: bool(tree.sensors), "{name} is of sensors, and {tree} has none; name some under `frames:`")
 CONTACTS = Need(
     lambda tree: bool(tree.distances), "{name} is of contacts, and {tree} has none; name some under `contacts:`"
+)
+ELEMENTS = Need(
+    lambda tree: bool(tree.elements), "{name} is of springs and cables, and {tree} has none; name some under `forces:`"
 )
 QUATERNIONS = Need(
     lambda tree: bool(tree.quaternions),
@@ -96,6 +101,7 @@ class Entry:
     row: Row | None = None
     iterated: Callable[[Tree], Procedure] | None = None  # the same by iterations, if this is to be differentiated
     same_as: str = ""  # another entry that computes the same, and is judged in its place
+    is_asked: bool = False  # it is written only where it is named
 
     def gives(self, role: Role) -> bool:
         """Return whether a result has a role."""
@@ -168,6 +174,22 @@ FUNCTIONS: Mapping[str, Entry] = {
         order=2,
         needs=(SENSORS,),
     ),
+    "accelerations": Entry(
+        _plainly(velocities.build_accelerations),
+        "accelerations of the sensors",
+        results=(ports.ACCELERATION, ports.ANGULAR_ACCELERATION),
+        order=2,
+        needs=(SENSORS,),
+        is_asked=True,
+    ),
+    "attitudes": Entry(
+        _plainly(poses.build_attitudes),
+        "rotations of the sensors",
+        results=(ports.ATTITUDE,),
+        order=2,
+        needs=(SENSORS,),
+        is_asked=True,
+    ),
     "jacobian": Entry(
         _plainly(velocities.build_jacobian),
         "Jacobians of the sensors",
@@ -180,6 +202,34 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.DISTANCE,),
         order=2,
         needs=(CONTACTS,),
+    ),
+    "lengths": Entry(
+        _plainly(elements.build_lengths),
+        "lengths of springs and cables",
+        results=(ports.LENGTH,),
+        order=2,
+        needs=(ELEMENTS,),
+        is_asked=True,
+    ),
+    "tensions": Entry(
+        _plainly(elements.build_tensions),
+        "tensions of springs and cables",
+        results=(ports.TENSION,),
+        needs=(ELEMENTS,),
+        is_asked=True,
+    ),
+    "contact_forces": Entry(
+        _plainly(elements.build_contacts),
+        "forces of contacts",
+        results=(ports.NORMAL_FORCE, ports.CONTACT_FORCE),
+        needs=(CONTACTS,),
+        is_asked=True,
+    ),
+    "reactions": Entry(
+        _plainly(reactions.build),
+        "forces and moments in the joints",
+        results=(ports.REACTION_FORCE, ports.REACTION_MOMENT),
+        is_asked=True,
     ),
     "condition": Entry(
         project(condition.build, coupling.write_condition),

@@ -119,6 +119,26 @@ ANGULAR_VELOCITY = Port(
     unit="rad/s",
     meaning="angular velocities of the sensors in the base frame, a column each",
 )
+ACCELERATION = Port(
+    "acceleration",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    unit="m/s2",
+    meaning="accelerations of the sensors in the base frame, a column each",
+)
+ANGULAR_ACCELERATION = Port(
+    "alpha",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    unit="rad/s2",
+    meaning="angular accelerations of the sensors in the base frame, a column each",
+)
+ATTITUDE = Port(
+    "attitude",
+    Role.RESULT,
+    cols=Axis.SENSORS,
+    meaning="axes of the sensors as columns, in the base frame, three for each",
+)
 SENSOR_JACOBIAN = Port(
     "J",
     Role.RESULT,
@@ -130,6 +150,37 @@ ORIGINS = Port(
     "p", Role.RESULT, cols=Axis.FRAMES, unit="m", meaning="origins of the frames in the base frame, a column each"
 )
 ROTATIONS = Port("R", Role.RESULT, cols=Axis.FRAMES, meaning="axes of the frames as columns, in the base frame")
+
+LENGTH = Port(
+    "length", Role.RESULT, Axis.ELEMENTS, unit="m", meaning="distances between the ends of springs and cables"
+)
+TENSION = Port(
+    "tension", Role.RESULT, Axis.ELEMENTS, unit="N", meaning="tensions of springs and cables, which pull their ends"
+)
+NORMAL_FORCE = Port(
+    "normal", Role.RESULT, Axis.CONTACTS, unit="N", meaning="forces of contacts along their normals, off the other side"
+)
+CONTACT_FORCE = Port(
+    "contact_force",
+    Role.RESULT,
+    cols=Axis.CONTACTS,
+    unit="N",
+    meaning="forces of contacts on the body that touches, in the base frame, a column each",
+)
+REACTION_FORCE = Port(
+    "force",
+    Role.RESULT,
+    cols=Axis.BODIES,
+    unit="N",
+    meaning="forces by which joints act on their bodies, in the base frame, a column each",
+)
+REACTION_MOMENT = Port(
+    "moment",
+    Role.RESULT,
+    cols=Axis.BODIES,
+    unit="N m",
+    meaning="moments by which joints act on their bodies, about the bodies' origins, in the base frame, a column each",
+)
 
 ELIMINATION = Port(
     "elimination",

@@ -1,4 +1,4 @@
-"""Poses of bodies and sensors: Tree -> Tape of `sensors` (positions) and `frames` (positions and rotations).
+"""Poses of bodies and sensors: Tree -> Tape of `sensors` (positions), `attitudes` (rotations) and `frames` (both).
 
 With parent h: R_i = R_h R and p_i = p_h + R_h dpt. All results are in the base frame. The axes of a body are the axes
 in the model file, whichever frame the recursions use.
@@ -43,6 +43,25 @@ def _position(chain: Chain, sensor: Sensor) -> Vector[Scalar]:
         link = chain.links[number - 1]
         point, number = link.dpt + link.R.apply(point), link.parent
     return point
+
+
+def build_attitudes(tree: Tree) -> Tape:
+    """Write `attitudes`: inputs q [, p]; output attitude, shape (3, 3 * number of sensors)."""
+    builder = Builder()
+    state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    columns = [_direction(chain, s, k) for s in tree.sensors for k in range(3)]
+    builder.output_dense(ports.ATTITUDE, [[column[r] for column in columns] for r in range(3)])
+    return builder.build("attitudes")
+
+
+def _direction(chain: Chain, sensor: Sensor, k: int) -> Vector[Scalar]:
+    """Carry an axis of a sensor from its body to the base."""
+    axis, number = chain.matrix(sensor.orientation).column(k), sensor.body
+    while number:
+        link = chain.links[number - 1]
+        axis, number = link.R.apply(axis), link.parent
+    return axis
 
 
 def build_distances(tree: Tree) -> Tape:

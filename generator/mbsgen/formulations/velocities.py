@@ -3,6 +3,10 @@
 With parent h and joint axis e: OM_i = OM_h + e qd and v_i = v_h + OM_h x dpt for a revolute joint; a prismatic joint
 adds e qd to v_i instead. The columns of J are (e x r, e) or (e, 0), with r from the joint to the sensor. All vectors
 are in the base frame: this takes fewer operations than body frames, in derivatives above all.
+
+`accelerations` differentiates these once more: OMp_i = OMp_h + OM_h x e qd + e qdd, A_i = A_h + K_h dpt with K_h x =
+OMp_h x x + OM_h x (OM_h x x), and for a prismatic joint A_i += 2 OM_h x e qd + e qdd instead. With qdd = 0 this is
+Jd qd.
 """
 
 from __future__ import annotations
@@ -52,6 +56,51 @@ def _move_bodies(chain: Chain, poses: dict[int, Pose]) -> dict[int, Velocity]:
         v = parent.v + parent.OM.cross(poses[link.parent].R.apply(link.dpt))
         own = poses[link.number].R.column(link.joint.axis).scale(qd)
         bodies[link.number] = Velocity(v, parent.OM + own) if link.is_revolute else Velocity(v + own, parent.OM)
+    return bodies
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """The motion of a body, up to its acceleration."""
+
+    OM: Vector[Scalar]  # angular velocity
+    OMp: Vector[Scalar]  # angular acceleration
+    A: Vector[Scalar]  # acceleration of its origin
+
+    def reach(self, r: Vector[Scalar]) -> Vector[Scalar]:
+        """Return the acceleration of a fixed point at r from the origin."""
+        return self.A + self.OMp.cross(r) + self.OM.cross(self.OM.cross(r))
+
+
+def build_accelerations(tree: Tree) -> Tape:
+    """Write `accelerations`: inputs q, qd, qdd [, p]; outputs acceleration [m/s2] and alpha [rad/s2], (3, sensors).
+
+    They are J qdd + Jd qd, with the J of `jacobian`.
+    """
+    builder = Builder()
+    state = declare_state(tree, builder, forces=False, wrenches=False)
+    chain = write_chain(tree, builder, state)
+    poses = place_bodies(chain)
+    bodies = _accelerate_bodies(chain, poses)
+    found = [bodies[s.body].reach(poses[s.body].R.apply(chain.vector(s.position))) for s in tree.sensors]
+    turning = [bodies[s.body].OMp for s in tree.sensors]
+    builder.output_dense(ports.ACCELERATION, [[column[r] for column in found] for r in range(3)])
+    builder.output_dense(ports.ANGULAR_ACCELERATION, [[column[r] for column in turning] for r in range(3)])
+    return builder.build("accelerations")
+
+
+def _accelerate_bodies(chain: Chain, poses: dict[int, Pose]) -> dict[int, Acceleration]:
+    """Compute the motion of every body, from the base to the leaves; entry 0 is the base."""
+    bodies = {0: Acceleration(chain.still, chain.still, chain.still)}
+    rates = zip(chain.links, chain.state.qd, chain.accelerate(chain.state.qdd), strict=True)
+    for link, qd, qdd in rates:
+        parent, axis = bodies[link.parent], poses[link.number].R.column(link.joint.axis)
+        A, across = parent.reach(poses[link.parent].R.apply(link.dpt)), parent.OM.cross(axis.scale(qd))
+        own, change = axis.scale(qd), axis.scale(qdd)
+        if link.is_revolute:
+            bodies[link.number] = Acceleration(parent.OM + own, parent.OMp + across + change, A)
+        else:
+            bodies[link.number] = Acceleration(parent.OM, parent.OMp, A + across + across + change)
     return bodies
 
 

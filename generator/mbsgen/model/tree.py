@@ -320,6 +320,12 @@ class Tree:
         return 3 * sum(vector is None for x in self.wrenches for vector in (x.force, x.moment)) + len(self.signals)
 
     @property
+    def elements(self) -> tuple[str, ...]:
+        """Name the springs and cables."""
+        touching = {x.name for x in self.distances}
+        return tuple(dict.fromkeys(x.owner for x in self.definitions if x.owner and x.owner not in touching))
+
+    @property
     def uncoupled(self) -> Tree:
         """The same tree with a coordinate for every joint."""
         return replace(self, couplings=())

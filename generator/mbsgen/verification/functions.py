@@ -18,7 +18,17 @@ from sympy import Expr, Symbol
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.chain import assign_symbols, joint_forces, write_chain
 from mbsgen.formulations.states import declare_state
-from mbsgen.model.tree import Coupling, Kind, Probe, Reading, Tree, coordinate_symbol, rate_symbol, signal_symbol
+from mbsgen.model.tree import (
+    Coupling,
+    Kind,
+    Probe,
+    Reading,
+    Tree,
+    Wrench,
+    coordinate_symbol,
+    rate_symbol,
+    signal_symbol,
+)
 from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
@@ -33,6 +43,7 @@ from mbsgen.verification.geometry import (
     Vector,
     add,
     apply,
+    bend,
     cross,
     dot,
     rotation,
@@ -327,6 +338,74 @@ class Truth:
         ]
 
     @cached_property
+    def bends(self) -> list[Pose]:
+        """Return the second time derivatives of the origins and axes of the base and all bodies."""
+
+        def measure(displacement: Numbers | None) -> Numbers:
+            poses = self.mechanism.poses(self.q, displacement)
+            return [x for pose in poses for v in (pose.p, *pose.R) for x in v]
+
+        size = self.closures.size
+        found = iter(bend(self.tree, measure, self.all_qd, self.move(self.qdd), size))
+        vectors = iter(lambda: list(islice(found, 3)), [])
+        return [Pose(p, [next(vectors) for _ in range(3)]) for p in vectors]
+
+    def bend_place(self, body: int, r: Vector) -> Vector:
+        """Return the acceleration of a point fixed in a body."""
+        return self.bends[body].place(r)
+
+    def bend_turn(self, body: int) -> Vector:
+        """Return the angular acceleration of a body: the skew part of R'' RT."""
+        W = times(self.bends[body].R, transpose(self.poses[body].R))
+        return [(W[2][1] - W[1][2]) / 2, (W[0][2] - W[2][0]) / 2, (W[1][0] - W[0][1]) / 2]
+
+    def list_beyond(self, body: int) -> frozenset[int]:
+        """Number a body, and all that it carries."""
+        found = {body}
+        for i in range(body + 1, len(self.tree.bodies) + 1):
+            if self.tree.bodies[i - 1].parent in found:
+                found.add(i)
+        return frozenset(found)
+
+    def list_inertial(self, bodies: frozenset[int]) -> Iterator[tuple[Vector, Vector, Vector]]:
+        """Yield the places of masses, what their momentum gains less their weight, and their spin's gain.
+
+        The spin's gain is the sum of r x r'' dm about the centre, with r = R s and P the integral of s sT dm.
+        """
+        for mass in (x for x in self.mechanism.masses if x.body in bodies):
+            R, change = self.poses[mass.body].R, self.bends[mass.body].R
+            a = add(self.bend_place(mass.body, mass.com), [-x for x in self.mechanism.gravity])
+            half = sum((mass.inertia[k][k] for k in range(3)), ZERO) / 2
+            P = [[half * int(r == c) - mass.inertia[r][c] for c in range(3)] for r in range(3)]
+            S = times(times(R, P), transpose(change))
+            spin = [S[1][2] - S[2][1], S[2][0] - S[0][2], S[0][1] - S[1][0]]
+            yield self.poses[mass.body].place(mass.com), [mass.m * x for x in a], spin
+
+    def list_applied(self, bodies: frozenset[int]) -> Iterator[tuple[Vector, Vector, Vector]]:
+        """Yield the places of external wrenches, with the opposites of their forces and moments, in the base frame."""
+        for wrench, place, force, moment in self.list_wrenches():
+            if wrench.body in bodies:
+                yield place, [-x for x in force], [-x for x in moment]
+
+    def list_wrenches(self) -> Iterator[tuple[Wrench, Vector, Vector, Vector]]:
+        """Yield each external wrench, its place, force and moment, in the base frame."""
+        open_ones = iter(self.w)
+        for k, wrench in enumerate(self.tree.wrenches):
+            force, moment = (
+                self.read(vector) if vector is not None else list(islice(open_ones, 3))
+                for vector in (wrench.force, wrench.moment)
+            )
+            if not wrench.in_base:
+                axes = times(self.poses[wrench.body].R, self.mechanism.matrix(f"axes_of_{k}"))
+                force, moment = apply(axes, force), apply(axes, moment)
+            yield wrench, self.poses[wrench.body].place(self.mechanism.vector(f"point_{k}")), force, moment
+
+    def find(self, owner: str, *keys: str) -> list[Symbol]:
+        """Return the definitions of a force element or a contact."""
+        own = {x.key: x.symbol for x in self.tree.definitions if x.owner == owner}
+        return [own[key] for key in keys]
+
+    @cached_property
     def reach(self) -> Decimal:
         """Bound the lengths of which places are sums, also where they cancel: of bodies, masses, sensors, wrenches."""
         mechanism, points = self.mechanism, [(x.body, x.com) for x in self.mechanism.masses]
@@ -463,6 +542,70 @@ def _velocities(truth: Truth, _: Computation, results: Results) -> Iterator[Comp
             yield Comparison(name, results[name], [x for speed in truth.sensor_speeds for x in speed[place]], scale)
 
 
+def _accelerations_of_sensors(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare with second differences of places and axes."""
+    turning = 1 + max(largest(OM) for _, OM in truth.speeds)
+    scale = turning**2 * (1 + truth.reach) + largest(truth.qdd) * truth.reach + truth.swing * turning
+    places = [truth.mechanism.vector(f"place_{k}") for k in range(len(truth.tree.sensors))]
+    found = {
+        "acceleration": [truth.bend_place(s.body, r) for s, r in zip(truth.tree.sensors, places, strict=True)],
+        "alpha": [truth.bend_turn(s.body) for s in truth.tree.sensors],
+    }
+    for name in (name for name in found if name in results):
+        yield Comparison(name, results[name], [x for v in found[name] for x in v], scale)
+
+
+def _attitudes(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    axes = [column for k in range(len(truth.tree.sensors)) for column in transpose(truth.sensor(k).R)]
+    yield Comparison("attitude", results["attitude"], [x for column in axes for x in column], Decimal(1))
+
+
+def _elements(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare with the force F on the first end, and with d to the second one."""
+    lengths, tensions = [], []
+    for name in truth.tree.elements:
+        d, F = (truth.read(truth.find(name, *(f"{key}.{axis}" for axis in "xyz"))) for key in "dF")
+        lengths.append(dot(d, d).sqrt())
+        tensions.append(dot(F, d) / lengths[-1])
+    for name, expected in (("length", lengths), ("tension", tensions)):
+        if name in results:
+            yield Comparison(name, results[name], expected, truth.reach)
+
+
+def _contact_forces(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
+    names = [x.name for x in truth.tree.distances]
+    found = {"normal": ("N",), "contact_force": ("F.x", "F.y", "F.z")}
+    for name, keys in ((name, keys) for name, keys in found.items() if name in results):
+        expected = [x for owner in names for x in truth.read(truth.find(owner, *keys))]
+        yield Comparison(name, results[name], expected)
+
+
+def _reactions(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare with the momentum that all beyond a joint gains, less the forces on it; of loops, by virtual power."""
+    lam = truth.state.take(ports.MULTIPLIERS.name, len(truth.closures.h)) if _takes(tape, ports.MULTIPLIERS) else []
+    forces, moments, size = list[Decimal](), list[Decimal](), ZERO
+    for i in range(1, len(truth.tree.bodies) + 1):
+        beyond, at = truth.list_beyond(i), truth.poses[i].p
+        wrenches = [*truth.list_inertial(beyond), *truth.list_applied(beyond)]
+        F, N = [ZERO] * 3, [ZERO] * 3
+        for place, force, moment in wrenches:
+            arm = add(place, [-x for x in at])
+            F, N = add(F, force), add(N, add(moment, cross(arm, force)))
+            size = max(size, largest(force), largest(moment), largest(arm) * largest(force))
+        if lam:
+            loops = [dot(truth.closures.push(i, beyond, way), lam) for way in range(6)]
+            F, N, size = add(F, [-x for x in loops[:3]]), add(N, [-x for x in loops[3:]]), max(size, largest(lam))
+        forces += F
+        moments += N
+    for name, expected in (("force", forces), ("moment", moments)):
+        if name in results:
+            yield Comparison(name, results[name], expected, size)
+
+
+def _takes(tape: Computation, port: Port) -> bool:
+    return any(i.port == port for i in tape.inputs)
+
+
 def _jacobian(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
     """Compare J qd with the velocities, also where functions have no velocities."""
     truth = truth.moving
@@ -541,15 +684,7 @@ def _work(truth: Truth) -> tuple[Numbers, Decimal]:
     """Return the power of each external force and moment, and a bound of the products of which they are sums."""
     turning = max(largest(OM) for _, OM in truth.speeds)
     powers, size = [], ZERO
-    open_ones = iter(truth.w)
-    for k, wrench in enumerate(truth.tree.wrenches):
-        force, moment = (
-            truth.read(vector) if vector is not None else list(islice(open_ones, 3))
-            for vector in (wrench.force, wrench.moment)
-        )
-        if not wrench.in_base:
-            axes = times(truth.poses[wrench.body].R, truth.mechanism.matrix(f"axes_of_{k}"))
-            force, moment = apply(axes, force), apply(axes, moment)
+    for k, (wrench, _, force, moment) in enumerate(truth.list_wrenches()):
         powers.append(dot(force, truth.moving_point(wrench.body, truth.mechanism.vector(f"point_{k}"))))
         powers.append(dot(moment, truth.speeds[wrench.body][1]))
         size = max(size, largest(force) * truth.swing, largest(moment) * turning)
@@ -624,6 +759,15 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.DISTANCE: _distances,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,
+    ports.ACCELERATION: _accelerations_of_sensors,
+    ports.ANGULAR_ACCELERATION: _accelerations_of_sensors,
+    ports.ATTITUDE: _attitudes,
+    ports.LENGTH: _elements,
+    ports.TENSION: _elements,
+    ports.NORMAL_FORCE: _contact_forces,
+    ports.CONTACT_FORCE: _contact_forces,
+    ports.REACTION_FORCE: _reactions,
+    ports.REACTION_MOMENT: _reactions,
     ports.SENSOR_JACOBIAN: _jacobian,
     ports.ORIGINS: _frames,
     ports.ROTATIONS: _frames,

@@ -6,7 +6,7 @@ along its angular velocity w by 1 + h w~ + (h w~)2 / 2; a central difference nee
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -25,6 +25,7 @@ Vector = list[Decimal]
 Matrix = list[Vector]  # rows
 
 STEP = Decimal("1e-16")  # of differences, whose error is of the order of its square, 1e-32
+SECOND_STEP = Decimal("1e-9")  # of coordinates, in second differences of fourth order: rounding and error below 1e-31
 ZERO, ONE = Decimal(0), Decimal(1)
 UNIT: Matrix = [[ONE, ZERO, ZERO], [ZERO, ONE, ZERO], [ZERO, ZERO, ONE]]
 
@@ -180,6 +181,45 @@ def velocity(here: Pose, ahead: Pose, behind: Pose) -> tuple[Vector, Vector]:
     v = slope(ahead.p, behind.p)
     W = times([slope(a, b) for a, b in zip(ahead.R, behind.R, strict=True)], transpose(here.R))
     return v, [(W[2][1] - W[1][2]) / 2, (W[0][2] - W[2][0]) / 2, (W[1][0] - W[0][1]) / 2]
+
+
+def displace(poses: Sequence[Pose], number: int, beyond: Collection[int], way: int, step: Decimal) -> list[Pose]:
+    """Move some bodies rigidly by a step: along (0 to 2) or about (3 to 5) an axis through the origin of one body."""
+    along, about = ([step * int(way == k) for k in ways] for ways in (range(3), range(3, 6)))
+    turn, at = _small_turn(about), poses[number].p
+
+    def move(pose: Pose) -> Pose:
+        arm = apply(turn, add(pose.p, [-x for x in at]))
+        return Pose(add(add(at, arm), along), times(turn, pose.R))
+
+    return [move(pose) if i in beyond else pose for i, pose in enumerate(poses)]
+
+
+def bend(
+    tree: Tree, value: Callable[[Numbers | None], Numbers], qd: Numbers, qdd: Numbers, size: Decimal = ONE
+) -> Numbers:
+    """Return the second time derivative of a function of displacements along all joints of an uncoupled tree.
+
+    Velocities of a free body are in its own, turning axes. `size` is the unit of shifts. The error of a second
+    difference, relative to the square of the speed, grows by the fourth power of the way per step. Velocities are large
+    where loops are almost singular: there, a step of fixed time is too long.
+    """
+    curve = list(qdd)
+    for x in tree.quaternions:
+        if x.is_free:
+            a, b, c, d, e, f = (qd[i - 1] for i in x.bodies)
+            for i, more in zip(x.bodies, (e * c - f * b, f * a - d * c, d * b - e * a), strict=False):
+                curve[i - 1] += more
+    own = [size if body.joint.motion is Motion.PRISMATIC else ONE for body in tree.bodies]
+    speeds, changes = ([abs(x) / unit for x, unit in zip(v, own, strict=True)] for v in (qd, curve))
+    time, here = SECOND_STEP / max(ONE, *speeds, *(a.sqrt() for a in changes)), value(None)
+
+    def differ(step: Decimal) -> Numbers:
+        moved = (value([h * v + h * h / 2 * a for v, a in zip(qd, curve, strict=True)]) for h in (step, -step))
+        return [(x + y - 2 * z) / step**2 for x, y, z in zip(*moved, here, strict=True)]
+
+    coarse, fine = differ(2 * time), differ(time)
+    return [(4 * y - x) / 3 for x, y in zip(coarse, fine, strict=True)]
 
 
 def slope(ahead: Sequence[Decimal], behind: Sequence[Decimal]) -> Vector:

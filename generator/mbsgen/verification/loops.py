@@ -6,18 +6,29 @@ equations only their order, their units, and the frame that positions are resolv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from decimal import Decimal
 from functools import cached_property
 
 from mbsgen.formulations.closure import kept_equations
-from mbsgen.model.tree import Cut, Loop, Motion, Tree
+from mbsgen.model.tree import Cut, Loop, Tree
 from mbsgen.tape.interpreter import DECIMALS
 from mbsgen.tape.types import Op
-from mbsgen.verification.geometry import STEP, ZERO, Mechanism, Pose, add, dot, slope, times, transpose
+from mbsgen.verification.geometry import (
+    STEP,
+    ZERO,
+    Mechanism,
+    Pose,
+    add,
+    bend,
+    displace,
+    dot,
+    slope,
+    times,
+    transpose,
+)
 from mbsgen.verification.states import Numbers
 
-SECOND_STEP = Decimal("1e-9")  # of coordinates, in second differences of fourth order: rounding and error below 1e-31
 Value = Callable[[Sequence[Decimal]], Numbers]  # of constraints, at the coordinates of all joints
 
 
@@ -31,7 +42,7 @@ class Closures:
         shifts.
         """
         self.tree, self._mechanism, self._q, self._constraints = tree, mechanism, q, constraints
-        self._size = size
+        self.size = size
 
     @cached_property
     def h(self) -> Numbers:
@@ -43,25 +54,22 @@ class Closures:
         return slope(*(self._close([step * x for x in qd]) for step in (STEP, -STEP)))
 
     def accelerate(self, qd: Numbers, qdd: Numbers) -> Numbers:
-        """Return the second time derivative of h; velocities of a free body are in its own, turning axes."""
-        bend = list(qdd)
-        for x in self.tree.quaternions:
-            if x.is_free:
-                a, b, c, d, e, f = (qd[i - 1] for i in x.bodies)
-                for i, more in zip(x.bodies, (e * c - f * b, f * a - d * c, d * b - e * a), strict=False):
-                    bend[i - 1] += more
-        own = [self._size if body.joint.motion is Motion.PRISMATIC else Decimal(1) for body in self.tree.bodies]
-        time = SECOND_STEP / _bound_speed(*([x / size for x, size in zip(v, own, strict=True)] for v in (qd, bend)))
-        coarse, fine = (self._bend(step, qd, bend) for step in (2 * time, time))
-        return [(4 * y - x) / 3 for x, y in zip(coarse, fine, strict=True)]
+        """Return the second time derivative of h."""
+        return bend(self.tree, self._close, qd, qdd, self.size)
 
-    def _bend(self, step: Decimal, qd: Numbers, qdd: Numbers) -> Numbers:
-        """Return the second difference of h along a curve."""
-        moved = (self._close([h * v + h * h / 2 * a for v, a in zip(qd, qdd, strict=True)]) for h in (step, -step))
-        return [(x + y - 2 * z) / step**2 for x, y, z in zip(*moved, self.h, strict=True)]
+    def push(self, number: int, beyond: Collection[int], way: int) -> Numbers:
+        """Return the rate of h as some bodies move rigidly, along or about an axis through the origin of one of them.
+
+        Ways 0 to 2 are along x, y and z, 3 to 5 about them.
+        """
+        poses = self._mechanism.poses(self._q)
+        return slope(*(self._gather(displace(poses, number, beyond, way, step), None) for step in (STEP, -STEP)))
 
     def _close(self, displacement: Numbers | None) -> Numbers:
-        poses = self._mechanism.poses(self._q, displacement)
+        return self._gather(self._mechanism.poses(self._q, displacement), displacement)
+
+    def _gather(self, poses: Sequence[Pose], displacement: Numbers | None) -> Numbers:
+        """Return the equations that are kept, of bodies at given poses and joints that are displaced."""
         found = {(k, n): x for k, loop in enumerate(self.tree.loops) for n, x in enumerate(self._open(loop, k, poses))}
         moved = [a + b for a, b in zip(self._joints, displacement or [ZERO] * len(self.tree.bodies), strict=True)]
         first = len(self.tree.loops)
@@ -116,12 +124,3 @@ class Closures:
 
         above = set(climb(other))
         return next(body for body in climb(one) if body in above)
-
-
-def _bound_speed(qd: Numbers, qdd: Numbers) -> Decimal:
-    """Bound velocities, and the square roots of accelerations; at least 1.
-
-    The error of a second difference, relative to the square of this bound, grows by the fourth power of the way per
-    step. Velocities are large where loops are almost singular: there, a step of fixed time is too long.
-    """
-    return max(Decimal(1), *map(abs, qd), *(abs(a).sqrt() for a in qdd))
