@@ -96,6 +96,7 @@ MBSRUN = Package(
         "appearance",
         "skeleton ocp.no_mechanism quaternions",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quantities jets differentiation",
+        "results curves",
         "animation",
         "recordings.recording",
         "recordings.lines recordings.splines",
@@ -183,7 +184,7 @@ MBSRUN = Package(
         "lab.cases lab.maps",
         "lab",
         "commands.console",
-        "commands.searching commands.failures",
+        "commands.searching commands.failures commands.columns",
         "commands.phases commands.recorded commands.animated commands.robots",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
         "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "

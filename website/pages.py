@@ -58,6 +58,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "recordings.md",
             "gait.md",
             "muscles.md",
+            "quantities.md",
             "classics.md",
             "solver.md",
         ]

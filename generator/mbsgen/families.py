@@ -19,7 +19,7 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.splitting import hoist
 from mbsgen.request import EVERY_FUNCTION, OptionError, Request
-from mbsgen.roles import Order, Role
+from mbsgen.roles import ON_REQUEST, Order, Role
 from mbsgen.tape.passes import keep_results, merge, set_zero
 from mbsgen.tape.ports import Function, is_of
 from mbsgen.tape.types import Tape
@@ -203,7 +203,7 @@ def _choose_functions(tree: Tree, request: Request) -> Mapping[str, Entry]:
     """Choose functions by name, in the order of the catalogue; report all faulty names together."""
     present = select_functions(tree)
     if request.needed is None:
-        return {name: entry for name, entry in present.items() if not entry.is_asked}
+        return {name: entry for name, entry in present.items() if name not in ON_REQUEST}
     names = [name for name in request.needed if name in present or name not in request.optional]
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
     for name in names:

@@ -359,6 +359,7 @@ class Manifest(_Entry):
     wrenches: tuple[Wrench, ...] = ()
     signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
+    elements: tuple[str, ...] = ()  # springs and cables
     lengths: tuple[str, ...] = ()  # forces that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
     independent: tuple[int, ...] = ()  # entries of qd that determine all others; empty without loops
@@ -451,6 +452,7 @@ def write(manifest: Manifest) -> str:
             "appearance",
             "signals",
             "contacts",
+            "elements",
             "lengths",
             "loops",
             "independent",

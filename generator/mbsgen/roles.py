@@ -52,6 +52,10 @@ class Role(Enum):
         return self not in (Role.PARAMETER, Role.SETUP)
 
 
+# Functions that are written only where they are named: few uses need them, and each use of them knows its name.
+ON_REQUEST = ("accelerations", "attitudes", "lengths", "tensions", "contact_forces", "reactions")
+
+
 class Axis(Enum):
     """The meaning of the entries along one side of an argument."""
 

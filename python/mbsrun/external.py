@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from numpy.typing import ArrayLike
 
 from mbsgen.manifest import Kernel, Manifest
-from mbsgen.roles import Order, Role, name_adjoint, name_derivative, name_unneeded, split_kernel
-from mbsrun.binding import ArgumentError
-from mbsrun.kernel import Array, Kernels
+from mbsgen.roles import ON_REQUEST, Order, Role, name_adjoint, name_derivative, name_unneeded, split_kernel
+from mbsrun.binding import ArgumentError, Status
+from mbsrun.kernel import Array, Kernels, document
 from mbsrun.models import WHOLE, Extent, derive_equations, find_folder, is_model
 
 if TYPE_CHECKING:
@@ -41,6 +41,43 @@ class Mechanism(Kernels):
         """Read the folder's manifest. `parameters` replace the model's values; the origin is the model's file."""
         super().__init__(folder, parameters)
         self._origin = origin
+        self._more: dict[str, Mechanism] = {}  # functions on request, which were generated since
+
+    def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        """Call a kernel, as `Kernels.__call__` does; functions on request are generated at their first call."""
+        more = self._find_more(name)
+        return super().__call__(name, sparse=sparse, **inputs) if more is None else more(name, sparse=sparse, **inputs)
+
+    def attempt(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> tuple[dict[str, Array], Status]:
+        """Call a kernel, as `Kernels.attempt` does."""
+        more = self._find_more(name)
+        if more is None:
+            return super().attempt(name, sparse=sparse, **inputs)
+        return more.attempt(name, sparse=sparse, **inputs)
+
+    def describe(self, name: str) -> Kernel:
+        """Describe a kernel, as `Kernels.describe` does."""
+        more = self._find_more(name)
+        return super().describe(name) if more is None else more.describe(name)
+
+    def __getattr__(self, name: str) -> Callable[..., dict[str, Array]]:
+        """Return a kernel as a function."""
+        if not name.startswith("_") and self._find_more(name) is not None:
+            return document(self, self.describe(name))
+        return super().__getattr__(name)
+
+    def _find_more(self, name: str) -> Mechanism | None:
+        """Return the kernels of a function on request that this folder lacks; of a model file, they are generated."""
+        if name in self._binder.kernels or self._origin is None:
+            return None
+        base = split_kernel(name)[0]
+        if base not in ON_REQUEST:
+            return None
+        if base not in self._more:
+            extent = replace(self._origin.extent, functions=(base,), derivatives=2, optional=(), values=())
+            self._more[base] = Mechanism(find_folder(self._origin.path, extent))
+        found = self._more[base]
+        return found.with_parameters(**self.parameters) if self.parameters else found
 
     def symbolic(self, *, numbers: bool = False) -> Any:
         """Return the equations of motion as SymPy's objects: an `mbsgen.equations.Motion` with the present parameters.
@@ -67,6 +104,9 @@ class Mechanism(Kernels):
         derivative; it can be mapped, also over threads. A serialised function holds the library's path. Raises
         ArgumentError for an unknown kernel, and for kernels of acados, whose integers are not CasADi's.
         """
+        more = self._find_more(name)
+        if more is not None:
+            return more.casadi(name, design=design)
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
         if kernel.integer != INTEGER:
             forms = [x for role in (Role.RESIDUAL, Role.ACCELERATION) for x in self.manifest.list_giving(role)]
@@ -88,8 +128,9 @@ class Mechanism(Kernels):
 
     def find_family(self, name: str) -> Mechanism:
         """Return the kernels that hold a function with all of its derivatives."""
-        self._binder.describe(name)
-        return self
+        more = self._find_more(name)
+        self.describe(name)
+        return self if more is None else more
 
 
 JACOBIANS = {Order.VALUE: Order.JACOBIAN, Order.ADJOINT: Order.ADJOINT_JACOBIAN}
@@ -143,6 +184,10 @@ class OnDemand:
         self._start = Mechanism(find_folder(path, START))
         self._mechanisms: dict[str, Mechanism] = {}
         self.manifest = self._start.manifest
+
+    def __repr__(self) -> str:
+        """Return the model, and that functions are generated at their first use."""
+        return repr(self._start).replace("Mechanism(", "OnDemand(", 1)
 
     @property
     def parameters(self) -> Mapping[str, float]:

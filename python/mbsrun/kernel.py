@@ -8,7 +8,8 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
+from inspect import Parameter, Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -18,8 +19,8 @@ from numpy.typing import ArrayLike
 from mbsgen import manifest as manifests
 from mbsgen import resources
 from mbsgen.errors import MbsError
-from mbsgen.manifest import FIRST_LENGTH, Kernel, Manifest
-from mbsgen.roles import FAMILY, Order, Role, name_kernel
+from mbsgen.manifest import FIRST_LENGTH, Argument, Kernel, Manifest
+from mbsgen.roles import FAMILY, ON_REQUEST, Order, Role, name_kernel, split_kernel
 from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
 from mbsrun.library import Compiler, compile_library, find_compiler
 
@@ -205,7 +206,15 @@ class Kernels:
         """Return a kernel as a function."""
         if name.startswith("_") or name not in self._binder.kernels:
             raise AttributeError(f"{type(self).__name__} has no attribute or kernel {name!r}")
-        return partial(self, name)
+        return document(self, self.describe(name))
+
+    def __repr__(self) -> str:
+        """Return the model, its coordinates and inputs, and the functions."""
+        manifest = self.manifest
+        functions = ", ".join(kernel.name for kernel in manifest.kernels if kernel.order is Order.VALUE)
+        parts = {"coordinates": manifest.positions, "inputs": manifest.inputs, "parameters": tuple(self.parameters)}
+        told = "; ".join(f"{kind} {_shorten(names)}" for kind, names in parts.items() if names)
+        return f"{type(self).__name__}({manifest.model}: {told}; functions {functions})"
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._binder.kernels]
@@ -271,7 +280,10 @@ class _Binder:
         """Return the description of a kernel. Raises ArgumentError with the names of the kernels."""
         kernel = self.kernels.get(name)
         if kernel is None:
-            raise ArgumentError(f"{self.manifest.model} has no kernel {name!r}; there are {', '.join(self.kernels)}")
+            base = split_kernel(name)[0]
+            more = f"; `mbsgen MODEL --functions {base}` writes it" if base in ON_REQUEST else ""
+            known = ", ".join(self.kernels)
+            raise ArgumentError(f"{self.manifest.model} has no kernel {name!r}; there are {known}{more}")
         return kernel
 
     def bind(self, name: str) -> Entry:
@@ -351,6 +363,45 @@ def _scatter(port: Port, nonzeros: Array) -> Array:
     matrices = np.zeros((states, a.rows * a.cols))
     matrices[:, port.entries] = nonzeros
     return matrices.reshape((states, *port.shape))
+
+
+def document(kernels: Kernels, kernel: Kernel) -> Callable[..., dict[str, Array]]:
+    """Return a kernel as a function that describes itself: its inputs and results, with shapes and units."""
+
+    def function(*, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
+        return kernels(kernel.name, sparse=sparse, **inputs)
+
+    hidden = (Role.SETUP, Role.DESIGN)
+    taken = [a for a in kernel.inputs if a.nnz and a.role not in hidden]
+    parameters = [Parameter(a.name, Parameter.KEYWORD_ONLY) for a in taken]
+    sparse = Parameter("sparse", Parameter.KEYWORD_ONLY, default=False)
+    more = " Parameters have their present values." if len(taken) < len(kernel.inputs) else ""
+    order = "" if kernel.order is Order.VALUE else f" ({kernel.order.value.replace('_', ' ')} of {kernel.base})"
+    lines = [
+        f"Compute {kernel.name}{order} of {kernels.manifest.model}, in one state or, with a leading axis, in a batch.",
+        "",
+        *_describe_arguments("Inputs:", taken),
+        *_describe_arguments("Returns a dictionary of", kernel.outputs),
+        "",
+        f"sparse: give the nonzeros only.{more} See `Kernels.__call__` for errors.",
+    ]
+    function.__name__ = function.__qualname__ = kernel.name
+    function.__doc__ = "\n".join(lines)
+    function.__signature__ = Signature([*parameters, sparse])  # type: ignore[attr-defined]
+    return function
+
+
+def _describe_arguments(title: str, arguments: Sequence[Argument]) -> list[str]:
+    """Return a line for each argument: its shape, and its unit where it has one."""
+    shapes = [_text((a.rows,) if a.cols == 1 and not a.matrix else (a.rows, a.cols)) for a in arguments]
+    width = max((len(a.name) for a in arguments), default=0) + 2
+    lines = [f"    {a.name:<{width}}{shape:<10}{a.unit}" for a, shape in zip(arguments, shapes, strict=True)]
+    return [title, *(line.rstrip() for line in lines)]
+
+
+def _shorten(names: Sequence[str], most: int = 8) -> str:
+    """List names, and count the ones that are too many."""
+    return ", ".join(names[:most]) + (f", and {len(names) - most} more" if len(names) > most else "")
 
 
 def _is_finite(value: object) -> bool:

@@ -56,6 +56,46 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
     return known
 
 
+def find_unit(quantity: Quantity, manifest: Manifest) -> str:
+    """Return the unit of a quantity; "" for none, and for numbers of a problem, which does not say."""
+    entry = quantity.index
+    match quantity.kind:
+        case "t" | "T":
+            return "s"
+        case "q":
+            units = {c.name: c.unit for c in manifest.coordinates}
+            return units.get(manifest.positions[entry], "m" if manifest.positions[entry][-2:] in _PLACES else "")
+        case "qd" | "qdd":
+            return manifest.coordinates[entry].unit + ("/s" if quantity.kind == "qd" else "/s^2")
+        case "u":
+            return manifest.coordinates[manifest.actuated[entry]].force_unit
+        case "tau":
+            return manifest.coordinates[manifest.driven[entry]].force_unit
+        case "position":
+            return "m"
+        case "v":
+            return "m/s"
+        case "w":
+            parts = [k for x in manifest.wrenches for k, is_open in enumerate((x.force, x.moment)) if is_open]
+            return ("N", "N m")[parts[entry // 3]] if entry < 3 * len(parts) else ""
+    return ""
+
+
+def list_input_units(manifest: Manifest) -> list[str]:
+    """List the units of all inputs: of u, then of w; signals have none."""
+    count = len(manifest.actuated)
+    own = [Quantity("u", i) for i in range(count)]
+    own += [Quantity("w", i) for i in range(len(manifest.inputs) - count)]
+    return [find_unit(quantity, manifest) for quantity in own]
+
+
+def list_multiplier_units(manifest: Manifest) -> list[str]:
+    """List the units of the multipliers: of forces along distances, of moments; expressions have none."""
+    return [_MULTIPLIERS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
+
+
+_PLACES = (".x", ".y", ".z")  # ends of the names of coordinates of a free body
+_MULTIPLIERS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": ""}
 SIGNAL = -1  # the component of a signal, which has one number
 
 

@@ -101,7 +101,6 @@ class Entry:
     row: Row | None = None
     iterated: Callable[[Tree], Procedure] | None = None  # the same by iterations, if this is to be differentiated
     same_as: str = ""  # another entry that computes the same, and is judged in its place
-    is_asked: bool = False  # it is written only where it is named
 
     def gives(self, role: Role) -> bool:
         """Return whether a result has a role."""
@@ -180,7 +179,6 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.ACCELERATION, ports.ANGULAR_ACCELERATION),
         order=2,
         needs=(SENSORS,),
-        is_asked=True,
     ),
     "attitudes": Entry(
         _plainly(poses.build_attitudes),
@@ -188,7 +186,6 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.ATTITUDE,),
         order=2,
         needs=(SENSORS,),
-        is_asked=True,
     ),
     "jacobian": Entry(
         _plainly(velocities.build_jacobian),
@@ -209,27 +206,23 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.LENGTH,),
         order=2,
         needs=(ELEMENTS,),
-        is_asked=True,
     ),
     "tensions": Entry(
         _plainly(elements.build_tensions),
         "tensions of springs and cables",
         results=(ports.TENSION,),
         needs=(ELEMENTS,),
-        is_asked=True,
     ),
     "contact_forces": Entry(
         _plainly(elements.build_contacts),
         "forces of contacts",
         results=(ports.NORMAL_FORCE, ports.CONTACT_FORCE),
         needs=(CONTACTS,),
-        is_asked=True,
     ),
     "reactions": Entry(
         _plainly(reactions.build),
         "forces and moments in the joints",
         results=(ports.REACTION_FORCE, ports.REACTION_MOMENT),
-        is_asked=True,
     ),
     "condition": Entry(
         project(condition.build, coupling.write_condition),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from mbsrun.commands.columns import check_columns
 from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
 from mbsrun.commands.failures import print_failure
 from mbsrun.commands.searching import print_starts, show_search
@@ -39,11 +40,12 @@ def solve_file(
     fallback: bool | None = None,
     accuracy: float | None = None,
     wish: Wish | None = None,
+    columns: tuple[str, ...] = (),
 ) -> int:
     """Solve the problem of a file, write and print the solution; return the exit code.
 
     `choose` changes the problem of each phase. With an accuracy, the grids of all phases are refined until it holds.
-    With a wish, it is solved from many starts.
+    With a wish, it is solved from many starts. `columns` are further columns of the tables.
     """
     problem, plants = read_phased_problem(file, load_on_demand)
     problem = replace(problem, phases=tuple(replace(p, problem=choose(p.problem)) for p in problem.phases))
@@ -58,6 +60,7 @@ def solve_file(
     has_own = any(phase.problem.guess.solution is not None for phase in problem.phases)
     if wish is not None and (other is not None or has_own):
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
+    check_columns(columns, [(p.problem, plant) for p, plant in zip(problem.phases, plants.phases, strict=True)])
     guess = find_phased_guess(problem, plants, file.parent, other, name_guesses(file))
     out = out or Path(f"{problem.name}.solution")
     outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, wish)
@@ -72,7 +75,7 @@ def solve_file(
         if any(phase.problem.refine is not None for phase in problem.phases):
             outcome = refine_phases(outcome, plants, lambda name, round_: status.update(_describe(name, round_)))
         status.update("drawing")
-        written = write_files(outcome, plants, out)
+        written = write_files(outcome, plants, out, columns)
     for name, value in summarise_phases(outcome).items():
         click.echo(write_line(name, value, 24))
     if outcome.run.instead:

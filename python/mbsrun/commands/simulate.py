@@ -13,6 +13,7 @@ from mbsgen.documents import Data
 from mbsgen.errors import Fault, InputError
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
+from mbsrun.commands.columns import more_columns
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
@@ -25,7 +26,9 @@ from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.solution import read_solution
+from mbsrun.quantities import Added, list_quantities
 from mbsrun.recordings import find_column, read_column, read_recording
+from mbsrun.results import Numbers
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import follow_polynomials, hold_steps
 from mbsrun.simulation.methods import METHODS, Family, Formulation
@@ -72,7 +75,8 @@ Formulations
 \b
 The output folder gets
   simulation.json   settings, effort, energies, warnings, where the motion ends
-  trajectory.csv    every number kept, with its unit: coordinates, velocities, inputs, energies
+  trajectory.csv    every number kept, with its unit: coordinates, velocities, inputs, energies, and what
+                    --columns names
   plots.png         the same over time
   animation.html    plays the motion in any browser
 
@@ -177,6 +181,7 @@ def list_keeping() -> str:
     help="A table of inputs from time 0 on, linear between its rows: CSV, MOT or STO, with columns NAME, u[NAME] or "
     "input[NAME]; other inputs are 0.",
 )
+@more_columns
 @choose_format
 @accept_robots
 @click.pass_context
@@ -188,6 +193,7 @@ def simulate_command(
     file: Path | None,
     solution: Path | None,
     table: Path | None,
+    columns: tuple[str, ...],
     **given: Any,
 ) -> None:
     """Read, integrate, write, print."""
@@ -203,6 +209,7 @@ def simulate_command(
     if note:
         say(f"note: {note}")
     out = out or Path(f"{model.stem}.simulation")
+    Numbers(mechanism, list_quantities(mechanism.manifest, Added()), {}).select(columns)
     with MESSAGES.status("integrating") as status:
 
         def show(time: float) -> None:
@@ -210,7 +217,7 @@ def simulate_command(
 
         motion = simulate(mechanism, statement.drive, q, qd, statement.settings, show, statement.course)
         status.update("writing")
-        write_motion(motion, mechanism, out)
+        write_motion(motion, mechanism, out, columns)
     _print_motion(motion, mechanism.manifest)
     say(f"wrote {list_written(out, MOTION_FILES)}")
     for warning in motion.warnings:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbsrun.commands.columns import check_columns, more_columns
 from mbsrun.commands.console import (
     MESSAGES,
     NOT_SOLVED,
@@ -66,7 +67,8 @@ method, or by IPOPT. Another method then integrates the motion under the inputs 
 The output folder gets
   solution.json       the problem, the solver's run, every number of the trajectory
   solution.csv        time, coordinates, velocities, accelerations, inputs, forces of loops and of driven
-                      joints, sensors; a row for each mesh and collocation point, names and units on top
+                      joints, sensors, and what --columns names; a row for each mesh and collocation point,
+                      names and units on top
   trajectories.png    coordinates, velocities and inputs over time
   mechanism.png       the mechanism on its way
   animation.html      plays the motion in any browser
@@ -162,6 +164,7 @@ Exit codes
 @click.option(
     "--sensitivities", is_flag=True, help="Print the derivative of the cost by each differentiated parameter, too."
 )
+@more_columns
 @choose_format
 @click.pass_context
 @name_lines
@@ -178,6 +181,7 @@ def solve_command(
     minutes: float | None,
     workers: int | None,
     sensitivities: bool,
+    columns: tuple[str, ...],
     **choices: Any,
 ) -> None:
     """Read, solve, re-simulate, write, print."""
@@ -190,7 +194,7 @@ def solve_command(
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
     if has_phases(file):
         left_out = {"target": target, "hops": hops, "workers": workers, "sensitivities": sensitivities or None}
-        context.exit(_solve_phases(file, out, other, wish, {**left_out, **choices}))
+        context.exit(_solve_phases(file, out, other, wish, columns, {**left_out, **choices}))
     models: list[Path] = []
 
     def load_model(model: Path) -> Plant:
@@ -201,6 +205,7 @@ def solve_command(
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
+    check_columns(columns, [(problem, plant)])
     is_own = other is None and problem.guess.solution is not None
     if other is None and problem.guess.solution is not None:
         other = file.parent / problem.guess.solution
@@ -231,7 +236,7 @@ def solve_command(
             status.update("differentiating the cost")
             outcome = find_sensitivities(outcome, plant)
         status.update("drawing")
-        written = _write(outcome, plant, out)
+        written = _write(outcome, plant, out, columns)
     for name, value in summarise(outcome).items():
         click.echo(write_line(name, value, 14))
     if outcome.run.instead:
@@ -253,7 +258,14 @@ def _describe_round(last: Round) -> str:
     return f"{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
-def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish | None, choices: dict[str, Any]) -> int:
+def _solve_phases(
+    file: Path,
+    out: Path | None,
+    other: Path | None,
+    wish: Wish | None,
+    columns: tuple[str, ...],
+    choices: dict[str, Any],
+) -> int:
     """Solve a problem in phases; what an option says, it says of every phase."""
     given = [f"--{name}" for name in SINGLE if choices.pop(name) is not None]
     if given:
@@ -267,7 +279,7 @@ def _solve_phases(file: Path, out: Path | None, other: Path | None, wish: Wish |
 
     from mbsrun.commands.phases import solve_file
 
-    return solve_file(file, out, other, choose, solver, threads, fallback, accuracy, wish)
+    return solve_file(file, out, other, choose, solver, threads, fallback, accuracy, wish, columns)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -352,13 +364,13 @@ def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out:
     return outcome
 
 
-def _write(solution: Solution, plant: Plant, out: Path) -> tuple[str, ...]:
+def _write(solution: Solution, plant: Plant, out: Path, columns: tuple[str, ...]) -> tuple[str, ...]:
     """Write the files of a solution, and return their names."""
     from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
 
     out.mkdir(parents=True, exist_ok=True)
     write_solution(solution, out / SOLUTION)
-    write_table(solution, plant, out / TABLE)
+    write_table(solution, plant, out / TABLE, columns)
     plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
     written = [*PLAIN_FILES]
     if plant.manifest.coordinates:

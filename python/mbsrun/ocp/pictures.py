@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Frame, Manifest
 from mbsgen.style import BAD, GOOD, PALETTE, save_plot, styled
 from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
+from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Target
 from mbsrun.ocp.solution import Rounds, Solution, Starts
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.quantities import name_components
+from mbsrun.quantities import Quantity, find_unit, name_components
 from mbsrun.quaternions import find_rates
 from mbsrun.skeleton import Skeleton, place
 
@@ -44,28 +45,9 @@ def plot_trajectories(solution: Solution, manifest: Manifest, path: Path) -> Non
 
 @styled
 def make_trajectories(solution: Solution, manifest: Manifest) -> Figure:
-    """Plot coordinates, velocities and inputs over time."""
-    t = read_times(solution.trajectory)
-    added = bool(solution.problem.every_state or solution.problem.controls or solution.trajectory.point_w.any())
-    if not manifest.coordinates:
-        figure = Figure(figsize=(8, 5), layout="constrained")
-        axes = figure.subplots()
-        plot_additions(axes, solution, t)
-        _plot_wrenches(axes, solution, manifest)
-        axes.set_xlabel("time [s]")
-        axes.legend(frameon=False)
-        figure.suptitle(write_title(solution))
-        return figure
-    rows = 2 + bool(manifest.actuated or manifest.driven) + added
-    figure = Figure(figsize=(8, 3 * rows), layout="constrained")
-    panels = list(figure.subplots(rows, 1, sharex=True))
-    if added:
-        plot_additions(panels[-1], solution, t)
-        _plot_wrenches(panels[-1], solution, manifest)
-    draw_motion(panels, solution, manifest, choose_colors([manifest]))
-    panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(0, solution.trajectory.t[-1])
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    """Plot coordinates, velocities, inputs, and what the problem adds over time: a panel for each unit."""
+    curves = list_curves(solution, manifest, choose_colors([manifest]))
+    figure, _ = draw_curves(curves, (0.0, float(solution.trajectory.t[-1])))
     figure.suptitle(write_title(solution))
     return figure
 
@@ -81,83 +63,111 @@ def read_times(trajectory: Trajectory) -> Array:
     return np.concatenate((trajectory.t[:-1, None], trajectory.point_t), axis=1).ravel()
 
 
-def draw_motion(panels: Sequence[Axes], solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> None:
-    """Plot coordinates, velocities and, if there are any, inputs with forces of driven joints, each in its panel."""
+def list_curves(solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> list[Curve]:
+    """List the curves of a solution: its motion, then what the problem adds."""
+    motion = _list_motion(solution, manifest, colors) if manifest.coordinates else []
+    return [*motion, *_list_additions(solution), *_list_wrenches(solution, manifest)]
+
+
+def _list_motion(solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> list[Curve]:
+    """List coordinates, velocities, inputs and forces of driven joints."""
     trajectory, t = solution.trajectory, read_times(solution.trajectory)
     q, qd = (
         np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
     )
-    coordinates, velocities = panels[:2]
-    names = [c.name for c in manifest.coordinates]
-    driven = [manifest.coordinates[i] for i in manifest.driven]
-    kinds = {c.name: "" if c.actuated else " (driven)" if c in driven else " (passive)" for c in manifest.coordinates}
-    labels = {c.name: plain(c.name) + kinds[c.name] for c in manifest.coordinates}
-    lines = {c.name: "-" if c.actuated else "--" for c in manifest.coordinates}
-    for i, name in enumerate(manifest.positions):
-        own, line = labels.get(name, plain(name)), lines.get(name, "-")
-        coordinates.plot(t, q[:, i], label=own, color=colors[name], linestyle=line)
-    for i, name in enumerate(names):
-        label = None if name in manifest.positions else labels[name]
-        velocities.plot(t, qd[:, i], label=label, color=colors[name], linestyle=lines[name])
-    actuated = [manifest.coordinates[i] for i in manifest.actuated]
-    for k, c in enumerate(actuated):
+    joints = manifest.coordinates
+    driven = [joints[i] for i in manifest.driven]
+    kinds = {c.name: "" if c.actuated else " (driven)" if c in driven else " (passive)" for c in joints}
+    lines = {c.name: "-" if c.actuated else "--" for c in joints}
+
+    def style(name: str) -> dict[str, Any]:
+        return {"color": colors[name], "linestyle": lines.get(name, "-")}
+
+    units = [find_unit(Quantity("q", i), manifest) for i in range(len(manifest.positions))]
+    curves = [
+        Curve(Panel("Joint coordinates", "q", unit), name + kinds.get(name, ""), plot(t, values, **style(name)))
+        for name, unit, values in zip(manifest.positions, units, q.T, strict=True)
+    ]
+    curves += [
+        Curve(
+            Panel("Joint velocities", r"\dot{q}", f"{c.unit}/s"),
+            c.name + kinds[c.name],
+            plot(t, values, **style(c.name)),
+        )
+        for c, values in zip(joints, qd.T, strict=True)
+    ]
+    for k, c in enumerate(joints[i] for i in manifest.actuated):
         points = trajectory.point_u[:, :, k : k + 1]
-        _plot_input(panels[2], trajectory, trajectory.u[:, k], points, color=colors[c.name])
+        drawn = _draw_input(trajectory, trajectory.u[:, k], points, color=colors[c.name])
+        curves.append(Curve(Panel("Inputs", "u", c.force_unit), c.name, drawn))
     if solution.driving is not None:
-        for k, c in enumerate(driven):
-            panels[2].plot(trajectory.point_t.ravel(), solution.driving[:, :, k].ravel(), "--", color=colors[c.name])
-    _name(coordinates, "Joint coordinates", "q", _join(c.unit for c in manifest.coordinates))
-    _name(velocities, "Joint velocities", r"\dot{q}", _join(f"{c.unit}/s" for c in manifest.coordinates))
-    if actuated or driven:
-        title, symbol = ("Inputs, and forces of driven joints dashed", r"u, \tau") if driven else ("Inputs", "u")
-        _name(panels[2], title, symbol, _join(c.force_unit for c in (*actuated, *driven)))
+        times = trajectory.point_t.ravel()
+        curves += [
+            Curve(
+                Panel("Forces of driven joints", r"\tau", c.force_unit),
+                c.name + kinds[c.name],
+                plot(times, solution.driving[:, :, k].ravel(), color=colors[c.name], linestyle="--"),
+            )
+            for k, c in enumerate(driven)
+        ]
+    return curves
 
 
-@styled
-def plot_curves(t: Array, curves: Mapping[str, Array]) -> Figure:
-    """Plot numbers over time by their names, all in one picture."""
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    axes = figure.subplots()
-    for name, values in curves.items():
-        axes.plot(t, values, label=plain(name))
-    axes.set_xlabel("time [s]")
-    axes.set_xlim(t[0], t[-1])
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    return figure
-
-
-def plot_additions(axes: Axes, solution: Solution, t: Array) -> None:
-    """Plot the states and controls that the problem adds, at times t."""
-    trajectory, problem = solution.trajectory, solution.problem
+def _list_additions(solution: Solution) -> list[Curve]:
+    """List the states, integrals and controls that the problem adds; nothing states their units."""
+    trajectory, problem, t = solution.trajectory, solution.problem, read_times(solution.trajectory)
     states = np.concatenate((trajectory.states[:-1, None], trajectory.point_states), axis=1).reshape(len(t), -1)
     names = [*(state.name for state in problem.states), *(part.expression for part in problem.integrals)]
-    for name, values in zip(names, states.T, strict=True):
-        axes.plot(t, values, label=plain(name))
+    curves = [
+        Curve(Panel("Further states"), name, plot(t, values, color=COLORS[k % len(COLORS)]))
+        for k, (name, values) in enumerate(zip(names, states.T, strict=True))
+    ]
     for k, control in enumerate(problem.controls):
         points = trajectory.point_controls[:, :, k : k + 1]
         name = f"slack of {control.softens}" if control.softens else control.name
-        _plot_input(axes, trajectory, trajectory.controls[:, k], points, linestyle="--", label=plain(name))
-    axes.set_title("Further states, open wrenches dotted, controls dashed", loc="left", fontsize="medium")
-    axes.grid(alpha=0.3)
+        drawn = _draw_input(trajectory, trajectory.controls[:, k], points, color=COLORS[k % len(COLORS)])
+        curves.append(Curve(Panel("Slacks" if control.softens else "Further controls"), name, drawn))
+    return curves
 
 
-def _plot_wrenches(axes: Axes, solution: Solution, manifest: Manifest) -> None:
-    """Plot the components of open wrenches that are not 0."""
+def _list_wrenches(solution: Solution, manifest: Manifest) -> list[Curve]:
+    """List the components of open wrenches, and the signals, that are not 0."""
     trajectory = solution.trajectory
     forces = trajectory.point_w.reshape(trajectory.point_t.size, trajectory.point_w.shape[2])
-    for component, values in zip(name_components(manifest), forces.T, strict=True):
+    curves = []
+    for k, (component, values) in enumerate(zip(name_components(manifest), forces.T, strict=True)):
         if values.any():
-            axes.plot(trajectory.point_t.ravel(), values, linestyle=":", label=plain(component or "wrench"))
+            unit = find_unit(Quantity("w", k), manifest)
+            title = "Open wrenches" if unit else "Signals"
+            drawn = plot(trajectory.point_t.ravel(), values, color=COLORS[k % len(COLORS)])
+            curves.append(Curve(Panel(title, "w" if unit else "", unit), component or "wrench", drawn))
+    return curves
 
 
-def _plot_input(axes: Axes, trajectory: Trajectory, values: Array, points: Array, **style: Any) -> None:
-    """Plot an input: constant values (N,) of the intervals, or values (N, d, 1) at the points of polynomials."""
+@styled
+def plot_curves(t: Array, curves: Sequence[tuple[str, str, Array]]) -> Figure:
+    """Plot numbers over time by their names and units, a panel for each unit."""
+    units = [unit for _, unit, _ in curves]
+
+    def find_panel(name: str, unit: str) -> Panel:
+        return Panel(name if units.count(unit) == 1 else "", unit=unit)
+
+    drawn = [
+        Curve(find_panel(name, unit), name, plot(t, values, color=COLORS[units[:k].count(unit) % len(COLORS)]))
+        for k, (name, unit, values) in enumerate(curves)
+    ]
+    figure, _ = draw_curves(drawn, (float(t[0]), float(t[-1])))
+    return figure
+
+
+def _draw_input(trajectory: Trajectory, values: Array, points: Array, **style: Any) -> Callable[[Axes, str], Any]:
+    """Return a function that draws an input: constant values (N,), or values (N, d, 1) of polynomials."""
     if points.size:
-        axes.plot(trajectory.point_t.ravel(), points.ravel(), linewidth=1.5, **style)
-    else:
-        axes.stairs(values, trajectory.t, baseline=None, linewidth=1.5, **style)
+        return plot(trajectory.point_t.ravel(), points.ravel(), linewidth=1.5, **style)
+    return lambda axes, label: axes.stairs(
+        values, trajectory.t, baseline=None, linewidth=1.5, label=plain(label), **style
+    )
 
 
 @styled
@@ -314,22 +324,6 @@ def frame_up(axes: Axes3D, points: Array) -> None:
     axes.set_ylabel("y [m]")
     axes.set_zlabel("z [m]")
     axes.view_init(elev=22, azim=-50)
-
-
-def _name(axes: Axes, title: str, symbol: str, unit: str) -> None:
-    axes.set_title(title, loc="left", fontsize="medium")
-    axes.set_ylabel(f"${symbol}$ [{unit}]")
-    axes.grid(alpha=0.3)
-    axes.axhline(0, color="black", linewidth=0.6)
-
-
-def plain(name: str) -> str:
-    """Keep a name of the user's from being read as a formula."""
-    return name.replace("$", r"\$")
-
-
-def _join(units: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(units))
 
 
 def write_title(solution: Solution) -> str:

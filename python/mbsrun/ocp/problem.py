@@ -294,7 +294,7 @@ class SolverOptions:
         return replace(self, method=method, options=(), threads=self.threads if method == "mbs" else 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
     """Everything that a solve needs, beside the model."""
 
@@ -341,6 +341,12 @@ class Problem:
     refine: Refinement | None = None  # None: the grid stays
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
     following: tuple[int, ...] = ()  # states of the start that loops give, where differentiated parameters change loops
+
+    def __repr__(self) -> str:
+        """Return the name, the horizon and its grid, and the way of writing the equations."""
+        horizon = f"{self.horizon:g} s" + (" (free)" if self.horizon_range is not None else "")
+        ways = f"{self.representation.value}, {self.form.value}, {self.solver.method or 'mbs'}"
+        return f"Problem({self.name}: {horizon}, {self.intervals} intervals of degree {self.degree}, {ways})"
 
     @property
     def asked_accuracy(self) -> float:

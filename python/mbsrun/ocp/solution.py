@@ -237,7 +237,7 @@ class Starts:
         return least.found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """A motion that meets the constraints and, by the solver's word, cannot be made cheaper nearby."""
 
@@ -261,6 +261,11 @@ class Solution:
     driving: Array | None = None  # (N, d, joints): the forces that these take at the points of the trajectory
     mechanism: str = ""  # the hash of the mechanism, whatever was generated of it; empty in older files
 
+    def __repr__(self) -> str:
+        """Return the problem, the solver's word and the cost."""
+        size = f"{self.problem.intervals} intervals, {self.trajectory.t[-1]:.6g} s"
+        return f"Solution({self.problem.name}: {self.run.status}, cost {self.cost.total:.10g}, {size})"
+
     @property
     def parameters(self) -> dict[str, float]:
         """Return the parameters of the model that the problem gives and the numbers that were found, by name."""
@@ -273,7 +278,7 @@ class Solution:
         return self.run.status == ACCEPTABLE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Failure:
     """A solve that gave no solution."""
 
@@ -282,6 +287,10 @@ class Failure:
     finding: str
     remedy: str
     place: str = ""  # the part of the problem that is at fault, where one is known
+
+    def __repr__(self) -> str:
+        """Return the status, the finding and the remedy."""
+        return f"Failure({self.problem.name}: {self.run.status}: {self.finding}; {self.remedy})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,15 @@
 """A solution as a table: Solution and plant -> CSV, a row for each mesh and collocation point, in SI units.
 
 Columns are time, coordinates, velocities, accelerations, inputs, multipliers of closed loops, forces of driven joints,
-and positions of sensors in the base frame; then states, integrals and controls of the problem. The header names each,
+and positions of sensors in the base frame; then states, integrals and controls of the problem, and any further numbers
+that `mbsrun.results` lists. The header names each,
 with its unit where that is known. Names of the model are bracketed, so that a spreadsheet reads no cell as a formula.
 """
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +22,35 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.schemes import read_basis
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.quantities import name_components
+from mbsrun.quantities import list_input_units, list_multiplier_units, list_quantities, name_components
+from mbsrun.results import Numbers
 
 Array = NDArray[np.float64]
 
 SAME = 1e-12  # of an interval: points that are as near to its end are the next mesh point
 
 
-def write_table(solution: Solution, plant: Plant, path: Path) -> None:
-    """Write a solution as CSV, with every digit."""
+def measure(solution: Solution, plant: Plant) -> Numbers:
+    """Return the numbers of a solution by name, at all mesh and collocation points."""
+    trajectory = solution.trajectory
+    manifest, parts = plant.manifest, dict(zip(("t", "q", "qd", "qdd", "u"), list_motion(trajectory), strict=True))
+    parts |= dict(zip(("states", "controls"), list_additions(trajectory), strict=True))
+    forces = (("lam", solution.multipliers), ("tau", solution.driving), ("w", trajectory.point_w))
+    parts |= {kind: list_forces(trajectory, x) for kind, x in forces if x is not None and x.size}
+    known = list_quantities(manifest, solution.problem.added)
+    known = {name: x for name, x in known.items() if x.kind != "w" or "w" in parts}
+    if manifest.open_entries:
+        parts.setdefault("w", np.zeros((len(parts["t"]), manifest.open_entries)))
+    return Numbers(equip(plant, solution.problem, trajectory.unknowns), known, parts)
+
+
+def write_table(solution: Solution, plant: Plant, path: Path, more: Sequence[str] = ()) -> None:
+    """Write a solution as CSV, with every digit; `more` are further columns, by names or patterns of `measure`.
+
+    Raises UnknownNameError.
+    """
+    numbers = measure(solution, plant)
+    chosen = numbers.select(more)
     plant = equip(plant, solution.problem, solution.trajectory.unknowns)
     columns = list_motion(solution.trajectory)
     if solution.multipliers is not None:
@@ -37,14 +59,17 @@ def write_table(solution: Solution, plant: Plant, path: Path) -> None:
         columns.append(list_forces(solution.trajectory, solution.driving))
     columns.append(_place_sensors(solution.trajectory, plant))
     columns += [*list_additions(solution.trajectory), list_wrenches(solution.trajectory)]
+    columns += [numbers[name][:, None] for name in chosen]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_name_columns(plant.manifest) + _name_additions(solution.problem, plant.manifest))
+        header = _name_columns(plant.manifest) + _name_additions(solution.problem, plant.manifest)
+        writer.writerow([*header, *map(numbers.label, chosen)])
         writer.writerows(np.concatenate(columns, axis=1).tolist())
 
 
 def _name_columns(manifest: Manifest) -> list[str]:
     units = {c.name: c.unit for c in manifest.coordinates}
+    units_of_lam = list_multiplier_units(manifest)
     actuated, driven = ([manifest.coordinates[i] for i in which] for which in (manifest.actuated, manifest.driven))
     return [
         "t [s]",
@@ -52,7 +77,7 @@ def _name_columns(manifest: Manifest) -> list[str]:
         *(f"qd[{name}] [{unit}/s]" for name, unit in units.items()),
         *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
         *(f"u[{c.name}] [{c.force_unit}]" for c in actuated),
-        *(f"lam[{name}] [{unit}]" for name, unit in zip(manifest.equations, _list_units(manifest), strict=True)),
+        *(f"lam[{name}] [{unit or '-'}]" for name, unit in zip(manifest.equations, units_of_lam, strict=True)),
         *(f"tau[{c.name}] [{c.force_unit}]" for c in driven),
         *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
     ]
@@ -60,16 +85,13 @@ def _name_columns(manifest: Manifest) -> list[str]:
 
 def _name_additions(problem: Problem, manifest: Manifest) -> list[str]:
     """Name the states and controls that the problem adds, its integrals from the start, and open wrenches."""
+    forces = zip(name_components(manifest), list_input_units(manifest)[len(manifest.actuated) :], strict=True)
     return [
         *(f"state[{state.name}]" for state in problem.states),
         *(f"integral[{i}]" for i in range(len(problem.integrals))),
         *(f"control[{control.name}]" for control in problem.controls),
-        *(f"w[{name or i}] [{_name_unit(name)}]" for i, name in enumerate(name_components(manifest))),
+        *(f"w[{name or i}]{f' [{unit}]' if unit else ''}" for i, (name, unit) in enumerate(forces)),
     ]
-
-
-def _name_unit(component: str | None) -> str:
-    return "N m" if component is not None and component.startswith("m") else "N"
 
 
 def list_additions(trajectory: Trajectory) -> list[Array]:
@@ -78,14 +100,6 @@ def list_additions(trajectory: Trajectory) -> list[Array]:
         _join(trajectory, trajectory.states[:-1], trajectory.point_states, trajectory.states[-1]),
         _read_inputs(trajectory, trajectory.controls, trajectory.point_controls),
     ]
-
-
-def _list_units(manifest: Manifest) -> list[str]:
-    """List the units of the multipliers: of forces along distances, of moments; expressions have none."""
-    return [_UNITS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
-
-
-_UNITS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": "-"}
 
 
 def list_motion(trajectory: Trajectory) -> list[Array]:

@@ -34,7 +34,7 @@ OPTIONAL = (
 NONE: NDArray[np.float64] = np.zeros(0)  # stands for arrays of no quantities
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """A motion; nq coordinates, n velocities, m inputs, N intervals with d points each. Times in s, the rest in SI.
 
@@ -56,6 +56,11 @@ class Trajectory:
     point_u: Array = field(default_factory=NONE.copy)  # (N, d, m), or (N, d, 0) where all inputs are constant
     point_w: Array = field(default_factory=NONE.copy)  # (N, d, nw): components of open wrenches
     unknowns: Array = field(default_factory=lambda: np.zeros(0))  # of the whole motion, as the problem orders them
+
+    def __repr__(self) -> str:
+        """Return the duration and the sizes."""
+        (N, d), nq, m = self.point_t.shape, self.q.shape[1], self.u.shape[1]
+        return f"Trajectory({self.t[-1]:.6g} s, {N} intervals of {d} points, {nq} coordinates, {m} inputs)"
 
     def __post_init__(self) -> None:
         arrays = (self.t, self.q, self.qd, self.u, self.point_t, self.point_q, self.point_qd, self.point_qdd)

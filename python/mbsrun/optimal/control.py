@@ -206,7 +206,7 @@ class OptimalControl:
         record: str | Path | None = None,
         watch: Callable[[Starts], None] | None = None,
     ) -> Solved | Unsolved:
-        """Solve the problem from many starts, and return the best solution, re-simulated.
+        """Solve the problem from many starts; return the best solution, re-simulated, and refined if the problem asks.
 
         The arguments are the options of `mbsrun solve --starts`; `record` is the file that keeps every start, and
         `watch` sees the results so far. The solution's summary shows how often its cost was found. Raises ProblemError
@@ -224,7 +224,10 @@ class OptimalControl:
             outcome = Failure(self.value, run, "no start ended within the time", "give more minutes")
         if isinstance(outcome, Failure):
             return Unsolved(outcome)
-        return Solved(resimulate(outcome, self.plant), self.plant)
+        outcome = resimulate(outcome, self.plant)
+        if self.value.refine is not None:
+            outcome = refine(outcome, self.plant)
+        return Solved(outcome, self.plant)
 
     def load(self, path: str | Path) -> Solved:
         """Read a solution of this problem's model from a file. Raises InputError for a file that is not one."""

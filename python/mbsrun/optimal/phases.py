@@ -47,9 +47,10 @@ from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
-from mbsrun.optimal.result import Solved, UnknownNameError, Unsolved, import_pandas
+from mbsrun.optimal.result import Solved, Unsolved, import_pandas
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
+from mbsrun.results import UnknownNameError
 
 
 def load(path: Path) -> Plant:

@@ -25,8 +25,8 @@ from mbsrun.models import Extent, find_folder, is_model
 from mbsrun.ocp.backends import symbolic
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.problem import Symbolic
-from mbsrun.optimal.result import UnknownNameError
 from mbsrun.quantities import Quantity
+from mbsrun.results import UnknownNameError
 
 LONGEST = 60  # characters of the text of an expression
 _SYMBOLS = (ca.SX, ca.MX)

@@ -12,35 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.documents import abbreviate, nearest
 from mbsgen.errors import MbsError
 from mbsgen.expressions import evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
-from mbsrun.ocp.design import equip
 from mbsrun.ocp.phases.solution import PhasedFailure
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Failure, Margin, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
-from mbsrun.ocp.table import list_additions, list_forces, list_motion, list_wrenches, write_table
+from mbsrun.ocp.table import measure, write_table
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.display import Page, Picture
-from mbsrun.quantities import Quantity, list_quantities
+from mbsrun.results import Numbers
 
 Array = NDArray[np.float64]
 
 _NO_DERIVATIVES = (np.zeros(0), np.zeros((0, 0)))
-_ADDED = ("states", "controls")  # as `list_additions` lists them
-_NUMBERS = ("T", "unknowns")  # kinds that do not change along a motion
-_KINDS = ("t", "q", "qd", "qdd", "u")  # as `list_motion` lists them
-
-
-class UnknownNameError(MbsError, KeyError):
-    """A name that no quantity has."""
-
-    def __str__(self) -> str:
-        return str(self.args[0])
+_KINDS = ("q", "qd", "qdd", "u")  # of which whole arrays have names
 
 
 class NotSolvedError(MbsError):
@@ -65,9 +54,9 @@ class Solved:
     """A solution, with its numbers at all mesh and collocation points by name.
 
     Names are the same as in expressions: `q_NAME`, `qd_NAME`, `qdd_NAME`, `u_NAME`, `x_SENSOR`, `vx_SENSOR`, and the
-    problem's own states and controls; `unknowns` holds the numbers that the solver chose. `t`, `q`, `qd`, `qdd` and `u`
-    are whole arrays, (rows,) or (rows, size), unless the problem has these names. At a mesh point, accelerations and
-    inputs belong to the interval that begins there.
+    problem's own states and controls; numbers that follow from the motion are among `results`. `unknowns` holds the
+    numbers that the solver chose. `q`, `qd`, `qdd` and `u` are whole arrays, (rows, size), unless the problem has these
+    names. At a mesh point, accelerations and inputs belong to the interval that begins there.
     """
 
     solution: Solution
@@ -136,20 +125,26 @@ class Solved:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """List the names of all quantities."""
-        return tuple(name for name, quantity in self._quantities.items() if quantity.kind not in _NUMBERS)
+        """List the names of all quantities of expressions."""
+        return self._numbers.names
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """List the names of the numbers that follow from the motion: energies, tensions, forces in joints, and more."""
+        return self._numbers.results
 
     def __getitem__(self, name: str) -> Array:
-        """Return a quantity at all rows. Raises UnknownNameError."""
-        quantity = self._quantities.get(name)
-        if quantity is None and name in _KINDS:
-            return self._motion[name]
-        if quantity is None or quantity.kind in _NUMBERS:
-            raise self._refuse(name)
-        return np.asarray(self._whole(quantity.kind)[:, quantity.index])
+        """Return a quantity, or a number that follows from the motion, at all rows. Raises UnknownNameError."""
+        if name in _KINDS and name not in self._numbers.names:
+            return self._numbers.whole(name)
+        return self._numbers[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in _KINDS or name in self.names
+        return name in _KINDS or name in self._numbers
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a number; "" where it has none, or the problem does not say. Raises UnknownNameError."""
+        return self._numbers.unit(name)
 
     def evaluate(self, expression: str) -> Array:
         """Compute an expression of quantities and constants, as in a problem, at all rows.
@@ -163,27 +158,37 @@ class Solved:
         found = evaluate(tree, {name: Jet(x, *_NO_DERIVATIVES) for name, x in values.items()}, make_jets(0))
         return np.broadcast_to(found.f, self.t.shape).copy()
 
-    def to_frame(self) -> Any:
-        """Return all quantities as a pandas frame, indexed by time. Raises MissingPackageError without pandas."""
+    def to_frame(self, *more: str) -> Any:
+        """Return all quantities as a pandas frame, indexed by time; `more` are names or patterns of `results`.
+
+        Raises MissingPackageError without pandas, UnknownNameError.
+        """
         pandas = import_pandas()
-        columns = {name: self[name] for name in self.names if name != "t"}
+        columns = {name: self[name] for name in (*self.names, *self._numbers.select(more)) if name != "t"}
         return pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write the table that `mbsrun solve` writes: a row for each point, names and units on top."""
-        write_table(self.solution, self.plant, Path(path))
+    def to_csv(self, path: str | Path, *more: str) -> None:
+        """Write the table that `mbsrun solve` writes: a row for each point, names and units on top.
+
+        `more` are further columns, by names or patterns such as `tension_*`. Raises UnknownNameError.
+        """
+        write_table(self.solution, self.plant, Path(path), more)
 
     def save(self, path: str | Path) -> None:
         """Write the file that `OptimalControl.load` and `mbsrun solve --guess` read."""
         write_solution(self.solution, Path(path))
 
     def plot(self, *names: str) -> Picture:
-        """Plot coordinates, velocities and inputs over time; or the quantities that are named, in one picture."""
+        """Plot coordinates, velocities and inputs over time; or the numbers that are named, one panel for each unit.
+
+        Names may be patterns, such as `tension_*`. Raises UnknownNameError.
+        """
         from mbsrun.ocp import pictures
 
         if not names:
             return Picture(pictures.make_trajectories(self.solution, self.plant.manifest))
-        return Picture(pictures.plot_curves(self.t, {name: self[name] for name in names}))
+        curves = [(name, self.unit(name), self[name]) for name in self._numbers.select(names)]
+        return Picture(pictures.plot_curves(self.t, curves))
 
     def draw(self) -> Picture:
         """Draw the mechanism on its way."""
@@ -204,39 +209,8 @@ class Solved:
         return display.write_table("solved", summarise(self.solution), tuple(self.shortcomings))
 
     @cached_property
-    def _quantities(self) -> dict[str, Quantity]:
-        known = list_quantities(self.plant.manifest, self.solution.problem.added)
-        return {name: x for name, x in known.items() if x.kind != "w" or self.trajectory.point_w.size}
-
-    @cached_property
-    def _motion(self) -> dict[str, Array]:
-        found = dict(zip(_KINDS, list_motion(self.trajectory), strict=True))
-        return found | {"t": found["t"][:, 0]}
-
-    def _whole(self, kind: str) -> Array:
-        """Return all entries of a kind, (rows, size)."""
-        if kind == "t":
-            return self._motion["t"][:, None]
-        if kind == "w":
-            return list_wrenches(self.trajectory)
-        if kind == "tau" and self.solution.driving is not None:
-            return list_forces(self.trajectory, self.solution.driving)
-        if kind in _ADDED:
-            return list_additions(self.trajectory)[_ADDED.index(kind)]
-        return self._motion[kind] if kind in self._motion else self._of_sensors[kind]
-
-    @cached_property
-    def _of_sensors(self) -> dict[str, Array]:
-        q, qd = self._motion["q"], self._motion["qd"]
-        plant = equip(self.plant, self.solution.problem, self.trajectory.unknowns)
-        positions, velocities = plant("sensors", q=q)["position"], plant("motion", q=q, qd=qd)["v"]
-        return {"position": _flatten(positions), "v": _flatten(velocities)}
-
-    def _refuse(self, name: str) -> UnknownNameError:
-        known = [*_KINDS, *self.names]
-        meant = nearest(name, known)
-        remedy = f"did you mean {meant}?" if meant else f"there are {', '.join(known)}"
-        return UnknownNameError(f"the solution has no quantity {abbreviate(name)}; {remedy}")
+    def _numbers(self) -> Numbers:
+        return measure(self.solution, self.plant)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -284,8 +258,3 @@ class Unsolved:
 
     def _refuse(self) -> NotSolvedError:
         return NotSolvedError(f"{self.failure.problem.name} was not solved ({self.status}): {self.reason}")
-
-
-def _flatten(values: Array) -> Array:
-    """Return matrices (rows, 3, sensors) as vectors, sensor by sensor."""
-    return values.swapaxes(1, 2).reshape(len(values), -1) if values.ndim == 3 else values

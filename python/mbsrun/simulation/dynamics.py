@@ -11,7 +11,7 @@ more coordinates q than velocities qd, whose rates are N(q) qd.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel
 from mbsgen.roles import Order, Role, name_derivative, name_kernel
-from mbsrun.kernel import Kernels
+from mbsrun.kernel import KernelError, Kernels
 from mbsrun.simulation.course import Course, stand
 from mbsrun.simulation.formulation import Evaluated, Formulation
 from mbsrun.simulation.motion import Effort
@@ -158,14 +158,27 @@ class Dynamics:
 
     def forces(self, t: Array, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
         """Return multipliers (K, e) and forces of driven joints (K, d) at times (K,); NaN where they fail."""
+        results, nothing = self.solve_all(t, q, qd, v), np.zeros((len(t), 0))
+        return results.get("lam", nothing), results.get("tau", nothing)
+
+    def find_accelerations(self, t: Array, q: Array, qd: Array, v: Array) -> Array:
+        """Return the accelerations (K, n) at times (K,), not counted as effort; NaN where they fail."""
+        if any(self.kernels.manifest.find(x.value) for x in (Formulation.EXP1, Formulation.EXP2)):
+            return self.solve_all(t, q, qd, v)["qdd"]
+        try:
+            return replace(self, effort=Effort()).accelerations(q, qd, v)
+        except (KernelError, SingularError):
+            return np.full(qd.shape, np.nan)
+
+    def solve_all(self, t: Array, q: Array, qd: Array, v: Array) -> dict[str, Array]:
+        """Return accelerations, with multipliers and forces of driven joints, at times (K,); NaN where they fail."""
         manifest = self.kernels.manifest
         name = next(x for x in (Formulation.EXP1.value, Formulation.EXP2.value) if manifest.find(x) is not None)
         given: dict[str, Any] = {"q": q, "qd": qd, "u": v[:, : self.forces_count], "w": v[:, self.forces_count :]}
         given["a"] = self.course.states(t)[2]
         taken = [a.name for a in manifest.kernel(name).inputs if a.nnz]
         results, _ = self.kernels.attempt(name, **{key: x for key, x in given.items() if key in taken})
-        nothing = np.zeros((len(t), 0))
-        return results.get("lam", nothing), results.get("tau", nothing)
+        return results
 
     @property
     def _evaluated(self) -> Evaluated:

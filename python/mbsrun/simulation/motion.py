@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsrun.kernel import Kernels
 from mbsrun.limits import Limits
+from mbsrun.quantities import Added, list_quantities
+from mbsrun.results import Numbers
 from mbsrun.simulation.formulation import Formulation
 
 Array = NDArray[np.float64]
@@ -135,7 +139,7 @@ class ClosureRecord:
     driving: Array  # (K, d): forces of driven joints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion:
     """A motion of nq coordinates, n velocities under m inputs, at K times; with `halt`, the part that was reached."""
 
@@ -149,11 +153,48 @@ class Motion:
     closure: ClosureRecord | None = None  # of a model with loops or driven joints
     halt: Halt | None = None
     warnings: tuple[str, ...] = ()
+    qdd: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)  # (K, n), not a number where it fails
+    kernels: Kernels | None = field(default=None, repr=False)  # of the mechanism, for further numbers
 
     @property
     def is_complete(self) -> bool:
         """Return whether the end was reached."""
         return self.halt is None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """List the names of quantities, as expressions have them: `q_NAME`, `qd_NAME`, `u_NAME`, `x_SENSOR`, ..."""
+        return self.numbers.names
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """List the names of the numbers that follow from the motion: energies, tensions, forces in joints, and more."""
+        return self.numbers.results
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a quantity, or a number that follows from the motion, (K,). Raises UnknownNameError."""
+        return self.numbers[name]
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a number; "" where it has none. Raises UnknownNameError."""
+        return self.numbers.unit(name)
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """The numbers of the motion by name."""
+        assert self.kernels is not None, "a simulation knows its kernels"
+        manifest, count = self.kernels.manifest, len(self.kernels.manifest.actuated)
+        parts = {"t": self.t[:, None], "q": self.q, "qd": self.qd, "qdd": self.qdd}
+        parts |= {"u": self.inputs[:, :count], "w": self.inputs[:, count:]}
+        if self.closure is not None:
+            parts |= {"lam": self.closure.multipliers, "tau": self.closure.driving}
+        return Numbers(self.kernels, list_quantities(manifest, Added()), parts)
+
+    def __repr__(self) -> str:
+        """Return what was simulated, and how it ended."""
+        model = "" if self.kernels is None else f"{self.kernels.manifest.model}, "
+        end = "complete" if self.halt is None else f"incomplete: {self.halt}"
+        return f"Motion({model}{self.t[-1]:.6g} s by {self.settings.method}, {len(self.t)} states, {end})"
 
 
 class HaltError(Exception):

@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsgen.style import BAD, NEUTRAL, PALETTE, save_plot, styled
 from mbsrun.animation import write_animation
+from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
+from mbsrun.quantities import Quantity, find_unit, list_input_units
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.methods import METHODS
 from mbsrun.simulation.motion import ClosureRecord, Keeping, Motion, Settings
@@ -33,15 +35,19 @@ FORMAT = "mbsrun simulation 1"
 SUMMARY, TRAJECTORY, PLOTS, ANIMATION = "simulation.json", "trajectory.csv", "plots.png", "animation.html"
 FILES = (SUMMARY, TRAJECTORY, PLOTS, ANIMATION)
 COLORS = PALETTE
-NAMED = 12  # coordinates that a legend still names
 
 
-def write_motion(motion: Motion, kernels: Mechanism, folder: Path) -> None:
-    """Write the folder of a motion; files of these names are replaced."""
-    folder.mkdir(parents=True, exist_ok=True)
+def write_motion(motion: Motion, kernels: Mechanism, folder: Path, columns: Sequence[str] = ()) -> None:
+    """Write the folder of a motion; files of these names are replaced.
+
+    `columns` are further columns of the table, by names or patterns. Raises UnknownNameError for one without a number.
+    """
+    chosen = motion.numbers.select(columns) if columns else ()
     manifest = kernels.manifest
+    table = _tabulate(motion, manifest, chosen)  # it may fail
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / SUMMARY).write_text(_summarise(motion, kernels), encoding="utf-8")
-    (folder / TRAJECTORY).write_text(_tabulate(motion, manifest), encoding="utf-8")
+    (folder / TRAJECTORY).write_text(table, encoding="utf-8")
     plot_motion(motion, manifest, folder / PLOTS)
     title = manifest.model if motion.halt is None else f"{manifest.model}, incomplete: {motion.halt}"
     rates = find_rates(kernels, motion.q, motion.qd)
@@ -98,13 +104,14 @@ def _summarise_closure(closure: ClosureRecord, manifest: Manifest) -> dict[str, 
     }
 
 
-def _tabulate(motion: Motion, manifest: Manifest) -> str:
+def _tabulate(motion: Motion, manifest: Manifest, more: Sequence[str]) -> str:
     """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
     units, forces = ({c.name: getattr(c, key) for c in manifest.coordinates} for key in ("unit", "force_unit"))
     names = [*units]
     header = ["t [s]", *(f"q[{x}] [{units.get(x, '-')}]" for x in manifest.positions)]  # quaternions have no unit
     header += [f"qd[{name}] [{unit}/s]" for name, unit in units.items()]
-    header += [f"input[{x}]" + (f" [{forces[x]}]" if x in forces else "") for x in manifest.inputs]
+    given = zip(manifest.inputs, list_input_units(manifest), strict=True)
+    header += [f"input[{name}]" + (f" [{unit}]" if unit else "") for name, unit in given]
     columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
     if motion.energy is not None:
         header += ["kinetic [J]", "potential [J]", "work [J]"]
@@ -114,6 +121,8 @@ def _tabulate(motion: Motion, manifest: Manifest) -> str:
         header += ["open", "opening", *(f"lam[{x}]" for x in manifest.equations)]
         header += [f"tau[{name}] [{forces[name]}]" for name in (names[i] for i in manifest.driven)]
         columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
+    header += map(motion.numbers.label, more)
+    columns += [motion[name][:, None] for name in more]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -129,32 +138,25 @@ def plot_motion(motion: Motion, manifest: Manifest, path: Path) -> None:
 
 @styled
 def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
-    """Plot coordinates, velocities, inputs, energies and their drift over time."""
-    rows = 4 + bool(motion.inputs.shape[1])
-    figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
-    axes = list(figure.subplots(rows, 1, sharex=True))
-    units = dict.fromkeys(c.unit for c in manifest.coordinates)
-    _plot(axes[0], motion.t, motion.q, manifest.positions, f"$q$ [{', '.join(units)}]")
-    _plot(axes[1], motion.t, motion.qd, (), rf"$\dot{{q}}$ [{', '.join(f'{unit}/s' for unit in units)}]")
-    if motion.inputs.shape[1]:
-        _plot(axes[2], motion.t, motion.inputs, manifest.inputs, "inputs [N m, N]")
-    _plot_energy(axes[-2], motion)
-    _plot_drift(axes[-1], motion)
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(motion.t[0], motion.t[-1] or 1.0)
-    figure.suptitle(
-        _plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{_plain(str(motion.halt))}")
-    )
+    """Plot coordinates, velocities and inputs over time, a panel for each unit; then energies and their drift."""
+    joints, t = manifest.coordinates, motion.t
+    units = [find_unit(Quantity("q", i), manifest) for i in range(len(manifest.positions))]
+    shown = [("coordinates", "q", name, *x) for name, *x in zip(manifest.positions, units, motion.q.T, strict=True)]
+    names, speeds = [c.name for c in joints], [f"{c.unit}/s" for c in joints]
+    shown += [("velocities", r"\dot{q}", name, *x) for name, *x in zip(names, speeds, motion.qd.T, strict=True)]
+    given = zip(manifest.inputs, list_input_units(manifest), motion.inputs.T, strict=True)
+    shown += [("inputs", "", name, *x) for name, *x in given]
+    places = {name: k for own in (manifest.positions, manifest.inputs) for k, name in enumerate(own)}
+    places |= {name: k for k, name in enumerate(names)}
+    curves = [
+        Curve(Panel(title, symbol, unit), name, plot(t, values, color=COLORS[places[name] % len(COLORS)]))
+        for title, symbol, name, unit, values in shown
+    ]
+    figure, axes = draw_curves(curves, (float(t[0]), float(t[-1]) or 1.0), more=2)
+    _plot_energy(axes[0], motion)
+    _plot_drift(axes[1], motion)
+    figure.suptitle(plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{plain(str(motion.halt))}"))
     return figure
-
-
-def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:
-    for i, column in enumerate(values.T):
-        axes.plot(t, column, color=COLORS[i % len(COLORS)], label=_plain(names[i]) if names else None)
-    axes.set_ylabel(label)
-    axes.grid(alpha=0.3)
-    if names and len(names) <= NAMED:
-        axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
 
 
 def _plot_energy(axes: Axes, motion: Motion) -> None:
@@ -188,8 +190,3 @@ def _plot_drift(axes: Axes, motion: Motion) -> None:
 
 def _excuse(axes: Axes) -> None:
     axes.text(0.5, 0.5, "unknown: it overflows, or a kernel fails on the way", transform=axes.transAxes, ha="center")
-
-
-def _plain(name: str) -> str:
-    """Keep a name of the user's from being read as a formula, or as an instruction to leave it out."""
-    return "\u200b" + name.replace("$", r"\$") if name.startswith("_") else name.replace("$", r"\$")

@@ -229,6 +229,8 @@ class _Record:
                 *(_find_drift(energy) if is_known else ()),
                 *_find_singularity(self.settings, effort),
             ),
+            qdd=self.observer.find_accelerations(t, q, qd, inputs),
+            kernels=self.kernels,
         )
 
     def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:

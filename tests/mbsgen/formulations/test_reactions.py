@@ -19,13 +19,12 @@ from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.request import Request
+from mbsgen.roles import ON_REQUEST
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.verification.verify import verify
 from tests.random_trees import Pinocchio, floats, random_tree
 
 Array = NDArray[np.float64]
-
-ASKED = ("accelerations", "attitudes", "lengths", "tensions", "contact_forces", "reactions")
 
 
 def read(text: str, folder: Path) -> Tree:
@@ -150,9 +149,9 @@ def test_lengths_tensions_and_contact_forces_have_closed_forms(tmp_path: Path):
 def test_functions_are_verified_and_written_where_they_are_named(text: str, tmp_path: Path):
     """In 50 digits, with followers, quaternions, loops and an open spring: by differences, geometry, virtual power."""
     tree = read(text, tmp_path)
-    names = [name for name in catalogue.select_functions(tree) if name in ASKED]
+    names = [name for name in catalogue.select_functions(tree) if name in ON_REQUEST]
     families = write_families(tree, Request(functions=tuple(names)))
     found = verify(tree, families, still=False)
     assert set(names) <= found.deviations.keys()
     plain = write_families(tree, Request(derivatives=0))
-    assert not {family.value.name for family in plain} & set(ASKED)
+    assert not {family.value.name for family in plain} & set(ON_REQUEST)

@@ -21,7 +21,8 @@ from mbsrun.ocp.solve import solve as solve_value
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.programs import KEPT, Programs
 from mbsrun.optimal.progress import Board, draw_curve, find_display
-from mbsrun.optimal.result import MissingPackageError, Solved, UnknownNameError, Unsolved
+from mbsrun.optimal.result import MissingPackageError, Solved, Unsolved
+from mbsrun.results import UnknownNameError
 
 MODELS = Path(__file__).parents[3] / "models"
 SWING = {
@@ -131,7 +132,7 @@ def test_quantities_have_names(solved: Solved, tmp_path: Path) -> None:
     assert solved.evaluate("T - t")[0] == solved.horizon == 2.0
     assert "u_cart" in solved
     assert "q_x" not in solved
-    with pytest.raises(UnknownNameError, match=r"^the solution has no quantity \"q_pol\"; did you mean q_pole\?$"):
+    with pytest.raises(UnknownNameError, match=r"^there is no quantity \"q_pol\"; did you mean q_pole\?$"):
         solved["q_pol"]
 
 
@@ -190,7 +191,12 @@ def test_problems_and_solutions_show_themselves(swing: OptimalControl, solved: S
             assert part in text
     assert solved.shortcomings[0] in repr(solved)  # 20 intervals of degree 3 are too few
     assert solved.plot("x_mass", "u_cart")._repr_png_().startswith(b"\x89PNG")
-    assert len(solved.plot().figure.axes) == 3
+    labels = [axes.get_ylabel() for axes in solved.plot().figure.axes]
+    assert labels == ["$q$ [m]", "$q$ [rad]", r"$\dot{q}$ [m/s]", r"$\dot{q}$ [rad/s]", "$u$ [N]"]
+    assert [axes.get_ylabel() for axes in solved.plot("x_mass", "u_cart", "q_cart").figure.axes] == [
+        "[m]",
+        "u_cart [N]",
+    ]
     assert 'srcdoc="&lt;!DOCTYPE html' in solved.animate()._repr_html_()
 
 

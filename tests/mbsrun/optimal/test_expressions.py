@@ -24,7 +24,8 @@ from mbsrun.ocp.problem import Form, Problem, Representation
 from mbsrun.ocp.transcription import transcribe
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.quantities import make_functions
-from mbsrun.optimal.result import Solved, UnknownNameError
+from mbsrun.optimal.result import Solved
+from mbsrun.results import UnknownNameError
 
 MODEL = Path(__file__).parents[3] / "models" / "cart_pole.yaml"
 TEXTS = {

@@ -16,7 +16,8 @@ from mbsgen.errors import MbsError
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases
-from mbsrun.optimal.result import UnknownNameError, Unsolved
+from mbsrun.optimal.result import Unsolved
+from mbsrun.results import UnknownNameError
 
 MODEL = Path(__file__).parents[3] / "models" / "cart_pole.yaml"
 KEYS: dict[str, Any] = {
@@ -83,7 +84,7 @@ def test_phases_show_themselves(swing: PhasedControl, solved: SolvedPhases) -> N
     for text in (repr(solved), solved._repr_html_()):
         assert "catch: defect" in text
         assert "take more intervals" in text
-    assert len(solved.plot().figure.axes) == 6
+    assert len(solved.plot().figure.axes) == 10  # of two phases: q and qd in m and rad, u
     assert solved.animate()._repr_html_().startswith("<iframe")
 
 

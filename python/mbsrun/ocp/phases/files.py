@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
 from mbsrun.ocp.pictures import plot_mesh, plot_starts, save
 from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.table import measure, write_table
 
 SOLUTION = "solution.json"
 TRAJECTORIES = "trajectories.png"
@@ -18,13 +19,16 @@ MECHANISM = "mechanism.png"
 DISTRIBUTION = "starts.png"  # of a search from many starts
 
 
-def write_files(solution: PhasedSolution, plants: Plants, folder: Path) -> tuple[str, ...]:
-    """Write all files, and return their names; times of tables and pictures are since the start of the first phase."""
+def write_files(solution: PhasedSolution, plants: Plants, folder: Path, columns: Sequence[str] = ()) -> tuple[str, ...]:
+    """Write all files, and return their names; times of tables and pictures are since the start of the first phase.
+
+    `columns` are further columns of tables, by names or patterns; a phase has the ones that it knows.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     write_phased_solution(solution, folder / SOLUTION)
     tables, phases = [f"{name}.csv" for name in solution.names], shift_phases(solution)
     for table, phase, plant in zip(tables, phases, plants.phases, strict=True):
-        write_table(phase, plant, folder / table)
+        write_table(phase, plant, folder / table, measure(phase, plant).select_known(columns))
     save(make_phased_trajectories(solution, phases, plants), folder / TRAJECTORIES)
     pictures: tuple[str, ...] = (TRAJECTORIES,)
     if all(plant.manifest.coordinates for plant in plants.phases):

@@ -12,23 +12,20 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from mbsgen.manifest import Manifest
 from mbsgen.style import styled
 from mbsrun.animation import render_parts
+from mbsrun.curves import fill, list_panels, plain
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.pictures import (
     TIME,
     choose_colors,
-    draw_motion,
     draw_poses,
     frame_up,
+    list_curves,
     list_points,
     make_part,
-    plain,
-    plot_additions,
-    read_times,
 )
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Solution
@@ -42,23 +39,20 @@ POSES = 5  # of each phase
 def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution], plants: Plants) -> Figure:
     """Plot coordinates, velocities, inputs, and what phases add over time: a column for each phase."""
     manifests = [plant.manifest for plant in plants.phases]
-    added = any(phase.problem.every_state or phase.problem.controls for phase in phases)
-    longest, moving = max(solution.durations), max(map(_count_panels, manifests))
-    figure = Figure(figsize=(4 + 3 * len(phases), 3 * (moving + added)), layout="constrained")
+    colors, longest = choose_colors(manifests), max(solution.durations)
+    curves = [list_curves(phase, manifest, colors) for phase, manifest in zip(phases, manifests, strict=True)]
+    rows = list_panels(curve for own in curves for curve in own)
+    figure = Figure(figsize=(4 + 3 * len(phases), max(2.6 * len(rows), 3)), layout="constrained")
     panels = figure.subplots(
-        moving + added,
+        max(len(rows), 1),
         len(phases),
         sharex="col",
         sharey="row",
         squeeze=False,
         width_ratios=[max(duration / longest, NARROWEST) for duration in solution.durations],
     )
-    colors = choose_colors(manifests)
-    for name, phase, manifest, column in zip(solution.names, phases, manifests, panels.T, strict=True):
-        if manifest.coordinates:
-            draw_motion(column, phase, manifest, colors)
-        if added:
-            plot_additions(column[-1], phase, read_times(phase.trajectory))
+    for name, phase, own, column in zip(solution.names, phases, curves, panels.T, strict=True):
+        fill(column[: len(rows)], rows, own)
         column[0].set_title(plain(name))
         column[-1].set_xlabel("time [s]")
         column[-1].set_xlim(phase.trajectory.t[0], phase.trajectory.t[-1])
@@ -71,11 +65,6 @@ def make_phased_trajectories(solution: PhasedSolution, phases: Sequence[Solution
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(_title(solution))
     return figure
-
-
-def _count_panels(manifest: Manifest) -> int:
-    """Count the panels of a mechanism: coordinates, velocities and inputs, if there are any."""
-    return 2 * bool(manifest.coordinates) + bool(manifest.actuated)
 
 
 @styled

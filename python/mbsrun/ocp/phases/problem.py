@@ -58,7 +58,7 @@ class Link:
     cost: tuple[Term, ...] = ()  # expressions of both sides
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PhasedProblem:
     """Everything that a solve needs, beside the models."""
 
@@ -68,6 +68,10 @@ class PhasedProblem:
     constants: tuple[tuple[str, float], ...] = ()  # that links read
     unknowns: tuple[Unknown, ...] = ()  # that links read, beside the ones of phases; all share them by name
     solver: SolverOptions = field(default_factory=SolverOptions)
+
+    def __repr__(self) -> str:
+        """Return the name and the phases."""
+        return f"PhasedProblem({self.name}: {', '.join(phase.name for phase in self.phases)})"
 
     def find(self, name: str) -> int:
         """Return the number of a phase."""

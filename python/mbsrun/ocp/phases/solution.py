@@ -44,7 +44,7 @@ class LinkValues:
     terms: tuple[tuple[str, float], ...] = ()  # of the cost: name, value times weight
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PhasedSolution:
     """A motion in phases that meets all constraints and, by the solver's word, cannot be made cheaper nearby."""
 
@@ -60,6 +60,10 @@ class PhasedSolution:
     unknown_values: tuple[float, ...] = ()
     solver: SolverOptions = field(default_factory=SolverOptions)
     search: Starts | None = None  # the outcomes of all starts, of a search from many
+
+    def __repr__(self) -> str:
+        """Return the phases, the solver's word and the cost."""
+        return f"PhasedSolution({self.name}: {', '.join(self.names)}: {self.run.status}, cost {self.cost:.10g})"
 
     @property
     def problem(self) -> PhasedProblem:
@@ -98,7 +102,7 @@ class PhasedSolution:
         return self.phases[self.names.index(name)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PhasedFailure:
     """A solve that gave no solution."""
 
@@ -107,6 +111,10 @@ class PhasedFailure:
     finding: str
     remedy: str
     place: str = ""  # the part of the problem that is at fault, where one is known
+
+    def __repr__(self) -> str:
+        """Return the status, the finding and the remedy."""
+        return f"PhasedFailure({self.problem.name}: {self.run.status}: {self.finding}; {self.remedy})"
 
 
 @dataclass(frozen=True)
