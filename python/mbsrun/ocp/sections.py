@@ -118,8 +118,8 @@ StartField = Annotated[  # one for each coordinate, or by name; null: not given
     Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
     Discriminator(_form),
 ]
-RestField = Annotated[  # of all coordinates, or of some, by name
-    Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)
+RestField = Annotated[  # of all coordinates, or of some, by name; null: not given
+    Annotated[Literal["zero"], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")], Discriminator(_form)
 ]
 NamesField = Annotated[  # of some, or by name
     Annotated[tuple[str, ...], Tag("list")] | Annotated[dict[str, str], Tag("mapping")], Discriminator(_form)
@@ -269,10 +269,10 @@ class VelocitySection(Section):
 
 
 class EndSection(Section):
-    """The conditions at the end."""
+    """The conditions at the end; null where it is free."""
 
     sensors: dict[str, PositionSection] = Field(default={}, examples=[{}])
-    pose: dict[str, NumberField] = Field(default={}, examples=[{}])
+    pose: StartField | None = Field(default=None, examples=[{}])
     velocity: RestField | None = Field(default=None, examples=["zero"])
     acceleration: RestField | None = Field(default=None, examples=["zero"])
     sensor_velocities: dict[str, VelocitySection] = Field(default={}, examples=[{}])

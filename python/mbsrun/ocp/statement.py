@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbsgen.documents import (
     Data,
@@ -306,7 +307,7 @@ class _Reading(PartReading):
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=(*constraints, *complements),
-            guess=self.guess(section.guess, bounds, free_q),
+            guess=self.guess(section.guess, bounds, start_q, free_q, end),
             parameters=parameters,
             unknowns=unknowns,
             accuracy=accuracy,
@@ -679,8 +680,16 @@ class _Reading(PartReading):
             sensor_velocities=tuple(velocities),
         )
 
-    def pose(self, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
+    def pose(
+        self, given: tuple[Expression | None, ...] | dict[str, Expression | None] | None, bounds: Bounds
+    ) -> tuple[tuple[int, float], ...]:
         """Read the values of coordinates at the end; a quaternion is given whole, and normalised."""
+        known = self.coordinates.known
+        if isinstance(given, tuple) and len(given) != len(known):
+            self.fault(("end", "pose"), f"found {len(given)} numbers", f"give {len(known)}: {', '.join(known)}")
+            return ()
+        if isinstance(given, tuple):
+            given = dict(zip(known, given, strict=True))
         turning, free = list_quaternions(self.manifest), (-math.inf, math.inf)
         ranges = [free if find_quaternion(turning, i) else limits for i, limits in enumerate(bounds.q)]
         targets = dict(self.targets("pose", given, self.coordinates, ranges))
@@ -704,14 +713,15 @@ class _Reading(PartReading):
             self.fault(place, f"the attitude of {quaternion.joint} is out of bounds", "end within the bounds")
 
     def targets(
-        self, key: str, given: dict[str, Expression] | str | None, among: _Names, bounds: Sequence[Range]
+        self, key: str, given: dict[str, Expression | None] | str | None, among: _Names, bounds: Sequence[Range]
     ) -> tuple[tuple[int, float], ...]:
-        """Read the values of some entries of the state, or accelerations, at the end."""
+        """Read the values of some entries of the state, or accelerations, at the end; null leaves one free."""
         targets = []
         for name, expression in (given if isinstance(given, dict) else {}).items():
             place = ("end", key, name)
-            i, value = self.look_up(place, name, among), self.number(place, expression)
-            if i is not None:
+            i = self.look_up(place, name, among)
+            value = 0.0 if expression is None else self.number(place, expression)
+            if i is not None and expression is not None:
                 targets.append((i, value))
                 lower, upper = bounds[i] if bounds else (-math.inf, math.inf)
                 if value < lower or value > upper:
@@ -729,7 +739,9 @@ class _Reading(PartReading):
             return cylindrical(**values)
         return values.get("x"), values.get("y"), values.get("z")
 
-    def guess(self, section: GuessSection, bounds: Bounds, free: Sequence[int]) -> GuessOptions:
+    def guess(
+        self, section: GuessSection, bounds: Bounds, start_q: Sequence[float], free: Sequence[int], end: End
+    ) -> GuessOptions:
         """Read how to guess; `free` are the coordinates without a value at the start."""
         for i, name in enumerate(section.upright):
             self.look_up(("guess", "upright", i), name, self.frames)
@@ -738,10 +750,30 @@ class _Reading(PartReading):
             if i not in free:
                 place: Place = ("guess", "start", self.coordinates.known[i])
                 self.fault(place, "this coordinate has a value at the start", "leave it out, or free it by null there")
-        end = self.guessed_pose("end", section.end, bounds)
+        last = self.guessed_pose("end", section.end, bounds)
+        if self.closure is not None and not self.faults:
+            held = {i: value for i, value in enumerate(start_q) if i not in free}
+            start, first = self.closed_guess("start", self.closure, start, held, np.array(start_q))
+            last, _ = self.closed_guess("end", self.closure, last, dict(end.coordinates), first)
         return GuessOptions(
-            section.upright, section.motion, section.inputs, section.solution, self.guessed_times(section), start, end
+            section.upright, section.motion, section.inputs, section.solution, self.guessed_times(section), start, last
         )
+
+    def closed_guess(
+        self,
+        key: str,
+        closure: Closure,
+        guessed: Sequence[tuple[int, float]],
+        held: Mapping[int, float],
+        near: NDArray[np.float64],
+    ) -> tuple[tuple[tuple[int, float], ...], NDArray[np.float64]]:
+        """Close the loops at a guessed pose; return its entries without a value in the problem, and all of it."""
+        if not guessed:
+            return (), near
+        usual = [i for i in closure.places_independent if i not in {*held, *dict(guessed)}]
+        found = complete_pose(closure, near, {**held, **dict(guessed)}, usual)
+        self.check_completion(("guess", key), found, self.coordinates)
+        return tuple((i, value) for i, value in enumerate(found.values.tolist()) if i not in held), found.values
 
     def guessed_times(self, section: GuessSection) -> tuple[float | None, float | None]:
         """Read the part of a recording that is a guess."""
@@ -762,9 +794,6 @@ class _Reading(PartReading):
     def guessed_pose(self, key: str, given: dict[str, Expression], bounds: Bounds) -> tuple[tuple[int, float], ...]:
         """Read guesses of coordinates at the start or at the end."""
         place: Place = ("guess", key)
-        if given and self.closure is not None:
-            self.fault(place, "closed loops give the coordinates of a guess", "leave this out")
-            return ()
         found = []
         for name, expression in given.items():
             inner = (*place, name)

@@ -17,6 +17,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.pipeline import Options, make
 from mbsgen.roles import Role
 from mbsrun.closure import CLOSED, Closure
+from mbsrun.external import load_on_demand
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.backends import condensation
 from mbsrun.ocp.backends.numpy import build
@@ -43,6 +44,7 @@ from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
 from tests.mbsrun.ocp.programs import check_derivatives, unroll
 from tests.mbsrun.peer import Peer
 
+MODELS = Path(__file__).parents[3] / "models"
 FORMS = [
     (Loops.MULTIPLIERS, Representation.IMPL),
     (Loops.MULTIPLIERS, Representation.EXP1_O),
@@ -650,3 +652,35 @@ def test_phases_carry_closed_loops_on(loops: Loops) -> None:
     assert isinstance(found, PhasedSolution)
     assert found.cost == pytest.approx(whole.cost.total, rel=1e-8)
     assert found.phases[1].violation.closure == pytest.approx(0.0, abs=CLOSED)
+
+
+def test_a_guess_is_closed_at_both_ends(tmp_path: Path) -> None:
+    """Of a start that is free, and in place of a search for the end: named joints are where they are put."""
+    text = (MODELS / "five_bar_reach.ocp.yaml").read_text().replace("right: -1.1397", "right: null")
+    (tmp_path / "five_bar.yaml").write_text((MODELS / "five_bar.yaml").read_text())
+    path = tmp_path / "p.ocp.yaml"
+    path.write_text(text + "guess: {start: {right: -1.0}, end: {left: -2.2, right: -0.6}}\n")
+    problem, plant = read_problem(path, load_on_demand)
+    motion = make_guess(problem, plant, schemes.build(problem.family, problem.degree))
+    assert isinstance(motion, Trajectory)
+    left, right = (plant.manifest.positions.index(name) for name in ("left", "right"))
+    assert motion.q[0, [left, right]] == pytest.approx([-2.4621, -1.0], abs=1e-12)
+    assert motion.q[-1, [left, right]] == pytest.approx([-2.2, -0.6], abs=1e-6)
+    assert Closure(plant).measure(np.concatenate((motion.q, motion.point_q.reshape(-1, 4)))) <= CLOSED
+    path.write_text(text + "guess: {start: {right: 0.5, left elbow: 3}}\n")
+    with pytest.raises(InputError, match=r"guess\.start.*the loop"):
+        read_problem(path, load_on_demand)
+
+
+def test_null_frees_coordinates_of_the_end(tmp_path: Path) -> None:
+    """The same problem as one that leaves them out: of a mapping, of a list, and of all."""
+    (tmp_path / "cart_pole.yaml").write_text((MODELS / "cart_pole.yaml").read_text())
+    path, found = tmp_path / "p.ocp.yaml", []
+    text = "model: cart_pole.yaml\nhorizon: 1\nintervals: 4\nscheme: radau\ndegree: 3\n"
+    text += "cost: {inputs: 1}\nstart: {pose: {}}\n"
+    ends = ("pose: {cart: 1}, velocity: {cart: 2}", "pose: {cart: 1, pole: null}, velocity: {cart: 2, pole: null}")
+    for end in (*ends, "pose: [1, null], velocity: {cart: 2}", "pose: null"):
+        path.write_text(f"{text}end: {{{end}}}\n")
+        found.append(read_problem(path, load_on_demand)[0].end)
+    assert found[0] == found[1] == found[2] == End(coordinates=((0, 1.0),), velocities=((0, 2.0),))
+    assert found[3] == End()
