@@ -57,18 +57,12 @@ class Point:
     row_below: Array  # of rows: likewise; 0 in equations
     row_above: Array
     violation: float  # the largest, of a row over its change in the region, of a bound over D
+    sides: float  # limits of variables and rows; of limits beyond the region, the part D / distance
 
     @property
     def reach(self) -> float:
         """Return by how much the cost could fall in the region without any constraint."""
         return float(np.abs(self.c) @ self.size)
-
-    @property
-    def sides(self) -> int:
-        """Count bounds and ranges, by side, without equations."""
-        pairs = ((self.below, self.above, self.size), (self.row_below, self.row_above, np.inf))
-        counts = (((a + b > 0) & (side < size)).sum() for a, b, size in pairs for side in (a, b))
-        return int(sum(counts))
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,8 @@ def judge(point: Point, tolerance: float, weight: float, multipliers: Array | No
     """Judge a point that a method with a tolerance found, for a cost whose largest weight is given.
 
     A gradient that vanishes, as where a cost of squares is 0, is no measure: there, derivatives of the Lagrangian as
-    small as the tolerance are rounding.
+    small as the tolerance are rounding. An interior point leaves a multiplier at each limit, near or far: the tolerance
+    over the distance.
     """
     same, left = max(SAME, LOOSE * tolerance), tolerance * weight
     allowed = same * point.reach + PRODUCT * left * point.sides
@@ -126,6 +121,7 @@ def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pai
     np.minimum.at(below, at, falls)
     np.minimum.at(above, at, rises)
     kept = np.setdiff1d(np.arange(g.size), alone)
+    sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
     excess = (_measure_excess(g, ranges) / np.maximum(1.0, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
@@ -137,7 +133,15 @@ def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pai
         np.clip(row_below, 0.0, reach)[kept],
         np.clip(row_above, 0.0, reach)[kept],
         max(float(part.max(initial=0.0)) for part in excess),
+        sides,
     )
+
+
+def _count_sides(below: Array, above: Array, size: Array) -> float:
+    """Count the bounds of variables that may move, each by the part of its distance that lies in the region."""
+    moves = np.clip(below, 0.0, size) + np.clip(above, 0.0, size) > 0
+    shares = (size / np.maximum(distance, size) for distance in (below, above))
+    return float(sum(share[moves].sum() for share in shares))
 
 
 def _measure_excess(values: Array, limits: Pair) -> Array:
