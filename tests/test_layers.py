@@ -160,6 +160,7 @@ MBSRUN = Package(
         "playground.page",
         "playground",
         "tracking.trial tracking.controller",
+        "tracking.added",
         "tracking.compiled tracking.plant tracking.solving tracking.statement",
         "tracking.loop tracking.mechanisms",
         "tracking.analysis",

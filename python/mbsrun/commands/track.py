@@ -33,7 +33,7 @@ from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
-from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits
+from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits, remembers
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
 from mbsrun.tracking.mechanisms import load_simulated
@@ -182,7 +182,7 @@ def track_command(
         if folder is not None:
             controller = _load_controller(folder, file, problem, trial, statement, stepping)
     try:
-        found = _run(trial, problem, Plant(true, trial), controller, predicting)
+        found = _run(trial, problem, Plant(true, trial, problem), controller, predicting)
     except NoPlanError as error:
         say(str(error))
         context.exit(NOT_SOLVED)
@@ -223,7 +223,7 @@ def _load_controller(
     misfits = list_misfits(manifest, problem, trial.updates)
     remedy = f"write the controller of this problem by `mbsrun controller {file} -o DIR`"
     faults += [Fault(str(folder / FILE_NAME), 0, "", finding, remedy) for finding in misfits]
-    wrong = find_wrong_rate(loaded.period, trial.period)
+    wrong = find_wrong_rate(loaded.period, trial.period, remembers=remembers(manifest))
     if wrong is not None and not misfits:
         faults.append(statement.fault(("rate",), *wrong))
     if faults:

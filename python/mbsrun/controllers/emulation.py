@@ -1,7 +1,7 @@
 """A controller on a bare Cortex-M7, in single precision: statuses, instructions, memory, as QEMU shows them.
 
 A program solves the controller's problem, then controls its own model for some sampling periods. Where the model has
-closed loops, the plan is the prediction.
+closed loops, or the problem adds states or delays, the plan is the prediction.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def emulate(place: Path, manifest: folders.Manifest, workspace: int) -> Emulatio
         text = lay_out(
             "controller/bare.c",
             name=manifest.prefix,
-            predicts=manifest.predicts,
+            predicts=manifest.predicts and not manifest.delays,
             bytes=workspace,
             periods=PERIODS,
         )

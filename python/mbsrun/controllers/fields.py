@@ -15,8 +15,21 @@ import numpy as np
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.ocp.functions import Array, Indices
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Target, Term
+from mbsrun.ocp.problem import (
+    Bounds,
+    Constraint,
+    Cost,
+    Delay,
+    End,
+    Problem,
+    Range,
+    State,
+    Target,
+    Term,
+    count_delayed,
+)
 from mbsrun.ocp.stages.tables import StageProgram
+from mbsrun.ocp.structure import list_bounded
 from mbsrun.ocp.transcription import Transcription
 
 MARK = 2.0**40  # number k is marked by MARK + k: far above any number of a problem, and exact
@@ -118,6 +131,12 @@ def _spread(bounds: Array, kept: Indices, size: int, other: float) -> Array:
     return whole
 
 
+def list_delays(problem: Problem) -> tuple[int, ...]:
+    """List the intervals until each input acts; empty where all act at once."""
+    late = {history.input: history.delay for history in list_histories(problem) if history.delay}
+    return tuple(late.get(i, 0) for i in range(len(problem.bounds.u))) if late else ()
+
+
 class _Marks:
     """Numbers of fields while they are collected."""
 
@@ -158,9 +177,32 @@ class _Marks:
         return Sources(tuple(fields), len(places), tuple(constants), *found)
 
 
-START_Q, START_QD = "start_q", "start_qd"
+START_Q, START_QD, START_STATES = "start_q", "start_qd", "start_states"
+BEFORE, GIVEN = "inputs_before", "inputs_given"
+RATES_LOWER, RATES_UPPER = "input_rates_lower", "input_rates_upper"
 MASSES, DESIGN, NUMBERS = "parameters", "theta", "numbers"
-ALWAYS = (START_Q, START_QD, MASSES, DESIGN, NUMBERS)
+ALWAYS = (START_Q, START_QD, START_STATES, BEFORE, GIVEN, RATES_LOWER, RATES_UPPER, MASSES, DESIGN, NUMBERS)
+
+
+@dataclass(frozen=True)
+class History:
+    """An input of which a controller remembers what was given before: it acts late, or its rate has bounds."""
+
+    input: int  # index into u
+    delay: int  # intervals until it acts
+    is_rated: bool
+
+    @property
+    def count(self) -> int:
+        """Count the commands that are remembered."""
+        return max(self.delay, 1)
+
+
+def list_histories(problem: Problem) -> tuple[History, ...]:
+    """List the inputs with delays or bounds on rates, by index."""
+    late = {delay.index: count_delayed(delay, problem) or 0 for delay in problem.delays if delay.kind == "input"}
+    rated = set(list_bounded(problem.bounds.rates))
+    return tuple(History(i, late.get(i, 0), i in rated) for i in sorted({*late, *rated}))
 
 
 def _mark(problem: Problem, transcription: Transcription, manifest: Manifest, marks: _Marks) -> Problem:
@@ -172,12 +214,15 @@ def _mark(problem: Problem, transcription: Transcription, manifest: Manifest, ma
         problem,
         start_q=tuple(marks.add(START_Q, "coordinates at the start", _pair(q, problem.start_q))),
         start_qd=_mark_velocities(problem, transcription, qd, marks),
+        states=_mark_states(problem, marks),
         end=_mark_end(problem.end, q, qd, marks),
         bounds=Bounds(
             _mark_ranges("q", "coordinates", problem.bounds.q, q, marks),
             _mark_ranges("qd", "velocities", problem.bounds.qd, qd, marks),
             _mark_ranges("u", "inputs", problem.bounds.u, u, marks),
+            _mark_rates(problem, u, marks),
         ),
+        delays=_mark_histories(problem, u, marks),
         constraints=_mark_constraints(problem.constraints, marks),
         horizon_range=None
         if problem.horizon_range is None
@@ -185,6 +230,59 @@ def _mark(problem: Problem, transcription: Transcription, manifest: Manifest, ma
         cost=_mark_weights(problem, marks),
         constants=_mark_constants(problem, marks),
     )
+
+
+def _mark_states(problem: Problem, marks: _Marks) -> tuple[State, ...]:
+    """Mark the states that the problem adds; a start or an end in a range keeps that."""
+    states = problem.states
+    named = [(state.name, "") for state in states]
+    begins = [state.start[0] if _is_given(state.start) else 0.0 for state in states]
+    starts = marks.add(START_STATES, "states that the problem adds, at the start", _pair(named, begins))
+    aims = [state for state in states if _is_given(state.end)]
+    entries = [Entry(state.name, "", state.end[0]) for state in aims]
+    found = marks.add("end_states", "states that the problem adds, at the end", entries)
+    ends = {state.name: mark for state, mark in zip(aims, found, strict=True)}
+    ranges = _mark_ranges("states", "states that the problem adds", [state.bounds for state in states], named, marks)
+    return tuple(
+        replace(
+            state,
+            bounds=bounds,
+            start=(start, start) if _is_given(state.start) else state.start,
+            end=(ends[state.name],) * 2 if state.name in ends else state.end,
+        )
+        for state, start, bounds in zip(states, starts, ranges, strict=True)
+    )
+
+
+def _is_given(range_: Range) -> bool:
+    return range_[0] == range_[1]
+
+
+def _mark_rates(problem: Problem, u: Sequence[tuple[str, str]], marks: _Marks) -> tuple[Range, ...]:
+    """Mark the bounds of rates, of the inputs that have some."""
+    rated = list_bounded(problem.bounds.rates)
+    ranges = [problem.bounds.rates[i] for i in rated]
+    named = [(u[i][0], f"{u[i][1]}/s") for i in rated]
+    found = dict(zip(rated, _mark_ranges("input_rates", "rates of inputs", ranges, named, marks), strict=True))
+    return tuple(found.get(i, limits) for i, limits in enumerate(problem.bounds.rates))
+
+
+def _mark_histories(problem: Problem, u: Sequence[tuple[str, str]], marks: _Marks) -> tuple[Delay, ...]:
+    """Mark the commands before the start, which fix inputs that act late."""
+    histories = list_histories(problem)
+    if not histories:
+        return problem.delays
+    delays = {delay.index: delay for delay in problem.delays}
+    entries = [
+        Entry(f"{u[x.input][0]}_{k}", u[x.input][1], delays[x.input].history or 0.0 if x.delay else np.inf)
+        for x in histories
+        for k in range(x.count, 0, -1)
+    ]
+    meaning = "inputs of the periods before, oldest first; infinite: unknown"
+    commands = iter(marks.add(BEFORE, meaning, entries))
+    marks.add(GIVEN, "inputs given since, which are before the next period", _pair(u, [0.0] * len(u)))
+    taken = {x.input: tuple(next(commands) for _ in range(x.count)) for x in histories}
+    return tuple(replace(delay, commands=taken[delay.index]) for delay in problem.delays)
 
 
 def _add_model(tables: StageProgram, manifest: Manifest, marks: _Marks) -> None:

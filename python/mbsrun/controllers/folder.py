@@ -68,6 +68,7 @@ class Manifest(_Part):
     states: tuple[Quantity, ...]
     inputs: tuple[Quantity, ...]
     data: tuple[Data, ...]
+    delays: tuple[int, ...] = ()  # intervals until each input acts that is given now; empty: all act at once
     predicts: bool
     cost: float  # of the optimum that the check expects
     scale: float = Field(gt=0)  # the solver minimises the cost times this number

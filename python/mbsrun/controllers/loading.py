@@ -198,7 +198,8 @@ class Controller:
         Raises ControllerError where the model has none in the folder, or no acceleration on the way.
         """
         if not self.manifest.predicts:
-            raise ControllerError(f"{self.folder}: the model's motion is not part of it, as it has closed loops")
+            finding = "the model's motion is not part of it, as it has loops, or the problem adds states"
+            raise ControllerError(f"{self.folder}: {finding}")
         if steps < 1 or not seconds >= 0:
             raise ControllerError(f"seconds = {seconds!r}, steps = {steps!r}: give a time and at least one step")
         given = self._check("state", state, len(self.manifest.states))

@@ -26,7 +26,7 @@ from mbsgen.roles import Role
 from mbsrun import bare
 from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import emulate
-from mbsrun.controllers.fields import find_sources
+from mbsrun.controllers.fields import find_sources, list_delays
 from mbsrun.controllers.loading import Controller, Result
 from mbsrun.controllers.refusals import find_refusals
 from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
@@ -42,10 +42,12 @@ from mbsrun.ocp.functions import Array, Formula, KernelResult
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.program import Program
+from mbsrun.ocp.scales import find_scales
 from mbsrun.ocp.solve import Solver, settle
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import KernelFunction, StageProgram
+from mbsrun.ocp.state_guess import complete
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.ocp.transcription import Transcription
 
@@ -92,11 +94,13 @@ def make(
         finding = f"no pose within the bounds meets the targets; the nearest one found is {start.distance:.3g} away"
         raise UnsolvedError(f"{finding}; move the target or widen the bounds")
     problem = settle(problem, plant, start)
+    start = complete(start, problem, plant)
     transcription = Solver(problem, plant).transcription
     place, kernels = gather_kernels(transcription.program, plant, model)
     tables = build(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
+    scales = place_scales(transcription, tables, transcription.pack(start), problem)
     placed = place_guess(transcription, tables, start, plant)
     design = Design(
         name=choose_name(problem.name, kernels.manifest.prefix, prefix),
@@ -107,9 +111,10 @@ def make(
         transcription=transcription,
         tables=tables,
         sources=find_sources(problem, transcription, tables, kernels.manifest),
+        scales=scales,
         guess=placed,
         plan=placed,
-        prediction=choose_prediction(kernels, tables),
+        prediction=() if problem.states else choose_prediction(kernels, tables),
     )
     used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)
     copied = merge(read_solver(), used)
@@ -211,6 +216,7 @@ def describe(
     velocities = [manifest.coordinates[i] for i in layout.motions.velocities]
     states = [folders.Quantity(name=name, unit=units.get(name, "")) for name in manifest.positions]
     states += [folders.Quantity(name=f"{c.name}'", unit=f"{c.unit}/s") for c in velocities]
+    states += [folders.Quantity(name=state.name, unit="") for state in design.problem.states]
     actuated = [manifest.coordinates[i] for i in manifest.actuated]
     data = [
         folders.Data(
@@ -241,6 +247,7 @@ def describe(
         states=tuple(states),
         inputs=tuple(folders.Quantity(name=c.name, unit=c.force_unit) for c in actuated),
         data=tuple(data),
+        delays=list_delays(design.problem),
         predicts=bool(design.prediction),
         cost=figures.cost,
         scale=scale_cost(design.problem),
@@ -295,8 +302,10 @@ def describe_name(made: Made) -> str:
 
 
 def hash_problem(problem: Problem) -> str:
-    """Return a hash of a problem's content, threads aside: they change no number."""
-    content = TypeAdapter(Problem).dump_python(problem, mode="json", exclude={"solver": {"threads"}})
+    """Return a hash of a problem's content, without threads, which change no number, and what a loop gives alone."""
+    content = TypeAdapter(Problem).dump_python(
+        problem, mode="json", exclude={"solver": {"threads": True}, "first_inputs": True}
+    )
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -355,6 +364,14 @@ def place_guess(
     """Put a guess in the order of the tables; variables of these alone are 0, or combinations."""
     x = functions.build(transcription.program, plant).complete(transcription.pack(guess))
     return tables.place(x)
+
+
+def place_scales(transcription: Transcription, tables: StageProgram, guess: Array, problem: Problem) -> Array:
+    """Return the usual sizes of the variables of the tables, as `mbsrun solve` has them."""
+    program = transcription.program
+    scales = np.ones(program.variables)
+    scales[program.kept] = find_scales(transcription, guess, transcription.variable_bounds(problem))
+    return np.where(tables.variables < 0, 1.0, scales[tables.variables])
 
 
 def complete_guess(controller: Controller, tables: StageProgram, guess: Array) -> Array:

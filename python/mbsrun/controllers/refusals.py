@@ -16,8 +16,7 @@ EVERY = "*"  # in a place: each key of a mapping, each entry of a list
 
 _HOLDS = "a controller holds its inputs from sample to sample"
 _CHOOSES = "a controller chooses the inputs of the model alone"
-_MEASURES = "a controller measures coordinates and velocities alone"
-_BEGINS = "a controller begins anew at every sample, and knows no input before it"
+_REMEMBERS = "a controller remembers the inputs that it gave"
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,6 @@ def _list_lifted(problem: Problem) -> list[str]:
     return [force.expression for force in problem.forces if force.expression.startswith(INPUT)]
 
 
-def _has_own_states(problem: Problem) -> bool:
-    """Return whether the file adds states; controls with rates are states too."""
-    controls = {control.name for control in problem.controls}
-    return any(state.rate not in controls for state in problem.states)
-
-
 def _has_own_controls(problem: Problem) -> bool:
     """Return whether the file adds controls; slacks and rates of linear inputs are controls too."""
     lifted = _list_lifted(problem)
@@ -80,16 +73,16 @@ _RULES = (
         lambda problem: problem.inputs != "constant" or _list_lifted(problem),
     ),
     _rule(
-        ("inputs", "delay"),
-        f"{_BEGINS}, as delays need",
-        "leave delays out; the delay of `mbsrun track` lets inputs act late",
-        lambda problem: any(delay.kind == "input" for delay in problem.delays),
+        ("inputs", "history"),
+        f"{_REMEMBERS}, and these are free",
+        "give their values at the start",
+        lambda problem: any(delay.kind == "input" and delay.history is None for delay in problem.delays),
     ),
     _rule(
         ("bounds", "input_rates"),
-        f"{_BEGINS}, as bounds of rates need",
-        "leave them out, or price rates by cost.input_rates",
-        lambda problem: problem.bounds.rates and not _list_lifted(problem),
+        f"{_REMEMBERS} a period before, and the length of a period is free here",
+        "give the horizon, or price rates by cost.input_rates",
+        lambda problem: problem.bounds.rates and problem.horizon_range is not None,
     ),
     _rule(
         ("forces",),
@@ -108,18 +101,6 @@ _RULES = (
         f"{_CHOOSES}, and contacts have unknown forces",
         "leave contacts out, or give the model compliant ones under its key contacts",
         lambda problem: problem.contacts or problem.touching,
-    ),
-    _rule(
-        ("states",),
-        f"{_MEASURES}, and the problem adds states",
-        "leave them out",
-        _has_own_states,
-    ),
-    _rule(
-        ("integrals",),
-        f"{_MEASURES}, and an integral is a state",
-        "leave integrals out, or price them under cost.running",
-        lambda problem: problem.integrals,
     ),
     _rule(
         ("controls",),

@@ -14,7 +14,18 @@ import numpy as np
 from mbsgen.manifest import Argument, Kernel, Manifest
 from mbsgen.roles import Role
 from mbsrun.controllers.arrays import Arrays, Wrap, repeat, split, write_kinds, write_real
-from mbsrun.controllers.fields import DESIGN, MASSES, NUMBERS, Sources
+from mbsrun.controllers.fields import (
+    BEFORE,
+    DESIGN,
+    GIVEN,
+    MASSES,
+    NUMBERS,
+    RATES_LOWER,
+    RATES_UPPER,
+    Sources,
+    list_delays,
+    list_histories,
+)
 from mbsrun.controllers.sources import PRIVATE, identify_solver, list_shared, name_kernel
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.methods import choose
@@ -40,6 +51,7 @@ class Design:
     transcription: Transcription
     tables: StageProgram
     sources: Sources
+    scales: Array  # usual sizes of all variables
     guess: Array
     plan: Array  # the optimum, once it is known
     prediction: tuple[Kernel, ...]  # kernels that give accelerations and rates; none: the model's own motion is unknown
@@ -99,6 +111,40 @@ class _Option:
 
 
 @dataclass(frozen=True)
+class _History:
+    """The memory of the commands of an input: places among the numbers of a controller."""
+
+    place: int  # of the oldest one
+    second: int
+    last: int  # of the latest one
+    kept: int  # how many move up
+    given: int  # of the one that was given since
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """A bound of a rate from the command before to the one that is chosen now, as a bound of a variable.
+
+    A step in real time keeps bounds of variables exactly, and rows of the problem only as far as they are linear.
+    """
+
+    variable: int  # among all
+    before: int  # a place among the numbers, as the next two
+    lower: int
+    upper: int
+
+
+@dataclass(frozen=True)
+class _Histories:
+    """The memory of commands."""
+
+    inputs: tuple[_History, ...]
+    limits: tuple[_Limit, ...]
+    given: int  # where the inputs that were given lie among the numbers
+    acting: tuple[int, ...]  # the stage at which each input acts that is given now; empty: the first
+
+
+@dataclass(frozen=True)
 class _Prediction:
     """How rates of a state begin."""
 
@@ -117,6 +163,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     layout, manifest = design.transcription.layout, design.manifest
     velocities = [manifest.coordinates[i].name for i in layout.motions.velocities]
     states = [f"q_{x}" for x in identify(manifest.positions)] + [f"qd_{x}" for x in identify(velocities)]
+    states += [f"s_{x}" for x in identify([state.name for state in problem.states])]
     inputs = identify([manifest.coordinates[i].name for i in manifest.actuated])
     fields = [
         _Group(
@@ -130,6 +177,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     ]
     first = tables.kinds[tables.kind_of_stage[0]]
     given = tuple(_list_given(design))
+    histories = _describe_histories(design)
     common = {
         "name": name,
         "prefix": name,
@@ -145,6 +193,11 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         "inputs": _Group("INPUT", "the inputs", tuple(inputs)),
         "fields": fields,
         "predicts": _Prediction(layout.nq, len(design.prediction) == 1) if design.prediction else None,
+        "is_late": histories is not None and bool(histories.acting),
+        "histories": histories,
+        "acting": ", ".join(
+            str(_place_input(design, i, stage)) for i, stage in enumerate(histories.acting if histories else ())
+        ),
         "scale": write_real(scale_cost(design.problem)),
         "share": f"{BARRIER:g}",
         "barrier": write_real(choose_barrier(design.problem, cost)),
@@ -188,6 +241,25 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
         PRIVATE: lay_out("c/private.h", shared=list_shared(), **common),
     }
+
+
+def _describe_histories(design: Design) -> _Histories | None:
+    """Describe the memory of commands; None where there is none."""
+    histories, sources = list_histories(design.problem), design.sources
+    if not histories:
+        return None
+    before, given = sources.place(BEFORE), sources.place(GIVEN)
+    rated = [x.input for x in histories if x.is_rated]
+    inputs, limits = [], []
+    for history in histories:
+        last = before + history.count - 1
+        inputs.append(_History(before, before + 1, last, history.count - 1, given + history.input))
+        if history.is_rated:
+            k = rated.index(history.input)
+            lower, upper = (sources.place(name) + k for name in (RATES_LOWER, RATES_UPPER))
+            limits.append(_Limit(_place_input(design, history.input, history.delay), last, lower, upper))
+        before += history.count
+    return _Histories(tuple(inputs), tuple(limits), given, list_delays(design.problem))
 
 
 def _list_declared(name: str, parts: Mapping[str, str]) -> tuple[str, ...]:
@@ -295,6 +367,7 @@ def _write_tables(design: Design, common: Mapping[str, object], wrap: Wrap) -> d
         "upper": upper,
         "least": least,
         "most": most,
+        "scales": wrap(map(write_real, design.scales)) if (design.scales != 1).any() else (),
         "values": wrap(map(write_real, sources.values)),
         "parameter_from": wrap(map(str, sources.parameters)) if sources.parameters.size else ("0",),
         "bounds": [f"{shapes[i][0]}, {shapes[i][1]}, {array}" for i, array in enumerate(bounds.names)],
@@ -310,18 +383,25 @@ def _write_tables(design: Design, common: Mapping[str, object], wrap: Wrap) -> d
 
 def _find_places(design: Design, counts: Sequence[int], arrays: Arrays) -> tuple[list[str], list[int]]:
     """Find where states and inputs are among the variables of each stage."""
-    layout = design.transcription.layout
+    layout, added = design.transcription.layout, len(design.problem.states)
+    every = np.concatenate((layout.mesh, layout.extras.states[:, :added]), axis=1)
     rows = []
     for k, variables in enumerate(split(design.tables.variables, counts)):
         place: dict[int, int] = {}
         for i, variable in enumerate(variables):
             place.setdefault(int(variable), i)
-        state = arrays.integers(place[int(i)] for i in layout.mesh[k])
+        state = arrays.integers(place[int(i)] for i in every[k])
         inputs = arrays.integers(place[int(i)] for i in layout.inputs[k]) if k < len(layout.inputs) else "NULL"
         horizon = -1 if layout.horizon is None else place[layout.horizon]
         rows.append(f"{state}, {inputs}, {horizon}")
     different = list(dict.fromkeys(rows))
     return different, [different.index(row) for row in rows]
+
+
+def _place_input(design: Design, i: int, stage: int) -> int:
+    """Find where an input of a stage is among all variables."""
+    variable = design.transcription.layout.inputs[stage, i]
+    return int(np.flatnonzero(design.tables.variables == variable)[0])
 
 
 # --- the model's own parameters and motion -------------------------------------------------------------------------

@@ -175,6 +175,7 @@ class Delay:
     history: float | None = 0.0  # the command before the start; None: free
     is_linked: bool = False  # whether these are commands of the phase before
     state: int | None = None  # the state that is this input, where it is continuous; `index` is its rate, a control
+    commands: tuple[float, ...] = ()  # of each interval before the start, oldest first; empty: all are the history
 
 
 @dataclass(frozen=True)
@@ -340,6 +341,7 @@ class Problem:
     references: tuple[Reference, ...] = ()  # that expressions read
     refine: Refinement | None = None  # None: the grid stays
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
+    first_inputs: tuple[Range, ...] = ()  # further bounds of each constant input in the first interval; empty: none
     following: tuple[int, ...] = ()  # states of the start that loops give, where differentiated parameters change loops
 
     def __repr__(self) -> str:

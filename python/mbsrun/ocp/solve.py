@@ -76,8 +76,12 @@ NUDGE = 1e-2  # relative, and absolute below 1: how far a guess is moved in whic
 class Solver:
     """A transcribed problem, to be solved for any start, targets, bounds and weights."""
 
-    def __init__(self, problem: Problem, plant: Plant) -> None:
-        """Transcribe a problem. Raises ProblemError with every fault of it."""
+    def __init__(self, problem: Problem, plant: Plant, *, is_judged: bool = True) -> None:
+        """Transcribe a problem. Raises ProblemError with every fault of it.
+
+        Where answers are not judged, the word of the method counts, as of one sample of a loop.
+        """
+        self._is_judged = is_judged
         check_problem(problem, plant.manifest)
         _check_states(problem, plant)
         self.plant = plant = equip(plant, problem)
@@ -144,7 +148,9 @@ class Solver:
             return Failure(problem, run, finding, remedy)
         try:
             solution = self._solution(problem, run, found)
-            run, cause = examine(self.program, outcome, problem.solver, weight)
+            cause = ""
+            if self._is_judged:
+                run, cause = examine(self.program, outcome, problem.solver, weight)
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)

@@ -150,6 +150,8 @@ def move_ahead(
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * points_move,
         point_qdd=points.accelerations(trajectory.point_qdd) * points_move,
+        states=mesh.states(trajectory.states, trajectory.point_states),
+        point_states=points.states(trajectory.states, trajectory.point_states),
         unknowns=trajectory.unknowns,
     )
 

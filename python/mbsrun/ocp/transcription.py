@@ -106,6 +106,7 @@ class Transcription:
             lower[index], upper[index] = bounds.T
         given = self._list_given_states(problem)
         lower[given], upper[given] = -np.inf, np.inf
+        self._limit_first_inputs(problem, lower, upper)
         if problem.horizon_range is not None:
             lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
         lower[self._fixed] = upper[self._fixed] = self.fixed
@@ -114,7 +115,7 @@ class Transcription:
         for delay in problem.delays:
             if delay.history is not None:
                 known = self._find_delayed(delay, problem)
-                lower[known] = upper[known] = delay.history
+                lower[known] = upper[known] = delay.commands or delay.history
         return lower[self.program.kept], upper[self.program.kept]
 
     def _bound_states(self, problem: Problem) -> Array:
@@ -179,6 +180,13 @@ class Transcription:
         if problem.inputs == "constant":
             return [given, (layout.inputs, free), (extras.controls, controls)]
         return [given, (layout.point_inputs, free), (extras.point_controls, controls)]
+
+    def _limit_first_inputs(self, problem: Problem, lower: Array, upper: Array) -> None:
+        """Narrow the bounds of the inputs of the first interval; where nothing is left, by the bounds of all."""
+        if problem.first_inputs:
+            first = self.layout.inputs[0]
+            ranges = np.array(problem.first_inputs)[list(self.layout.extras.free)]
+            lower[first], upper[first] = np.clip(ranges.T, lower[first], upper[first])
 
     def _find_delayed(self, delay: Delay, problem: Problem) -> Indices:
         """Return the variables of a delayed input before its first command acts."""

@@ -130,6 +130,7 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
             ("coordinate", manifest.positions, found.q, problem.bounds.q),
             ("velocity", coordinates, found.qd, problem.bounds.qd),
             ("input", inputs, found.u, problem.bounds.u),
+            ("state", found.trial.states, found.states, [state.bounds for state in problem.states]),
         )
         for name, column, limits in zip(known, values.T, ranges, strict=True)
     ]
@@ -169,5 +170,6 @@ def _evaluate(
     known |= {name: np.array([value]) for name, value in (others or {}).items()}
     states = {name: x for name, x in wanted.items() if x.kind in STATE}
     known |= measure(states, plant, found.q, found.qd)
+    known |= dict(zip(found.trial.states, found.states.T, strict=True))
     with np.errstate(all="ignore"):  # a value that is not finite fails its measure
         return [np.broadcast_to(evaluate(e, known, ARRAYS), found.t.shape) for e in expressions]

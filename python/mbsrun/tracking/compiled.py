@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME
+from mbsrun.controllers.fields import BEFORE, GIVEN, START_STATES
 from mbsrun.controllers.folder import Data, Manifest
 from mbsrun.controllers.loading import Controller, Step
 from mbsrun.controllers.writing import BARRIER
@@ -60,7 +61,7 @@ class CompiledController:
             remedy = "write it again for this problem by `mbsrun controller`"
             raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfits)}; {remedy}")
         self._interval = controller.period
-        misfit = find_wrong_rate(self._interval, period)
+        misfit = find_wrong_rate(self._interval, period, remembers=remembers(manifest))
         if misfit is not None:
             raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfit)}")
         self._controller, self._period, self._stepping = controller, period, stepping
@@ -70,6 +71,7 @@ class CompiledController:
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
         self._violation = 0.0
+        self._states: Array = np.zeros(0)
         self._is_lost = False  # the plan has diverged, or has no step
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
@@ -86,12 +88,21 @@ class CompiledController:
         if not passed and self._stepping is not None:
             self._take(self._controller.prepare())
 
+    def measure(self, states: Array) -> None:
+        """Take the states that the problem adds."""
+        self._states = states
+
+    def note(self, time: float, inputs: Array) -> None:
+        """Write down the inputs that are given now, on which the next plan follows; it has later ones itself."""
+        if GIVEN in self._controller.data and abs(time - self._begun) < self._interval / 2:
+            self._controller.data[GIVEN][:] = inputs
+
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve, or make steps, from a state. The first plan is solved for in any case."""
         before, stepping = clock.process_time(), self._stepping
         if stepping is None or not self._has_plan:
             return self._solve(q, qd, before)
-        state = np.concatenate((q, qd))
+        state = np.concatenate((q, qd, self._states))
         if self._is_lost or not self._violation <= stepping.rescue:
             return self._rescue(state, before)
         inputs, step = self._controller.feedback(state)
@@ -109,10 +120,13 @@ class CompiledController:
         )  # fmt: skip
 
     def planned(self, time: float) -> Array:
-        """Return the plan's mean inputs over the period from a time on."""
+        """Return the plan's mean inputs over the period from a time on; the ones that act late are given earlier."""
         plan, elapsed = self._controller.plan(), time - self._begun
-        times = np.array([elapsed, elapsed + self._period])
-        return np.asarray(average_inputs(plan.times - plan.times[0], plan.inputs, times)[0])
+        times, t = np.array([elapsed, elapsed + self._period]), plan.times - plan.times[0]
+        found = np.asarray(average_inputs(t, plan.inputs, times)[0])
+        for i, delay in enumerate(self._controller.manifest.delays):
+            found[i] = average_inputs(t, plan.inputs, times + delay * self._interval)[0, i]
+        return found
 
     def _take(self, step: Step) -> None:
         self._violation, self._is_lost = step.violation, step.status != PREPARED
@@ -129,6 +143,8 @@ class CompiledController:
     def _solve(self, q: Array, qd: Array, before: float) -> Decision:
         data = self._controller.data
         data["start_q"][:], data["start_qd"][:] = q, qd
+        if START_STATES in data:
+            data[START_STATES][:] = self._states
         result = self._controller.solve(warm=self._has_plan)
         seconds = clock.process_time() - before
         self._has_plan = self._has_plan or result.is_solved
@@ -140,7 +156,8 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
     """List the ways in which a controller is not one of a problem; `constants` of it change in the loop."""
     found = []
     sizes = len(manifest.states), len(manifest.inputs), manifest.intervals
-    expected = len(problem.start_q) + len(problem.start_qd), len(problem.bounds.u), problem.intervals
+    measured = len(problem.start_q) + len(problem.start_qd) + len(problem.states)
+    expected = measured, len(problem.bounds.u), problem.intervals
     if sizes != expected:
         words = "states, inputs and intervals"
         found.append(f"{manifest.prefix} is of another problem: {_list(sizes)} {words}, and not {_list(expected)}")
@@ -157,9 +174,17 @@ def _list(numbers: tuple[int, ...]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def find_wrong_rate(interval: float, period: float) -> tuple[str, str] | None:
-    """Return finding and remedy for a period that is no part of an interval of the plan."""
+def remembers(manifest: Manifest) -> bool:
+    """Return whether a controller remembers inputs, period by period."""
+    return any(field.name == BEFORE for field in manifest.data)
+
+
+def find_wrong_rate(interval: float, period: float, *, remembers: bool = False) -> tuple[str, str] | None:
+    """Return finding and remedy for a period that is no part of an interval of the plan, or not all of it."""
     count = interval / period
+    if remembers and abs(count - 1) > ROUNDED:
+        finding = f"the controller remembers inputs by intervals of {interval:g} s, and a period has {period:g} s"
+        return finding, f"give a rate of {1 / interval:g} Hz"
     if round(count) >= 1 and abs(count - round(count)) <= ROUNDED * count:
         return None
     finding = f"the controller's intervals of {interval:g} s are no multiple of the period of {period:g} s"

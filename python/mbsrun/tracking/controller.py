@@ -4,14 +4,15 @@
     feedback(q, qd)             plan from a state: inputs from that time on, and a status
 
 `planned` reads inputs off the kept plan, for samples at which no new one was found. A controller holds its plan between
-samples; the loop knows no solver.
+samples; the loop knows no solver. A controller of a problem that adds states, delays or bounds on rates has two more
+methods: see `Remembering`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,3 +44,14 @@ class Controller(Protocol):
 
     def planned(self, time: float) -> Array:
         """Return the inputs (m,) of the kept plan for the period that begins at a time; its last ones after its end."""
+
+
+@runtime_checkable
+class Remembering(Controller, Protocol):
+    """A controller whose plans depend on more than the mechanism's state."""
+
+    def measure(self, states: Array) -> None:
+        """Take the states that the problem adds, (ns,), before the feedback of a sample."""
+
+    def note(self, time: float, inputs: Array) -> None:
+        """Take note of the inputs (m,) that are given for the period from a time on."""

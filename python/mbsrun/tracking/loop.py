@@ -21,16 +21,20 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError
-from mbsrun.kernel import Kernels
+from mbsrun.external import Mechanism
 from mbsrun.ocp.problem import Bounds
+from mbsrun.quaternions import normalise
 from mbsrun.simulation.drive import hold_steps
 from mbsrun.simulation.motion import Halt
 from mbsrun.simulation.simulate import simulate
-from mbsrun.tracking.controller import Controller, Decision
+from mbsrun.tracking.added import hold_inputs
+from mbsrun.tracking.controller import Controller, Decision, Remembering
 from mbsrun.tracking.plant import Plant
 from mbsrun.tracking.trial import Fallback, Trial
 
 Array = NDArray[np.float64]
+
+State = tuple[Array, Array, Array]  # coordinates, velocities, and states that a problem adds
 
 INSIDE = 1e-6  # how far from a bound a state beyond it is put, relative to 1 + |state|
 UNPREDICTED = "No_Prediction"  # the status of a sample at which the model has no motion to the end of the delay
@@ -49,6 +53,7 @@ class Sample:
     qd: Array
     measured_q: Array
     measured_qd: Array
+    states: Array  # (ns,): that the problem adds
     decision: Decision
     preparing: float  # s of processor time, before the measurement
     u: Array  # (m,): the inputs that were asked for in this period, delay included
@@ -66,6 +71,7 @@ class Track:
     t: Array  # (K,)
     q: Array  # (K, nq)
     qd: Array  # (K, n)
+    states: Array  # (K, ns): that the problem adds
     u: Array  # (K, m): inputs that were asked for
     drift: float  # J: the largest drift of the energy in a period
     lossy: int  # periods whose drift is larger than it should be
@@ -87,7 +93,7 @@ def track(
     bounds: Bounds,
     plant: Plant,
     controller: Controller,
-    model: Kernels | None = None,
+    model: Mechanism | None = None,
     show: Callable[[Sample], None] = lambda _: None,
 ) -> Track:
     """Run a trial; call `show` with each sample.
@@ -120,22 +126,26 @@ class _Loop:
     """Holds the plant's state, and the inputs that are on their way."""
 
     def __init__(
-        self, trial: Trial, bounds: Bounds, plant: Plant, controller: Controller, model: Kernels | None
+        self, trial: Trial, bounds: Bounds, plant: Plant, controller: Controller, model: Mechanism | None
     ) -> None:
         self.trial, self.plant, self.controller, self.model = trial, plant, controller, model
-        self.lower, self.upper = (np.array(side) for side in zip(*bounds.q, *bounds.qd, strict=True))
-        self.q, self.qd = trial.start_q, trial.start_qd
+        added = () if plant.added is None else plant.added.bounds
+        self.lower, self.upper = (np.array(side) for side in zip(*bounds.q, *bounds.qd, *added, strict=True))
+        self.q, self.qd, self.states = trial.start_q, trial.start_qd, trial.start_states
+        self.lines = {line.input: deque([line.history] * line.periods) for line in plant.lines}
         self.samples: list[Sample] = []
-        self.stretches = [(np.zeros(1), self.q[None], self.qd[None])]
+        self.stretches = [(np.zeros(1), self.q[None], self.qd[None], self.states[None])]
         self.drift, self.lossy, self.halt = 0.0, 0, None  # type: tuple[float, int, Halt | None]
         controller.prepare(0.0, trial.constants_at(0.0))
-        self.first = controller.feedback(*self._move_inside(self.q, self.qd)[:2])
+        self.first, _ = self._ask(self.q, self.qd, self.states)
         if not self.first.is_solved:
             raise NoPlanError(
                 f"the controller finds no plan from the start ({self.first.status}); "
                 "solve the problem by `mbsrun solve`, and mend it until that succeeds"
             )
         self.pending = deque(controller.planned(k * trial.period) for k in range(trial.delay))
+        for k, inputs in enumerate(self.pending):
+            self._note(k * trial.period, inputs)
         self.last = controller.planned(0.0)
 
     def step(self, k: int) -> Sample:
@@ -150,10 +160,12 @@ class _Loop:
         u = decision.inputs
         if not decision.is_solved and trial.fallback is Fallback.HOLD:
             u = self.pending[-1] if self.pending else self.last
+        self._note(ahead, u)
         self.pending.append(u)
         self.last = self.pending.popleft()
-        acting = self.plant.disturb(k, self.last)
-        sample = Sample(start, self.q, self.qd, *measured, decision, preparing, self.last, acting, is_moved)
+        asked = self._send(self.last)
+        acting = self.plant.disturb(k, asked)
+        sample = Sample(start, self.q, self.qd, *measured, self.states, decision, preparing, asked, acting, is_moved)
         if not decision.is_solved and trial.fallback is Fallback.STOP:
             self.halt = Halt(start, None, f"the controller found no plan ({decision.status})", "see the fallback")
         else:
@@ -163,41 +175,74 @@ class _Loop:
 
     def finish(self) -> Track:
         """Gather the track."""
-        t, q, qd = (np.concatenate(part) for part in zip(*self.stretches, strict=True))
+        t, q, qd, states = (np.concatenate(part) for part in zip(*self.stretches, strict=True))
         period = np.clip((t / self.trial.period * (1 - 1e-12)).astype(int), 0, max(len(self.samples) - 1, 0))
         u = np.array([sample.u for sample in self.samples])[period]
-        return Track(self.trial, self.first, tuple(self.samples), t, q, qd, u, self.drift, self.lossy, self.halt)
+        motion = (t, q, qd, states, u)
+        return Track(self.trial, self.first, tuple(self.samples), *motion, self.drift, self.lossy, self.halt)
 
     def _decide(self, ahead: float, measured: tuple[Array, Array]) -> tuple[Decision, bool]:
         """Plan from a measured state, or from its prediction."""
-        state: tuple[Array, Array] | None = measured
+        state: State | None = (*measured, self.states)
         if self.pending and self.trial.predicts:
-            state = self._predict(*measured)
+            state = self._predict(ahead, *measured, self.states)
         if state is None:
             return Decision(self.controller.planned(ahead), UNPREDICTED, False, 0, 0.0, np.nan), False
-        q, qd, is_moved = self._move_inside(*state)
+        return self._ask(*state)
+
+    def _ask(self, q: Array, qd: Array, states: Array) -> tuple[Decision, bool]:
+        """Ask the controller for a plan from a state, or from the nearest one that it takes."""
+        q, qd, states, is_moved = self._move_inside(q, qd, states)
+        if isinstance(self.controller, Remembering):
+            self.controller.measure(states)
         return self.controller.feedback(q, qd), is_moved
 
-    def _predict(self, q: Array, qd: Array) -> tuple[Array, Array] | None:
+    def _note(self, time: float, inputs: Array) -> None:
+        if isinstance(self.controller, Remembering):
+            self.controller.note(time, inputs)
+
+    def _send(self, inputs: Array) -> Array:
+        """Send inputs to the actuators, some of which act late; return the inputs that act now."""
+        acting = inputs.copy()
+        for i, line in self.lines.items():
+            line.append(inputs[i])
+            acting[i] = line.popleft()
+        return acting
+
+    def _predict(self, ahead: float, q: Array, qd: Array, states: Array) -> State | None:
         """Return the state at the end of the delay by the controller's model; None where the motion stops before."""
         assert self.model is not None, "a delay with prediction needs the model"
-        times = self.trial.period * np.arange(len(self.pending) + 1)
-        settings = replace(self.trial.integration, duration=float(times[-1]))
-        motion = simulate(self.model, hold_steps(times, np.array(self.pending)), q, qd, settings)
-        return (motion.q[-1], motion.qd[-1]) if motion.is_complete else None
+        count, coming = len(self.pending), np.array(self.pending)
+        for i, line in self.lines.items():
+            coming[:, i] = [*line, *coming[:, i]][:count]
+        times = self.trial.period * np.arange(count + 1)
+        if self.plant.added is None:
+            settings = replace(self.trial.integration, duration=float(times[-1]))
+            motion = simulate(self.model, hold_steps(times, coming), q, qd, settings)
+            return (motion.q[-1], motion.qd[-1], states) if motion.is_complete else None
+        added, state = self.plant.added.move_to(self.model), (q, qd, states)
+        for first, u in zip(ahead - times[:0:-1], coming, strict=True):
+            end = np.array([first + self.trial.period])
+            found = added.carry(state, hold_inputs(u, self.model), float(first), end, self.trial)
+            if isinstance(found, str):
+                return None
+            reached, driven, further = np.split(found[-1], [q.size, q.size + qd.size])
+            state = normalise(reached, self.model.manifest), driven, further
+        return state
 
-    def _move_inside(self, q: Array, qd: Array) -> tuple[Array, Array, bool]:
+    def _move_inside(self, q: Array, qd: Array, states: Array) -> tuple[Array, Array, Array, bool]:
         """Put entries of a state that are beyond the controller's bounds just inside: plans begin within them."""
-        state = np.concatenate((q, qd))
+        state = np.concatenate((q, qd, states))
         margin = INSIDE * (1 + np.abs(state))
         is_low, is_high = state < self.lower, state > self.upper
         inside = np.where(is_low, self.lower + margin, np.where(is_high, self.upper - margin, state))
-        return inside[: q.size], inside[q.size :], bool((is_low | is_high).any())
+        q, qd, states = np.split(inside, [q.size, q.size + qd.size])
+        return q, qd, states, bool((is_low | is_high).any())
 
     def _advance(self, start: float, end: float, acting: Array) -> None:
-        stretch = self.plant.advance(self.q, self.qd, start, end, acting)
-        self.stretches.append((stretch.t[1:], stretch.q[1:], stretch.qd[1:]))
-        self.q, self.qd = stretch.q[-1], stretch.qd[-1]
+        stretch = self.plant.advance(self.q, self.qd, self.states, start, end, acting)
+        self.stretches.append((stretch.t[1:], stretch.q[1:], stretch.qd[1:], stretch.states[1:]))
+        self.q, self.qd, self.states = stretch.q[-1], stretch.qd[-1], stretch.states[-1]
         self.drift = max(self.drift, abs(stretch.drift))
         self.lossy += not stretch.is_kept
         self.halt = stretch.halt

@@ -15,17 +15,19 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import Expression
 from mbsrun.closure import find_closure
 from mbsrun.external import Mechanism
+from mbsrun.ocp.problem import Problem
 from mbsrun.quaternions import list_quaternions, normalise
 from mbsrun.simulation.drive import Drive, control, hold
 from mbsrun.simulation.motion import Halt
 from mbsrun.simulation.simulate import simulate
+from mbsrun.tracking.added import AddedStates, Line, list_lines
 from mbsrun.tracking.trial import Trial
 
 Array = NDArray[np.float64]
 
+RATES = "see the rates under states of the problem"
 FINE = 10  # states that are kept of a period
 MEASURED, DRIVEN = 0, 1  # streams of random numbers
 
@@ -37,6 +39,7 @@ class Stretch:
     t: Array  # (K,)
     q: Array  # (K, nq)
     qd: Array  # (K, n)
+    states: Array  # (K, ns): that a problem adds
     drift: float  # J, of the energy: the sum of all pieces
     is_kept: bool  # the drift is as small as `simulation` expects of every piece
     halt: Halt | None
@@ -45,9 +48,18 @@ class Stretch:
 class Plant:
     """A simulated mechanism with disturbances."""
 
-    def __init__(self, kernels: Mechanism, trial: Trial) -> None:
-        """Take the kernels of the true mechanism; its masses may differ from the controller's."""
+    def __init__(self, kernels: Mechanism, trial: Trial, problem: Problem | None = None) -> None:
+        """Take the kernels of the true mechanism; its masses may differ from the controller's.
+
+        `problem` may add states, and inputs that act late.
+        """
         self.kernels, self.trial = kernels, trial
+        self.added: AddedStates | None = None
+        self.lines: tuple[Line, ...] = ()
+        if problem is not None:
+            self.lines = list_lines(problem, trial.period)
+        if problem is not None and problem.states:
+            self.added = AddedStates(problem, kernels, trial.integration.max_seconds)
         self._forces = len(kernels.manifest.actuated)
         self._wrenches = len(kernels.manifest.inputs) - self._forces
 
@@ -71,9 +83,9 @@ class Plant:
         random = np.random.default_rng((self.trial.noise.seed, k, DRIVEN))
         return u + self.trial.noise.u * random.standard_normal(u.size)
 
-    def advance(self, q: Array, qd: Array, start: float, end: float, u: Array) -> Stretch:
+    def advance(self, q: Array, qd: Array, states: Array, start: float, end: float, u: Array) -> Stretch:
         """Move from `start` to `end` under inputs u (m,); kicks at `start` act first."""
-        times, states = [np.array([start])], [(q[None], qd[None])]
+        times, motions, added = [np.array([start])], [(q[None], qd[None])], [states[None]]
         drift, is_kept, halt = 0.0, True, None
         spacing = (end - start) / FINE
         for first, last in self._cut(start, end):
@@ -81,16 +93,23 @@ class Plant:
             settings = replace(self.trial.integration, duration=last - first, output_step=min(spacing, last - first))
             motion = simulate(self.kernels, self._drive(first, u), q, qd, settings)
             times.append(first + motion.t[1:])
-            states.append((motion.q[1:], motion.qd[1:]))
-            q, qd, halt = motion.q[-1], motion.qd[-1], motion.halt
+            motions.append((motion.q[1:], motion.qd[1:]))
+            added.append(np.repeat(added[-1][-1:], len(motion.t) - 1, axis=0))
+            halt = motion.halt
+            if self.added is not None and halt is None:
+                state = q, qd, added[-2][-1]
+                found = self.added.carry(state, self._act(first, u), start, times[-1], self.trial, first)
+                halt = Halt(0.0, None, found, RATES) if isinstance(found, str) else None
+                added[-1] = added[-1] if isinstance(found, str) else found[:, -len(states) :]
+            q, qd = motion.q[-1], motion.qd[-1]
             q = normalise(q, self.kernels.manifest)
             drift += np.inf if motion.energy is None else float(motion.energy.drift[-1])
             is_kept = is_kept and motion.energy is not None and motion.energy.is_kept
             if halt is not None:
                 halt = replace(halt, time=first + halt.time)
                 break
-        all_q, all_qd = (np.concatenate(part) for part in zip(*states, strict=True))
-        return Stretch(np.concatenate(times), all_q, all_qd, drift, is_kept, halt)
+        all_q, all_qd = (np.concatenate(part) for part in zip(*motions, strict=True))
+        return Stretch(np.concatenate(times), all_q, all_qd, np.concatenate(added), drift, is_kept, halt)
 
     def _cut(self, start: float, end: float) -> Iterator[tuple[float, float]]:
         """Cut a period where something jumps."""
@@ -112,18 +131,20 @@ class Plant:
 
     def _drive(self, start: float, u: Array) -> Drive:
         """Return the inputs from a time on, until the next jump."""
-        pushes = [push for push in self.trial.pushes if push.start <= start < push.end]
-        if not pushes:
+        if not any(push.start <= start < push.end for push in self.trial.pushes):
             return hold(np.concatenate((u, np.zeros(self._wrenches))))
-        return control(self._law(start, u, [entry for push in pushes for entry in push.entries]))
+        act = self._act(start, u)
+        return control(lambda t, _q, _qd: act(start + t))
 
-    def _law(
-        self, start: float, u: Array, entries: list[tuple[int, Expression]]
-    ) -> Callable[[float, Array, Array], Array]:
-        def act(t: float, _q: Array, _qd: Array) -> Array:
+    def _act(self, start: float, u: Array) -> Callable[[float], Array]:
+        """Return the inputs (u, w) by the loop's time, from a time on until the next jump."""
+        pushes = [push for push in self.trial.pushes if push.start <= start < push.end]
+        entries = [entry for push in pushes for entry in push.entries]
+
+        def act(t: float) -> Array:
             w = np.zeros(self._wrenches)
             for i, expression in entries:
-                w[i] += self.trial.evaluate("wrenches", expression, start + t)
+                w[i] += self.trial.evaluate("wrenches", expression, t)
             return np.concatenate((u, w))
 
         return act

@@ -127,7 +127,8 @@ def _summarise(report: Report, plant: Mechanism) -> str:
         "margins": {x.name: {"least": x.least, "time": x.time} for x in report.margins},
         "unmeasured": list(report.unmeasured),
         "energy_drift": track.drift,
-        "end": {"t": float(track.t[-1]), "q": track.q[-1].tolist(), "qd": track.qd[-1].tolist()},
+        "end": {"t": float(track.t[-1]), "q": track.q[-1].tolist(), "qd": track.qd[-1].tolist()}
+        | ({"states": track.states[-1].tolist()} if trial.states else {}),
     }
     return json.dumps(_finite(summary), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -150,13 +151,15 @@ def _tabulate(track: Track, manifest: Manifest) -> str:
         header += [f"{kind}[{name}]" for name in known]
     header += [f"measured_q[{name}]" for name in manifest.positions]
     header += [f"measured_qd[{name}]" for name in velocities]
+    header += [f"state[{name}]" for name in track.trial.states]
     header += [f"{kind}[{name}]" for kind in ("u", "acting") for name in inputs]
     header += ["status", "solved", "iterations", "seconds", "preparing", "violation"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     for x in track.samples:
-        numbers = np.concatenate(([x.time], x.q, x.qd, x.measured_q, x.measured_qd, x.u, x.acting)).tolist()
+        measured = (x.measured_q, x.measured_qd, x.states)
+        numbers = np.concatenate(([x.time], x.q, x.qd, *measured, x.u, x.acting)).tolist()
         decision = x.decision
         words = [decision.status, int(decision.is_solved), decision.iterations, decision.seconds, x.preparing]
         words.append(decision.violation)

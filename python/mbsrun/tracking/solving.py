@@ -18,10 +18,11 @@ from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem import Problem, Range, State
 from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import Solver, choose_method, settle
 from mbsrun.ocp.trajectory import Trajectory, average_inputs, move_ahead
+from mbsrun.tracking.added import is_interval, list_lines
 from mbsrun.tracking.controller import Decision
 from mbsrun.tracking.trial import Horizon
 
@@ -44,9 +45,11 @@ class SolvingController:
         if problem.every_component or problem.forces:
             finding = "the simulated plant takes the inputs u alone, and the problem gives further forces"
             raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
-        if problem.every_state or problem.controls:
-            finding = "a sample measures coordinates and velocities, and the problem adds states or controls"
-            raise ProblemError(problem.name, [("states", finding, "leave them out")])
+        if problem.controls:
+            finding = "the simulated plant takes the inputs u alone, and the problem adds controls"
+            raise ProblemError(problem.name, [("controls", finding, "make them inputs of joints in the model")])
+        if problem.delays:
+            _check_delays(problem, period, horizon)
         if problem.driven:
             finding = "each plan would move driven joints from the start of their motions, and the plant holds them"
             remedy = "give these joints actuators in the model, and references or constraints that they follow"
@@ -59,6 +62,9 @@ class SolvingController:
         self._solver: Solver | None = None
         self._plan: Trajectory | None = None
         self._begun, self._time = 0.0, 0.0
+        self._states: Array = np.zeros(0)
+        self._given: dict[int, Array] = {}  # inputs, by the number of the period
+        self._lines = list_lines(problem, period)
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
         """Set the time and the constants of the next solve."""
@@ -67,15 +73,23 @@ class SolvingController:
         self._next = replace(problem, constants=tuple((name, known[name]) for name, _ in problem.constants))
         self._time = time
 
+    def measure(self, states: Array) -> None:
+        """Take the states that the problem adds."""
+        self._states = states
+
+    def note(self, time: float, inputs: Array) -> None:
+        """Remember the inputs that are given for a period."""
+        self._given[self._number(time)] = inputs
+
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve from a state; a plan that is found is kept."""
-        problem = replace(self._next, start_q=tuple(q.tolist()), start_qd=tuple(qd.tolist()))
+        problem = self._follow(replace(self._next, start_q=tuple(q.tolist()), start_qd=tuple(qd.tolist())))
         guess = self._guess(problem)
         if isinstance(guess, Pose):
             return Decision(self.planned(self._time), UNREACHED, False, 0, 0.0, math.nan)
         if self._solver is None:
             problem = self._problem = self._next = settle(problem, self._plant, guess)
-            self._solver = Solver(problem, self._plant)
+            self._solver = Solver(problem, self._plant, is_judged=False)  # as a controller in C, which has no judge
         outcome = self._solver.solve(problem, guess)
         run = outcome.run
         if isinstance(outcome, Failure):
@@ -88,11 +102,57 @@ class SolvingController:
         )
 
     def planned(self, time: float) -> Array:
-        """Return the plan's mean inputs over the period from a time on; zeros where there is no plan yet."""
+        """Return the plan's mean inputs over the period from a time on; zeros where there is no plan yet.
+
+        Inputs that act late are given as much earlier.
+        """
         if self._plan is None:
             return np.zeros(len(self._problem.bounds.u))
-        elapsed = time - self._begun
-        return np.asarray(average_inputs(self._plan.t, self._plan.u, np.array([elapsed, elapsed + self.period]))[0])
+        return self._read(time - self._begun)
+
+    def _read(self, elapsed: float) -> Array:
+        """Read the inputs to give in a period off the plan."""
+        assert self._plan is not None, "only a plan can be read"
+        times = np.array([elapsed, elapsed + self.period])
+        found = np.asarray(average_inputs(self._plan.t, self._plan.u, times)[0])
+        for line in self._lines:
+            later = times + line.periods * self.period
+            found[line.input] = average_inputs(self._plan.t, self._plan.u, later)[0, line.input]
+        return found
+
+    def _number(self, time: float) -> int:
+        return round(time / self.period)
+
+    def _follow(self, problem: Problem) -> Problem:
+        """Return the problem that follows on the measured states and on the inputs that were given."""
+        k = self._number(self._time)
+        measured = dict(zip((state.name for state in problem.states), self._states.tolist(), strict=False))
+        given = {
+            line.input: tuple(float(self._take(k - i, line.input, line.history)) for i in range(line.periods, 0, -1))
+            for line in self._lines
+        }
+        return replace(
+            problem,
+            states=tuple(_begin(state, measured.get(state.name)) for state in problem.states),
+            delays=tuple(replace(delay, commands=given[delay.index]) for delay in problem.delays),
+            first_inputs=self._limit_first(problem, k),
+        )
+
+    def _take(self, k: int, i: int, otherwise: float) -> float:
+        return float(self._given[k][i]) if k in self._given else otherwise
+
+    def _limit_first(self, problem: Problem, k: int) -> tuple[Range, ...]:
+        """Return ranges of the first inputs that keep their rates, after the ones before."""
+        if not problem.bounds.rates or k - 1 not in self._given:
+            return ()
+        late = {line.input for line in self._lines}
+        before = self._given[k - 1]
+        return tuple(
+            (-math.inf, math.inf)
+            if i in late
+            else (float(before[i]) + self.period * slowest, float(before[i]) + self.period * fastest)
+            for i, (slowest, fastest) in enumerate(problem.bounds.rates)
+        )
 
     def _guess(self, problem: Problem) -> Trajectory | Pose:
         if self._plan is None or self._solver is None:
@@ -107,3 +167,21 @@ class SolvingController:
             return problem
         length = self.horizon.length(time)
         return replace(problem, horizon=length, horizon_range=(length, length))
+
+
+def _begin(state: State, measured: float | None) -> State:
+    """Return a state with a measured start, unless its start is chosen by the plan."""
+    return state if measured is None or state.start[0] != state.start[1] else replace(state, start=(measured, measured))
+
+
+def _check_delays(problem: Problem, period: float, horizon: Horizon | None) -> None:
+    """Raise ProblemError for delays that no samples of the loop can have."""
+    findings = []
+    if any(delay.history is None for delay in problem.delays):
+        findings.append(("inputs.history", "the loop knows the inputs before its start", "give their values"))
+    if horizon is not None or not is_interval(problem, period):
+        finding = f"inputs with delays are planned by intervals, and periods of {period:g} s are none"
+        remedy = f"give a rate of {problem.intervals / problem.horizon:g} Hz, and a horizon of one length"
+        findings.append(("inputs.delay", finding, remedy))
+    if findings:
+        raise ProblemError(problem.name, findings)

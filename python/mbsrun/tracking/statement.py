@@ -89,6 +89,7 @@ SpreadField = Annotated[  # of all entries, or by name
 class _StartSection(Section):
     pose: dict[str, NumberField] = Field(default={}, examples=[{}])
     velocity: dict[str, NumberField] = Field(default={}, examples=[{}])
+    states: dict[str, NumberField] = Field(default={}, examples=[{}])
 
 
 class _HorizonSection(Section):
@@ -201,9 +202,10 @@ class _Reading(Reading):
 
     def trial(self, section: TrialSection) -> Trial:
         """Make the trial, which is valid only if there are no faults."""
+        added = [state.name for state in self.problem.states]
         for key, expression in section.constants.items():
             place: Place = ("constants", key)
-            if not is_free_name(key) or key in (TIME, *self.quantities, *dict(self.problem.constants)):
+            if not is_free_name(key) or key in (TIME, *self.quantities, *added, *dict(self.problem.constants)):
                 self.fault(place, "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(place, expression)
         if self.problem.references:
@@ -240,6 +242,8 @@ class _Reading(Reading):
             integration=self.integration(section.plant, 1 / rate),
             constants=dict(self.constants),
             updates=self.updates(section.updates),
+            states=tuple(added),
+            start_states=self.start_states(section.start),
             delay=section.delay,
             predicts=section.predict,
             fallback=section.fallback,
@@ -264,6 +268,22 @@ class _Reading(Reading):
                     state[i] = self.number(("start", key, name), expression)
             states.append(state)
         return normalise(states[0], self.manifest), states[1]
+
+    def start_states(self, section: _StartSection) -> Array:
+        """Read where the states begin that the problem adds: as the problem says, where no other number is given."""
+        known = [state.name for state in self.problem.states]
+        for name in section.states:
+            self.find(("start", "states", name), name, known, "state")
+        values = np.zeros(len(known))
+        for i, state in enumerate(self.problem.states):
+            if state.name in section.states:
+                values[i] = self.number(("start", "states", state.name), section.states[state.name])
+            elif state.start[0] == state.start[1]:
+                values[i] = state.start[0]
+            else:
+                finding = f"the problem does not say where the state {state.name} begins"
+                self.fault(("start", "states"), finding, f"give it, e.g. start: {{states: {{{state.name}: 0}}}}")
+        return values
 
     def noise(self, section: _NoiseSection) -> Noise:
         return Noise(
@@ -376,7 +396,8 @@ class _Reading(Reading):
 
     def measure(self, i: int, section: _MeasureSection, duration: float) -> Measure:
         place: Place = ("measures", i)
-        self.formula((*place, "expression"), section.expression, [TIME, *self.quantities])
+        added = (state.name for state in self.problem.states)
+        self.formula((*place, "expression"), section.expression, [TIME, *self.quantities, *added])
         start = self.number((*place, "from"), section.start)
         end = math.inf if section.end is None else self.number((*place, "until"), section.end)
         if start >= min(end, duration):

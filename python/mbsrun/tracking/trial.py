@@ -92,6 +92,8 @@ class Trial:
     integration: Settings  # of the plant, for one period: its duration is not used
     constants: Mapping[str, float] = field(default_factory=dict)  # of expressions: the problem's, and the trial's
     updates: Mapping[str, Expression] = field(default_factory=dict)  # of the problem's constants, over the time t
+    states: tuple[str, ...] = ()  # that the problem adds
+    start_states: Array = field(default_factory=lambda: np.zeros(0))  # (ns,): of the plant
     delay: int = 0  # periods from a measurement to the inputs that follow from it
     predicts: bool = True  # the controller plans from the state that it predicts for the end of the delay
     fallback: Fallback = Fallback.PLAN

@@ -68,8 +68,6 @@ def refuse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
 
 SECTIONS = {
-    "integrals: [{expression: q_cart, range: [0, 1]}]": f"{END} integrals: a controller measures coordinates",
-    "states: {heat: {rate: u_cart**2, start: 0}}": f"{END} states: a controller measures coordinates",
     "controls: {brake: {range: [0, 1]}}": f"{END} controls: a controller chooses the inputs of the model alone",
     "controls: {brake: {range: [0, 1], rate: {range: [-1, 1]}}}": f"{END} controls: a controller chooses the inputs",
     "constraints: [{expression: q_cart, range: [0, 1]}, {expression: qd_cart, range: [0, 1], soft: 10}]": (
@@ -79,12 +77,11 @@ SECTIONS = {
     "unknowns: {place: {range: [0, 1], guess: 0.5}}": f"{END} unknowns: a controller chooses inputs alone",
     "inputs: linear": f"{END} inputs: a controller holds its inputs from sample to sample",
     "inputs: polynomial": f"{END} inputs: a controller holds its inputs from sample to sample",
-    "inputs: {delay: 0.125}": f"{END} inputs.delay: a controller begins anew at every sample",
+    "inputs: {delay: 0.125, history: free}": f"{END} inputs.history: a controller remembers the inputs that it gave",
     "forces: {cart: 3*sin(t)}\ncontrols: {brake: {}}": f"{END} forces: a controller chooses the inputs",
 }
 CHANGES = {
     "intervals: 8": ("intervals: [0.1, 0.4, 0.5]", "task.ocp.yaml:3: intervals: a controller moves its plan ahead"),
-    "  inputs: [-8, 8]": ("  input_rates: [-9, 9]", "task.ocp.yaml:13: bounds.input_rates: a controller begins anew"),
     "  inputs: 1": (
         "  inputs: 1\n  largest: [{expression: q_cart, weight: 1}]",
         "task.ocp.yaml:8: cost.largest: the largest value along a plan is an unknown",
@@ -118,6 +115,15 @@ def test_signals_are_refused(refuse: Refuse) -> None:
     told = refuse(f"{PROBLEM}signals: {{gust: sin(t)}}\n", WINDY)
     assert told.startswith(
         f"{END} signals: a controller chooses the inputs of the model alone, and forces of the model"
+    )
+
+
+def test_rates_of_periods_that_are_free_are_refused(refuse: Refuse) -> None:
+    """A bound of a rate from the input before needs the time since."""
+    changed = PROBLEM.replace("horizon: 1", "horizon: {guess: 1, range: [0.5, 2]}")
+    told = refuse(changed.replace("  inputs: [-8, 8]", "  input_rates: [-9, 9]"), MODEL)
+    assert told.startswith(
+        "task.ocp.yaml:13: bounds.input_rates: a controller remembers the inputs that it gave a period"
     )
 
 
