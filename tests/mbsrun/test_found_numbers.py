@@ -83,7 +83,12 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def run(turned: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run a command in that folder."""
-    monkeypatch.chdir(turned)
+    return make_run(turned, monkeypatch, capsys)
+
+
+def make_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run commands in a folder."""
+    monkeypatch.chdir(folder)
 
     def call(*arguments: str) -> tuple[object, str, str]:
         monkeypatch.setattr("sys.argv", ["mbsrun", *arguments])
@@ -130,6 +135,86 @@ def test_a_simulation_takes_the_lengths_found(run: Run) -> None:
     )
     assert code == 0
     assert json.loads(Path("other/simulation.json").read_text("utf-8"))["parameters"] == {"rocker": 0.25}
+
+
+CART = """\
+name: cart
+gravity: [0, 0, 0]
+bodies:
+  - {name: cart, joint: {name: x, type: prismatic, axis: x}, mass: 2}
+signals: [gain]
+forces: [{name: spring, from: {body: base}, to: {body: cart, position: [1, 0, 0]}, force: -gain*t}]
+wrenches: [{name: wind, body: cart, force: input}]
+"""
+BLOW = """\
+model: cart.yaml
+horizon: 1
+intervals: 4
+degree: 3
+scheme: radau
+cost: {inputs: 1}
+start: {pose: {}}
+wrenches: {wind: {force: [4*t, 0, 0]}}
+signals: {gain: 2 + t}
+"""
+
+
+def test_a_simulation_takes_the_wrenches_and_signals_of_a_solution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without inputs, 2 x'' = 4 t + (2 + t) t from rest: x(1) = (6/6 + 1/12)/2, and x'(1) = (6/2 + 1/3)/2."""
+    run = make_run(tmp_path, monkeypatch, capsys)
+    for name, text in (("cart.yaml", CART), ("blow.ocp.yaml", BLOW)):
+        Path(name).write_text(text, "utf-8")
+    assert run("solve", "blow.ocp.yaml", "-o", "blow")[0] == 0
+    code, _, err = run("simulate", "cart.yaml", "--solution", "blow/solution.json", "-o", "again")
+    assert code == 0, err
+    end = json.loads(Path("again/simulation.json").read_text("utf-8"))["end"]
+    assert end["q"] == pytest.approx([13 / 24], rel=1e-7)
+    assert end["qd"] == pytest.approx([5 / 3], rel=1e-7)
+    Path("cart.yaml").write_text(CART.replace("force: input", "force: [1, 0, 0]"), "utf-8")
+    code, _, err = run("simulate", "cart.yaml", "--solution", "blow/solution.json", "-o", "third")
+    assert (code, "it has 5 components of open wrenches and signals, and the model 2" in err) == (2, True)
+
+
+CAROUSEL = """\
+name: carousel
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: table, joint: {name: q1, type: revolute, axis: z, actuated: false}, mass: 2, inertia: [0.2, 0, 0.2]}
+  - {name: arm, parent: table, joint: {name: q2, type: revolute, axis: y, position: [0.3, 0, 0]}, mass: 1,
+     com: [0.2, 0, 0]}
+driven: [q1]
+"""
+ROUND = """\
+model: carousel.yaml
+constants: {rate: 3}
+unknowns: {more: {guess: 0.5, range: [0.5, 0.5]}}
+horizon: 0.4
+intervals: 10
+degree: 4
+scheme: radau
+driven: {q1: rate*t**2*(1 + more)/T}
+cost: {inputs: 1}
+start: {pose: {}}
+"""
+
+
+def test_a_simulation_takes_the_motion_of_driven_joints_of_a_solution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ends where the solution ends; a motion that is given has priority."""
+    run = make_run(tmp_path, monkeypatch, capsys)
+    for name, text in (("carousel.yaml", CAROUSEL), ("round.ocp.yaml", ROUND)):
+        Path(name).write_text(text, "utf-8")
+    assert run("solve", "round.ocp.yaml", "-o", "round")[0] == 0
+    solution = read_solution(Path("round/solution.json")).trajectory
+    for options, q1 in (((), 3 * 0.4 * 1.5), (("--driven", "q1=2*t**2"), 2 * 0.4**2)):
+        code, _, err = run("simulate", "carousel.yaml", "--solution", "round/solution.json", "-o", "again", *options)
+        assert code == 0, err
+        q = json.loads(Path("again/simulation.json").read_text("utf-8"))["end"]["q"]
+        assert q[0] == pytest.approx(q1, rel=1e-9)
+        assert (abs(q[1] - solution.q[-1, 1]) < 1e-6) == (not options)
 
 
 def test_another_mechanism_is_named(run: Run) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbsgen.documents import Data
 from mbsgen.errors import Fault, InputError
+from mbsgen.expressions import Expression, Number, parse, substitute
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.columns import more_columns
@@ -25,7 +26,8 @@ from mbsrun.commands.console import (
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
-from mbsrun.ocp.solution import read_solution
+from mbsrun.ocp.driving import HORIZON
+from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.quantities import Added, list_quantities
 from mbsrun.recordings import find_column, read_column, read_recording
 from mbsrun.results import Numbers
@@ -171,7 +173,8 @@ def list_keeping() -> str:
 @click.option(
     "--solution",
     type=click.Path(path_type=Path),
-    help="A solution.json of `mbsrun solve`: its inputs, and its start and parameters unless others are given.",
+    help="A solution.json of `mbsrun solve`: its inputs, and its start, parameters and motions of driven joints unless "
+    "others are given.",
 )
 @click.option(
     "--inputs",
@@ -249,23 +252,43 @@ def _split(option: str, pairs: Sequence[str]) -> dict[str, Data]:
 
 
 def _read_recording(path: Path, manifest: Manifest) -> Recording:
-    """Take start, inputs and parameters of a solution; it must be one of this model."""
+    """Take start, inputs, motions of driven joints and parameters of a solution; it must be one of this model."""
     found = read_solution(path)
-    names = manifest.positions
-    inputs = manifest.inputs
+    names, inputs = manifest.positions, tuple(manifest.coordinates[i].name for i in manifest.actuated)
+    trajectory = found.trajectory
+    given = trajectory.point_w.shape[-1]
     if (found.coordinates, found.inputs) != (names, inputs):
-        told = f"it is of model {found.model}, with coordinates {', '.join(found.coordinates)}"
-        raise InputError([Fault(str(path), 0, "", told, f"give one of a model with {', '.join(names)}")])
+        own = f"coordinates {_list(found.coordinates)} and inputs {_list(found.inputs)}"
+        remedy = f"give one of a model with coordinates {_list(names)} and inputs {_list(inputs)}"
+        raise InputError([Fault(str(path), 0, "", f"it is of model {found.model}, with {own}", remedy)])
+    if given != manifest.open_entries:
+        finding = f"it has {given} components of open wrenches and signals, and the model {manifest.open_entries}"
+        raise InputError([Fault(str(path), 0, "", finding, "solve the problem with this version of the model")])
     if found.mechanism not in ("", manifest.mechanism):
         say(f"warning: {path} was made with another version of the model")
-    trajectory = found.trajectory
-    if trajectory.point_u.size:
-        drive = follow_polynomials(trajectory.t, trajectory.point_t, trajectory.point_u)
+    if trajectory.point_u.size or given:
+        values = np.concatenate([trajectory.spread_inputs()[0], trajectory.point_w], axis=-1)
+        drive = follow_polynomials(trajectory.t, trajectory.point_t, values)
     else:
         drive = hold_steps(trajectory.t, trajectory.u)
     known = {p.name for p in (*manifest.parameters, *manifest.design)}
     parameters = {name: value for name, value in found.parameters.items() if name in known}
-    return Recording(drive, trajectory.q[0], trajectory.qd[0], parameters)
+    return Recording(drive, trajectory.q[0], trajectory.qd[0], parameters, _read_driven(found, manifest))
+
+
+def _read_driven(found: Solution, manifest: Manifest) -> dict[str, Expression]:
+    """Return the motions of driven joints over the time alone, with the numbers that were found."""
+    unknowns = zip((x.name for x in found.problem.unknowns), found.trajectory.unknowns.tolist(), strict=True)
+    values = dict(found.problem.constants) | dict(unknowns) | {HORIZON: float(found.trajectory.t[-1])}
+    numbers: dict[str, Expression] = {name: Number(value) for name, value in values.items()}
+    return {
+        manifest.coordinates[drive.joint].name: substitute(parse(drive.expression), numbers)
+        for drive in found.problem.driven
+    }
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
 
 
 def _read_table(path: Path, manifest: Manifest) -> Recording:

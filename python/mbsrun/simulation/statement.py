@@ -57,12 +57,13 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Start, inputs and parameters of another file, which a settings file then need not give."""
+    """Start, inputs, motions and parameters of another file, which a settings file then need not give."""
 
     drive: Drive
     q: Array | None = None  # (n,)
     qd: Array | None = None  # (n,)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    driven: Mapping[str, Expression] = field(default_factory=dict)  # in the time t, by joint
 
 
 def read_statement(
@@ -253,15 +254,19 @@ class _Reading(Reading):
         return Start(starts[0][0], q, starts[1][1], *named)
 
     def course(self, section: Mapping[str, Expression], start: Start) -> Course:
-        """Read the motion of driven joints; one that is not named stands where it starts."""
-        driven = [self.coordinates[i] for i in self.manifest.driven]
-        expressions: list[Expression] = [Number(float(start.q[i])) for i in place_driven(self.manifest)]
+        """Read the motion of driven joints; one that is not named moves as recorded, or stands where it starts."""
+        driven, places = [self.coordinates[i] for i in self.manifest.driven], place_driven(self.manifest)
+        recorded = {} if self.recording is None else self.recording.driven
+        expressions: list[Expression] = [
+            recorded[name] if name in recorded and i not in start.placed else Number(float(start.q[i]))
+            for name, i in zip(driven, places, strict=True)
+        ]
         for name, expression in section.items():
             i = self.find(("driven", name), name, driven, "driven joint")
             if i is None or not self.formula(("driven", name), expression, [TIME]):
                 continue
             expressions[i] = expression
-            if place_driven(self.manifest)[i] in start.placed:
+            if places[i] in start.placed:
                 self.fault(("start", "pose", name), "its motion is given under driven", "give one or the other")
         for i in start.moving & set(self.manifest.driven):
             name = self.coordinates[i]
