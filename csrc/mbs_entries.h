@@ -2,7 +2,7 @@
 #ifndef MBS_ENTRIES_H
 #define MBS_ENTRIES_H
 
-#include "mbs_closed.h"
+#include "mbs_explicit.h"
 
 /* Write a full matrix of `size` entries. */
 static inline void mbs_fill_entries(mbs_entries entries, casadi_int size, casadi_real *full)

@@ -13,7 +13,7 @@
 #ifndef MBS_RADAU_H
 #define MBS_RADAU_H
 
-#include "mbs_closed.h"
+#include "mbs_explicit.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -18,7 +18,7 @@
 #ifndef MBS_VARIATIONAL_H
 #define MBS_VARIATIONAL_H
 
-#include "mbs_closed.h"
+#include "mbs_explicit.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -227,8 +227,7 @@ def bind(library: Path, kernel: Kernel) -> Entry:
 
     Raises CompileError for a library that cannot be loaded, ArgumentError where it and the manifest differ.
     """
-    ffi = cffi.FFI()
-    ffi.cdef(_FACE.format(kernel.symbol))
+    ffi = _declare(_FACE.format(kernel.symbol))
     lib = _load(ffi, library)
     try:
         function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
@@ -242,9 +241,15 @@ def bind(library: Path, kernel: Kernel) -> Entry:
 
 def load_batch(library: Path) -> Any:
     """Load the library of `mbs_batch`."""
+    return _load(_declare(_BATCH), library)
+
+
+@lru_cache(maxsize=1024)
+def _declare(text: str) -> cffi.FFI:
+    """Read declarations, once: that takes as long as thousands of calls."""
     ffi = cffi.FFI()
-    ffi.cdef(_BATCH)
-    return _load(ffi, library)
+    ffi.cdef(text)
+    return ffi
 
 
 def _load(ffi: cffi.FFI, library: Path) -> Any:

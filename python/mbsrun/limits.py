@@ -50,3 +50,7 @@ class Allowance:
             finding = f"the limit of {self._limits.seconds:g} s of processor time is used up"
             raise LimitError(finding, "raise max_seconds, take longer steps, or loosen the tolerance")
         self._steps += steps
+
+    def note(self, steps: int) -> None:
+        """Count steps that were taken, of those that remained."""
+        self._steps += steps

@@ -175,7 +175,7 @@ def test_a_simulation_method_that_is_added_runs_from_the_command_line(
 ) -> None:
     """Heun's method: halving its steps divides its error by 4; help and messages list it."""
     requires("cc")
-    heun = explicit.Tableau(((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5))
+    heun = explicit.Pair(explicit.Tableau(((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5)))
     method = SimulationMethod(Family.EXPLICIT, 2, "Heun's method", partial(explicit.integrate, heun), ("step",), 2.0)
     monkeypatch.setitem(SIMULATED, "heun", method)  # type: ignore[arg-type]
     model = ROOT / "models" / "pendulum.yaml"

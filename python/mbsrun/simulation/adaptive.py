@@ -1,4 +1,4 @@
-"""Steps whose length follows a tolerance: the integrators of SciPy, on y = (q, qd).
+"""Implicit and multistep methods whose steps follow a tolerance: the integrators of SciPy, on y = (q, qd).
 
 The embedded error estimate err of a step keeps |err_i| <= atol + rtol |y_i| in the root mean square: Hairer, Norsett,
 Wanner, "Solving ordinary differential equations I", section II.4. Implicit methods take the Jacobian of the generated
@@ -9,7 +9,6 @@ Jacobian; a motion is stiff where this, and not accuracy, sets the length of its
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,28 +19,16 @@ from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import describe_singularity
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.steps import describe_singularity
 
 Array = NDArray[np.float64]
 
 STEPS = 128  # yielded at a time
 
 
-@dataclass(frozen=True)
-class Stepper:
-    """An integrator of SciPy's."""
-
-    solver: Any  # a class of scipy.integrate
-    takes_jacobian: bool
-    attempts: bool = False  # each attempt at a step takes `n_stages` evaluations: so rejected ones can be counted
-
-
-DOP853 = Stepper(scipy_integrate.DOP853, takes_jacobian=False, attempts=True)
-RK45 = Stepper(scipy_integrate.RK45, takes_jacobian=False, attempts=True)
-LSODA = Stepper(scipy_integrate.LSODA, takes_jacobian=True)
-RADAU = Stepper(scipy_integrate.Radau, takes_jacobian=True)
-BDF = Stepper(scipy_integrate.BDF, takes_jacobian=True)
+Stepper = Any  # a class of scipy.integrate
+LSODA, RADAU, BDF = scipy_integrate.LSODA, scipy_integrate.Radau, scipy_integrate.BDF
 
 
 def integrate(
@@ -61,17 +48,12 @@ def integrate(
     times, states, pictures = [piece.start], [np.concatenate((q, qd))], []
     try:
         solver = _make_solver(stepper, dynamics, piece, states[0], settings)
-        attempts = solver.n_stages if stepper.attempts else None
-        if attempts is None:
-            effort.rejected = None
+        effort.rejected = None
         while solver.status == "running":
             allowance.spend()
-            before = solver.nfev
             _step(solver, dynamics)
             if solver.t == times[-1]:
                 raise _give_up(dynamics, solver, "the step has become too short to advance the time")
-            tried = 1 if attempts is None else (solver.nfev - before) // attempts
-            effort.rejected = None if effort.rejected is None else effort.rejected + tried - 1
             effort.steps += 1
             times.append(float(solver.t))
             states.append(solver.y.copy())
@@ -118,9 +100,9 @@ def _make_solver(stepper: Stepper, dynamics: Dynamics, piece: Piece, state: Arra
         return np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, piece.at(t))]])
 
     options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
-    if stepper.takes_jacobian and piece.law is None:  # else by differences, feedback and all
+    if piece.law is None:  # else by differences, feedback and all
         options["jac"] = jacobian
-    return stepper.solver(rate, piece.start, state, piece.end, **options)
+    return stepper(rate, piece.start, state, piece.end, **options)
 
 
 def _step(solver: Any, dynamics: Dynamics) -> None:

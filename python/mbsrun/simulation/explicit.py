@@ -1,46 +1,82 @@
-"""Explicit Runge-Kutta methods with steps of a fixed length h, for y = (q, qd) and y' = f(t, y):
+"""Explicit Runge-Kutta methods, of a fixed step h or by a tolerance, for y = (q, qd) and y' = f(t, y):
 
     k_i = f(t + c_i h, y + h sum_j A_ij k_j),    y(t + h) = y + h sum_i b_i k_i
 
-Hairer, Norsett, Wanner, "Solving ordinary differential equations I", chapter II. The steps are taken in C, see
-csrc/mbs_simulate.h; under inputs that follow the state, in Python.
+The steps are taken in C: see csrc/mbs_explicit.h for the equations, and for the ways to keep loops closed. States
+within a step are the ends of shorter ones from its start, so that they have the method's order, and are closed too. By
+a tolerance, the embedded error estimate err of a step keeps |err_i| <= atol + rtol |y_i| in the root mean square.
+
+Hairer, Norsett, Wanner, "Solving ordinary differential equations I", chapter II, above all sections 4 and 5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import integrate as scipy_integrate
 
-from mbsrun.kernel import KernelError, Kernels, Place, find_place
+from mbsrun.closure import GAP
+from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
+from mbsrun.simulation.course import Course, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
-from mbsrun.simulation.dynamics import Dynamics, SingularError, find_mass_matrix
+from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix
+from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.memory import Memory, load_functions
-from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Keeping, Settings
+from mbsrun.simulation.steps import count_steps, describe_singularity, place_steps
 
 Array = NDArray[np.float64]
 
-STEPS = 4096  # taken in C at a time
-PYTHON_STEPS = 256  # and in Python
-RUNAWAY = -1  # the C functions' status of a state that is not finite
+STEPS = 1024  # taken in C at a time
+FREE_STEPS = 128  # the same by a tolerance: each may take many attempts
+RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT = -1, -2, -3, -4, -5, -6  # the C functions' statuses
+KEEPING = {  # the C functions' numbers
+    Keeping.PROJECTION: 1,
+    Keeping.MASS_PROJECTION: 2,
+    Keeping.PARTITIONING: 0,
+    Keeping.BAUMGARTE: 3,
+}
+
+_RESULT, _TABLEAU = "result ", "tableau "  # begin the names of arrays that are no kernel's input
 
 _CDEF = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
+typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
+typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
 typedef struct {
-    long long n, nq, m;
-    double *q, *qd, *v, *qdd;
-    mbs_kernel rate; const double **rate_arg; double **rate_res;
-    mbs_kernel mass; const double **mass_arg; double **mass_res;
-    const double *M; long long entries; const long long *place; double *matrix;
-    mbs_kernel change; const double **change_arg; double **change_res; const double *qt;
-} mbs_plant;
-long long mbs_simulate_rk(const mbs_plant *plant, long long stages, const double *A, const double *b, double h,
-                          long long steps, const double *v, long long v_step, double *states, double *work,
-                          int *status);
+    long long n, nq, m, e, d;
+    double *q, *qd, *v, *course, *rest;
+    const double *qdd, *r, *h, *hd, *gamma, *qt;
+    mbs_entries M, J;
+    mbs_call direct, residual, mass, closure, rates, jacobian, change;
+    const long long *driven, *place, *loop;
+} mbs_explicit;
+typedef struct {
+    long long stages, estimates, order;
+    const double *A, *b, *c, *E;
+    double rtol, atol, alpha, beta;
+    int keeping;
+    int (*guide)(double t);
+    int (*inputs)(double t);
+} mbs_manner;
+typedef struct {
+    long long evaluations, rejected, switches, steps;
+    double pivot;
+    int status, loop;
+} mbs_outcome;
+long long mbs_explicit_reals(const mbs_explicit *plant, long long stages);
+long long mbs_explicit_integers(const mbs_explicit *plant);
+void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, double end, double *h, long long steps,
+                      const double *inputs, const double *courses, double *times, double *states, double *reals,
+                      long long *integers, mbs_outcome *outcome);
+void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, long long count, const double *times,
+                       const double *lengths, const double *inputs, const double *courses, const double *starts,
+                       double *ends, double *reals, long long *integers, mbs_outcome *outcome);
 """
 
 
@@ -57,15 +93,47 @@ class Tableau:
         return np.asarray(np.array(self.A).sum(axis=1))
 
 
-EULER = Tableau(((0.0,),), (1.0,))
-RK4 = Tableau(
+_EULER = Tableau(((0.0,),), (1.0,))
+_RK4 = Tableau(
     ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
 )
 
 
+@dataclass(frozen=True)
+class Pair:
+    """A Runge-Kutta method with estimates of its error: none for steps of a fixed length."""
+
+    tableau: Tableau
+    E: tuple[tuple[float, ...], ...] = ()  # a row for each estimate
+    order: int = 0  # of the first estimate, plus 1
+
+
+def _rows(*arrays: Any) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in arrays)
+
+
+def _pair_rk45() -> Pair:
+    """SciPy's estimate takes the rates at the end of the step too: a seventh stage of weight 0."""
+    method = scipy_integrate.RK45
+    A = np.zeros((7, 7))
+    A[:6, :5], A[6, :6] = method.A, method.B
+    return Pair(Tableau(_rows(*A), (*map(float, method.B), 0.0)), _rows(method.E), 5)
+
+
+def _pair_dop853() -> Pair:
+    method = scipy_integrate.DOP853
+    stages = len(method.B)
+    tableau = Tableau(_rows(*method.A[:stages, :stages]), tuple(map(float, method.B)))
+    return Pair(tableau, _rows(method.E5[:stages], method.E3[:stages]), 8)
+
+
+EULER, RK4, RK45, DOP853 = Pair(_EULER), Pair(_RK4), _pair_rk45(), _pair_dop853()
+KEEPS = tuple(KEEPING)
+
+
 def integrate(
-    tableau: Tableau,
+    pair: Pair,
     dynamics: Dynamics,
     piece: Piece,
     q: Array,
@@ -73,163 +141,256 @@ def integrate(
     settings: Settings,
     allowance: Allowance,
 ) -> Iterator[Chunk]:
-    """Go through a piece by steps of equal length, at most `settings.step`; yield the steps.
+    """Go through a piece of the inputs; yield the steps.
 
-    Raises HaltError where a kernel fails, a state is not finite, or the allowance is used up.
+    Raises HaltError where a kernel fails, a loop cannot be kept closed, or the allowance is used up.
     """
-    if piece.law is not None:
-        yield from _integrate_in_python(dynamics, piece, np.concatenate((q, qd)), tableau, settings.step, allowance)
-        return
     if "plant" not in dynamics.kept:
-        dynamics.kept["plant"] = _Plant(dynamics)
-    plant = dynamics.kept["plant"]
-    count = count_steps(piece, settings.step)
-    h, c = (piece.end - piece.start) / count, tableau.c
-    states = np.concatenate((q, qd))[None]
-    first = 0
-    while first < count:
-        steps = min(STEPS, count - first, max(1, allowance.steps))
-        _spend(allowance, steps, place_steps(piece, np.array([first]), count)[0])
-        times = place_steps(piece, first + np.arange(steps + 1), count)
-        inputs = sample(piece, (times[:-1, None] + h * c).ravel())
-        done, status, states = plant.run(states[-1], tableau, h, steps, inputs)
-        dynamics.effort.steps += done
-        dynamics.effort.evaluations += (done + bool(status)) * len(c)
-        if done:
-            q, qd = np.split(states[: done + 1], [dynamics.places], axis=1)
-            yield Chunk(times[: done + 1], q, qd)
-        if status:
-            raise HaltError(describe_status(dynamics.kernels, status, times[done], states[done]))
-        first += steps
+        dynamics.kept["plant"] = _Plant(dynamics, pair, settings)
+    return _march(dynamics.kept["plant"], piece, np.concatenate((q, qd)), settings, allowance)
 
 
-def _integrate_in_python(
-    dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, step: float, allowance: Allowance
-) -> Iterator[Chunk]:
-    """Take the steps where inputs follow the state."""
-    count, n = count_steps(piece, step), dynamics.places
-    h, states, halt = (piece.end - piece.start) / count, [state], None
-    times = place_steps(piece, np.arange(count + 1), count)
-    for k in range(count):
+def _march(plant: _Plant, piece: Piece, state: Array, settings: Settings, allowance: Allowance) -> Iterator[Chunk]:
+    plant.open(piece)
+    count = 0 if plant.manner.estimates else count_steps(piece, settings.step)
+    time, first = piece.start, 0
+    while time < piece.end:
+        steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else FREE_STEPS)
         try:
             allowance.spend()
-            with np.errstate(all="ignore"):
-                states.append(_step(dynamics, piece, states[-1], tableau, times[k], h))
-        except (LimitError, DriveError) as error:
-            halt = Halt(times[k], None, error.finding, error.remedy)
-        except (KernelError, SingularError) as error:
-            halt = describe_singularity(error, times[k])
-        if not np.isfinite(states[-1]).all():
-            states.pop()
-            halt = describe_status(dynamics.kernels, RUNAWAY, times[k], states[-1])
-        if len(states) > 1 and (halt or k + 1 == count or len(states) > PYTHON_STEPS):
-            done = np.array(states)
-            dynamics.effort.steps += len(done) - 1
-            last = k if halt else k + 1
-            yield Chunk(times[last + 1 - len(done) : last + 1], done[:, :n], done[:, n:])
-            states = states[-1:]
-        if halt:
-            raise HaltError(halt)
+        except LimitError as error:
+            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
+        times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
+        length = (piece.end - piece.start) / count if count else None
+        done, halt, states = plant.run(piece, state, times, steps, length)
+        if done:
+            allowance.note(done - 1)
+            time, state, first = float(times[done]), states[done], first + done
+            q, qd = np.split(states[: done + 1], [plant.dynamics.places], axis=1)
+            dense = plant.make_dense(piece, times[:done], states[:done]) if plant.is_dense else None
+            yield Chunk(times[: done + 1], q, qd, dense)
+        if halt is not None:
+            raise halt
 
 
-def _step(dynamics: Dynamics, piece: Piece, state: Array, tableau: Tableau, time: float, h: float) -> Array:
-    """Take one step; every stage evaluates the inputs. Raises KernelError and SingularError."""
-    rates = np.zeros((len(tableau.b), len(state)))
-    for i, (row, c) in enumerate(zip(tableau.A, tableau.c, strict=True)):
-        q, qd = np.split(state + h * np.array(row) @ rates, [dynamics.places])
-        qdd = dynamics.accelerations(q, qd, piece.at(time + c * h, q, qd))
-        rates[i] = np.concatenate((dynamics.rates(q, qd), qdd))
-    return np.asarray(state + h * np.array(tableau.b) @ rates)
+class _Feed:
+    """The inputs and the motion of driven joints, as C functions ask for them."""
 
+    def __init__(self, course: Course, arrays: Mapping[str, Array]) -> None:
+        self.course, self.arrays = course, arrays
+        self.piece: Piece | None = None
+        self.error: BaseException | None = None  # raised in a function that C called
 
-def _spend(allowance: Allowance, steps: int, time: float) -> None:
-    try:
-        allowance.spend(steps)
-    except LimitError as error:
-        raise HaltError(Halt(float(time), None, error.finding, error.remedy)) from None
+    def open(self, piece: Piece) -> None:
+        """Take the inputs of a piece, and write those at its start."""
+        self.piece = piece
+        if piece.is_constant:
+            self.lay_inputs(piece.start)
+        self.lay_course(piece.start)
 
+    def lay_course(self, time: float) -> None:
+        """Write coordinates, velocities and accelerations of driven joints."""
+        numbers = np.concatenate(self.course.at(time))
+        self.arrays["course"][: len(numbers)] = numbers
 
-def count_steps(piece: Piece, step: float) -> int:
-    """Count the equal steps of a piece; none is longer than requested, except by rounding."""
-    return max(1, int(np.ceil((piece.end - piece.start) / step * (1 - 1e-12))))
+    def lay_inputs(self, time: float) -> None:
+        """Write the inputs, which may follow the state that is laid out."""
+        assert self.piece is not None, "inputs belong to a piece"
+        q, qd, v = (self.arrays[name] for name in ("q", "qd", "v"))
+        v[:-1] = self.piece.at(time, q.copy(), qd.copy())
 
+    def serve(self, ffi: Any, lay: Callable[[float], None]) -> Any:
+        """Make a function for C, which keeps an exception until C has returned."""
 
-def place_steps(piece: Piece, numbers: NDArray[np.intp], count: int) -> Array:
-    """Return the times after `numbers` of `count` steps; the last is exactly the piece's end."""
-    times = piece.start + (piece.end - piece.start) / count * numbers
-    return np.where(numbers == count, piece.end, times)
+        def call(time: float) -> int:
+            try:
+                lay(time)
+            except BaseException as error:
+                self.error = error
+                return 1
+            return 0
 
-
-def sample(piece: Piece, times: Array) -> Array:
-    """Return the inputs at times of a piece, (K, m); one row where they are constant."""
-    return np.ascontiguousarray(piece.values(times[:1] if piece.is_constant else times))
-
-
-def describe_status(kernels: Kernels, status: int, time: float, state: Array) -> Halt:
-    """Describe a status of the C functions, returned in the step after `time`."""
-    names = [c.name for c in kernels.manifest.coordinates]
-    if status == RUNAWAY:
-        fastest = names[int(np.abs(state[-len(names) :]).argmax())]
-        return Halt(
-            float(time),
-            fastest,
-            "the motion diverges: its numbers overflow",
-            "take a smaller step or an implicit method",
-        )
-    return describe_singularity(find_place(kernels.manifest, status), float(time))
-
-
-def describe_singularity(place: Place | KernelError | SingularError, time: float) -> Halt:
-    """Describe accelerations that cannot be computed."""
-    remedy = "start elsewhere, or keep away from this configuration"
-    if isinstance(place, SingularError) or place.loop is None:
-        return Halt(time, place.joint, SINGULAR, remedy)
-    return Halt(time, None, DEPENDENT, remedy, loop=place.loop)
-
-
-DEPENDENT = "the accelerations cannot be computed here: its equations depend on others, at a singular pose"
-SINGULAR = "the accelerations cannot be computed here: the mass matrix is singular, or has lost its digits"
+        return ffi.callback("int(double)", call)
 
 
 class _Plant:
-    """A formulation as the C functions take it, with the memory that they use."""
+    """A model as the C functions take it, with the memory that they use."""
 
-    def __init__(self, dynamics: Dynamics) -> None:
-        self.ffi, self.lib = load_functions(_CDEF, "mbs_simulate.c")
-        n, kernels, forces = dynamics.size, dynamics.kernels, dynamics.forces_count
-        evaluated = dynamics.formulation.evaluated
+    def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+        self.dynamics, self.manifest = dynamics, dynamics.kernels.manifest
+        self.ffi, self.lib = load_functions(_CDEF, "mbs_explicit.c", "mbs_least.c")
+        self.plant, self.manner = self.ffi.new("mbs_explicit *"), self.ffi.new("mbs_manner *")
+        self.length = self.ffi.new("double *")  # of the next step
+        self.is_tree = not (self.manifest.loops or self.manifest.driven)
+        self.is_dense = bool(pair.E) or not self.is_tree  # states within steps are asked for
+        self.memory = self._lay_plant()
+        self.feed = _Feed(dynamics.course, self.memory.arrays)
+        self._lay_manner(pair, settings)
+        reals, integers = (
+            self.lib.mbs_explicit_reals(self.plant, len(pair.tableau.b)),
+            self.lib.mbs_explicit_integers(self.plant),
+        )
+        self.room = self.memory.add("reals", reals + 1), self.memory.integers([0] * integers)
+
+    def _lay_plant(self) -> Memory:
+        dynamics, manifest, p = self.dynamics, self.manifest, self.plant
+        n, e, d = dynamics.size, len(manifest.owners), len(manifest.driven)
         arrays = {
             "q": np.zeros(dynamics.places),
             "qd": np.zeros(n),
-            "qdd": np.zeros(n),  # the accelerations at which a residual is evaluated
-            "v": np.zeros(forces + kernels.manifest.open_entries + 1),
+            "qdd": np.zeros(n),
+            "lam": np.zeros(e + 1),
+            "v": np.zeros(dynamics.forces_count + dynamics.kernels.manifest.open_entries + 1),
+            "course": np.zeros(3 * d + 1),
+            "tau": np.zeros(d + 1),  # 0: residuals of driven joints are their forces, and are not read
         }
-        memory = self.memory = Memory(self.ffi, kernels, arrays)
-        p: Any = self.ffi.new("mbs_plant *")
-        self.plant = p
-        p.n, p.nq, p.m = n, dynamics.places, len(arrays["v"]) - 1
-        p.q, p.qd, p.v = (memory.pointer(name) for name in ("q", "qd", "v"))
-        p.qdd, p.matrix = memory.add("found", n), memory.add("matrix", n * n)
-        rate = memory.bind(evaluated.function)
-        p.rate, p.rate_arg, p.rate_res = memory.lay(rate, {rate.outputs[0].argument.name: "found"})
-        if kernels.manifest.configuration:
-            p.qt = memory.add("qt", dynamics.places)
-            p.change, p.change_arg, p.change_res = memory.lay(memory.bind("rates"), {"rate": "qt"})
-        if evaluated.mass is not None:
-            mass = memory.bind(evaluated.mass)
-            M = find_mass_matrix(mass.kernel)
-            p.M, p.entries, p.place = memory.add("M", M.nnz), M.nnz, memory.place(mass, M)
-            p.mass, p.mass_arg, p.mass_res = memory.lay(mass, {M.name: "M"})
+        arrays["a"] = arrays["course"][2 * d :]
+        memory = Memory(self.ffi, dynamics.kernels, arrays)
+        p.n, p.nq, p.m, p.e, p.d = n, dynamics.places, len(arrays["v"]) - 1, e, d
+        p.q, p.qd, p.v, p.course, p.rest = (memory.pointer(name) for name in ("q", "qd", "v", "course", "qdd"))
+        sizes = {"qdd": n, "r": n, "h": e, "hd": e, "gamma": e, "qt": dynamics.places}
+        for name, size in sizes.items():
+            setattr(p, name, memory.add(_RESULT + name, size + 1))
+        p.driven, p.place = memory.integers(manifest.driven), memory.integers(place_driven(manifest))
+        p.loop = memory.integers([k + 1 for k in manifest.owners])
+        self._lay_dynamics(memory)
+        if e:
+            self._lay_call(memory, p.closure, "loops", {GAP: "h"})
+            self._lay_call(memory, p.rates, "loop_rates", {"hd": "hd"})
+            self._lay_call(memory, p.jacobian, "loop_jacobian", {"J": "J", "gamma": "gamma"}, p.J)
+        if manifest.configuration:
+            self._lay_call(memory, p.change, "rates", {"rate": "qt"})
+        return memory
 
-    def run(self, state: Array, tableau: Tableau, h: float, steps: int, inputs: Array) -> tuple[int, int, Array]:
-        """Take steps; inputs (steps * stages, m), or one row for all. Return how many, status, and states by rows."""
-        ffi = self.ffi
+    def _lay_dynamics(self, memory: Memory) -> None:
+        """Lay accelerations, if the formulation gives them, and what solves for them elsewhere."""
+        p, evaluated = self.plant, self.dynamics.formulation.evaluated
+        if evaluated.is_direct:
+            self._lay_call(memory, p.direct, evaluated.function, {"qdd": "qdd"})
+            if self.is_tree:
+                return
+            evaluated = Formulation.SEMI.evaluated
+        assert evaluated.mass is not None, "a residual comes with a mass matrix"
+        self._lay_call(memory, p.residual, evaluated.function, {"Phi": "r"})
+        M = find_mass_matrix(self.manifest.kernel(evaluated.mass))
+        self._lay_call(memory, p.mass, evaluated.mass, {M.name: "M"}, p.M)
+
+    def _lay_call(self, memory: Memory, call: Any, name: str, results: dict[str, str], matrix: Any = None) -> None:
+        """Lay a kernel; with a matrix, its first result is that one."""
+        entry = memory.bind(name)
+        if matrix is not None:
+            argument = next(x for x in entry.kernel.outputs if x.name == next(iter(results)))
+            matrix.nonzeros = memory.add(_RESULT + results[argument.name], argument.nnz + 1)
+            matrix.entries, matrix.place = argument.nnz, memory.place(entry, argument)
+        call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + x for key, x in results.items()})
+
+    def _lay_manner(self, pair: Pair, settings: Settings) -> None:
+        memory, tableau, m = self.memory, pair.tableau, self.manner
+        self.nodes = np.append(tableau.c, 1.0)
+        m.stages, m.estimates, m.order = len(tableau.b), len(pair.E), pair.order
+        for name, values in (("A", tableau.A), ("b", tableau.b), ("c", tableau.c), ("E", pair.E)):
+            numbers = np.ravel(np.array(values, dtype=np.float64))
+            setattr(m, name, memory.add(_TABLEAU + name, numbers.size + 1))
+            memory.arrays[_TABLEAU + name][:-1] = numbers
+        m.rtol, m.atol, m.alpha, m.beta = settings.rtol, settings.atol, settings.alpha, settings.beta
+        m.keeping = KEEPING[settings.loops or Keeping.PROJECTION]  # without loops it does not matter
+        if self.manifest.driven and not self.dynamics.course.is_constant:
+            m.guide = memory.keep(self.feed.serve(self.ffi, self.feed.lay_course))
+        self.inputs = memory.keep(self.feed.serve(self.ffi, self.feed.lay_inputs))
+
+    def open(self, piece: Piece) -> None:
+        """Take the inputs of a piece."""
+        self.feed.open(piece)
+        self.manner.inputs = self.ffi.NULL if piece.is_constant else self.inputs
+
+    def run(
+        self, piece: Piece, state: Array, times: Array, steps: int, length: float | None
+    ) -> tuple[int, BaseException | None, Array]:
+        """Take steps; return how many, why they end early, and the states by rows."""
         states = np.empty((steps + 1, len(state)))
         states[0] = state
-        status = ffi.new("int *")
-        v, path = ffi.from_buffer("double[]", inputs.data), ffi.from_buffer("double[]", states.data)
-        v_step = inputs.shape[1] if len(inputs) > 1 else 0
-        A, b = (ffi.new("double[]", list(np.ravel(x))) for x in (tableau.A, tableau.b))
-        work = ffi.new("double[]", len(state) * len(tableau.b))
-        done = self.lib.mbs_simulate_rk(self.plant, len(tableau.b), A, b, h, steps, v, v_step, path, work, status)
-        return done, status[0], states
+        outcome, effort = self.ffi.new("mbs_outcome *"), self.dynamics.effort
+        given: tuple[Array | None, Array | None] = (None, None)
+        if length is not None:
+            self.length[0] = length
+            given = self._sample(piece, times[:-1], np.full(steps, length))
+        path = self._point(times), self._point(states)
+        self.lib.mbs_explicit_run(
+            *(self.plant, self.manner, piece.end, self.length, steps),
+            *map(self._point_if, given),
+            *(*path, *self.room, outcome),
+        )
+        effort.steps += outcome.steps
+        effort.rejected = (effort.rejected or 0) + outcome.rejected
+        effort.evaluations += outcome.evaluations
+        effort.switches += outcome.switches
+        effort.pivot = min(effort.pivot, outcome.pivot)
+        return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
+
+    def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
+        """Return the motion within steps that begin at `times` (k,) and `states` (k, nq + n)."""
+
+        def dense(t: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
+            self.open(piece)
+            starts, ends = np.ascontiguousarray(states[step]), np.empty((len(t), states.shape[1]))
+            begins = np.ascontiguousarray(times[step])
+            lengths, outcome = np.ascontiguousarray(t - begins), self.ffi.new("mbs_outcome *")
+            rows = self._sample(piece, begins, lengths)
+            given = [*map(self._point_if, (begins, lengths, *rows, starts, ends))]
+            self.lib.mbs_explicit_read(self.plant, self.manner, len(t), *given, *self.room, outcome)
+            failure = self._explain(outcome, float(t[min(outcome.steps, len(t) - 1)]))
+            if failure is not None:
+                raise failure
+            q, qd = np.split(ends, [self.dynamics.places], axis=1)
+            return q, qd
+
+        return dense
+
+    def _sample(self, piece: Piece, begins: Array, lengths: Array) -> tuple[Array | None, Array | None]:
+        """Return inputs and courses at the stages and the end of each step, where they vary over time alone."""
+        times = (begins[:, None] + lengths[:, None] * self.nodes).ravel()
+        inputs = None if piece.is_constant or piece.law is not None else np.ascontiguousarray(piece.values(times))
+        is_guided = bool(self.manner.guide)
+        return inputs, np.hstack(self.dynamics.course.states(times)) if is_guided else None
+
+    def _explain(self, outcome: Any, time: float) -> BaseException | None:
+        """Return why steps end early, if they do."""
+        error, self.feed.error = self.feed.error, None
+        piece = self.feed.piece
+        if outcome.status == STOPPED and isinstance(error, DriveError) and piece and piece.law is not None:
+            return HaltError(Halt(time, None, error.finding, error.remedy))
+        if outcome.status == STOPPED:
+            return error
+        if not outcome.status:
+            return None
+        return HaltError(describe_status(self.dynamics, outcome.status, outcome.loop, time, self.memory.arrays["qd"]))
+
+    def _point(self, array: Array) -> Any:
+        return self.ffi.cast("double *", array.ctypes.data)
+
+    def _point_if(self, array: Array | None) -> Any:
+        return self.ffi.NULL if array is None else self._point(array)
+
+
+_FINDINGS = {
+    OPEN: ("it cannot be closed here", "take a smaller step, or look for a singular pose"),
+    BRANCHED: ("to close it would change the velocities by a tenth in one step", "take a smaller step or tolerance"),
+    DEPENDENT: ("its equations contradict each other or others here: a singular pose", "start elsewhere"),
+}
+
+
+def describe_status(dynamics: Dynamics, status: int, loop: int, time: float, qd: Array) -> Halt:
+    """Describe a status of the C functions, returned in the step after `time`; qd: the last velocities."""
+    manifest = dynamics.kernels.manifest
+    names = [c.name for c in manifest.coordinates]
+    fastest = names[int(np.nan_to_num(np.abs(qd), nan=np.inf).argmax())]
+    if status == RUNAWAY:
+        remedy = "take a smaller step" if manifest.loops else "take a smaller step or an implicit method"
+        return Halt(time, fastest, "the motion diverges: its numbers overflow", remedy)
+    if status == SHORT:
+        finding = "the step has become too short to advance the time"
+        return Halt(time, fastest, finding, "loosen the tolerance, or look for a singularity there")
+    if status > 0:
+        return describe_singularity(find_place(manifest, status), time)
+    finding, remedy = _FINDINGS[status]
+    return Halt(time, None, finding, remedy, loop=manifest.loops[loop - 1].name)

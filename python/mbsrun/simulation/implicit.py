@@ -36,9 +36,9 @@ from mbsrun.limits import Allowance, LimitError
 from mbsrun.ocp import schemes
 from mbsrun.simulation.drive import DriveError, Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import SINGULAR, count_steps, describe_singularity, place_steps
 from mbsrun.simulation.groups import find_group
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
+from mbsrun.simulation.steps import SINGULAR, count_steps, describe_singularity, place_steps
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from functools import partial
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes
-from mbsrun.simulation import adaptive, closed, explicit, implicit, multipliers, variational
+from mbsrun.simulation import adaptive, explicit, implicit, multipliers, variational
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family, Integrator, Method
 from mbsrun.simulation.motion import Keeping, Settings
@@ -28,22 +28,14 @@ __all__ = [
 _STEP, _TOLERANCES = ("step",), ("rtol", "atol")
 
 
-def _explicit(order: int, title: str, pair: closed.Pair, stability: float) -> Method:
-    integrate = partial(explicit.integrate, pair.tableau)
-    method = Method(Family.EXPLICIT, order, title, integrate, _STEP, stability)
-    return replace(method, closed=partial(closed.integrate, pair), keeps=closed.EXPLICIT)
+def _explicit(order: int, title: str, pair: explicit.Pair, stability: float) -> Method:
+    family, settings = (Family.ADAPTIVE, _TOLERANCES) if pair.E else (Family.EXPLICIT, _STEP)
+    integrate = partial(explicit.integrate, pair)
+    return Method(family, order, title, integrate, settings, stability, closed=integrate, keeps=explicit.KEEPS)
 
 
-def _adaptive(
-    order: int | None,
-    title: str,
-    stepper: adaptive.Stepper,
-    stability: float | None = None,
-    pair: closed.Pair | None = None,
-) -> Method:
-    integrate = partial(adaptive.integrate, stepper)
-    method = Method(Family.ADAPTIVE, order, title, integrate, _TOLERANCES, stability)
-    return method if pair is None else replace(method, closed=partial(closed.integrate, pair), keeps=closed.EXPLICIT)
+def _implicit_adaptive(order: int | None, title: str, stepper: adaptive.Stepper) -> Method:
+    return Method(Family.ADAPTIVE, order, title, partial(adaptive.integrate, stepper), _TOLERANCES)
 
 
 def _implicit(make: implicit.Make) -> Integrator:
@@ -51,7 +43,7 @@ def _implicit(make: implicit.Make) -> Integrator:
 
 
 METHODS: Mapping[str, Method] = {
-    "euler": _explicit(1, "explicit Euler", closed.EULER_STEPS, 2.0),
+    "euler": _explicit(1, "explicit Euler", explicit.EULER, 2.0),
     "symplectic-euler": Method(
         Family.IMPLICIT,
         1,
@@ -61,12 +53,12 @@ METHODS: Mapping[str, Method] = {
         takes_quaternions=False,
         needs_residual=True,
     ),
-    "rk4": _explicit(4, "the classical Runge-Kutta method", closed.RK4_STEPS, 2.785),
-    "dop853": _adaptive(8, "explicit Runge-Kutta of Dormand and Prince", adaptive.DOP853, 6.1, closed.DOP853),
-    "rk45": _adaptive(5, "explicit Runge-Kutta of Dormand and Prince", adaptive.RK45, 3.3, closed.RK45),
-    "lsoda": _adaptive(None, "Adams or BDF, as the stiffness asks for", adaptive.LSODA),
-    "radau": _adaptive(5, "implicit Runge-Kutta, three Radau IIA stages", adaptive.RADAU),
-    "bdf": _adaptive(None, "backward differentiation formulas", adaptive.BDF),
+    "rk4": _explicit(4, "the classical Runge-Kutta method", explicit.RK4, 2.785),
+    "dop853": _explicit(8, "explicit Runge-Kutta of Dormand and Prince", explicit.DOP853, 6.1),
+    "rk45": _explicit(5, "explicit Runge-Kutta of Dormand and Prince", explicit.RK45, 3.3),
+    "lsoda": _implicit_adaptive(None, "Adams or BDF, as the stiffness asks for", adaptive.LSODA),
+    "radau": _implicit_adaptive(5, "implicit Runge-Kutta, three Radau IIA stages", adaptive.RADAU),
+    "bdf": _implicit_adaptive(None, "backward differentiation formulas", adaptive.BDF),
     "generalized-alpha": Method(
         Family.IMPLICIT,
         2,

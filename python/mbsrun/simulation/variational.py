@@ -37,11 +37,11 @@ from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation import implicit, rattle
 from mbsrun.simulation.drive import Piece, differentiate
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.explicit import count_steps, place_steps, sample
 from mbsrun.simulation.groups import find_group
 from mbsrun.simulation.implicit import CONVERGED, ITERATIONS, Scheme, State, find_start, iterate, scale_velocities
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages
 from mbsrun.simulation.multipliers import NOISE, Loops, solve_step
+from mbsrun.simulation.steps import count_steps, place_steps, sample
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
-/* Integrate a motion with closed loops, h(q) = 0 with J = dh/dv, explicitly.
+/* Integrate a motion explicitly, of a tree or with closed loops, h(q) = 0 with J = dh/dv.
  *
- * The accelerations solve M qdd + c = J^T lam, J qdd + gamma = 0. All coordinates are integrated by a Runge-Kutta method;
- * coordinates and velocities are put back on h = 0, J qd = 0 by a correction
+ * The accelerations are those of `direct`, or solve M qdd + c = J^T lam, J qdd + gamma = 0. All coordinates are integrated
+ * by a Runge-Kutta method; with loops, coordinates and velocities are put back on h = 0, J qd = 0 by a correction
  *
  *     MBS_PARTITIONING      of the dependent ones alone, at every stage: the independent ones move as if they were alone
  *     MBS_PROJECTION        of least norm, after every step; near a singular pose at every stage too
@@ -11,8 +11,8 @@
  * Hairer, Lubich, Wanner, "Geometric Numerical Integration", section IV.4; Wehage, Haug, Journal of Mechanical Design 104
  * (1982); Baumgarte, Computer Methods in Applied Mechanics and Engineering 1 (1972).
  */
-#ifndef MBS_CLOSED_H
-#define MBS_CLOSED_H
+#ifndef MBS_EXPLICIT_H
+#define MBS_EXPLICIT_H
 
 #include "mbs_batch.h"
 
@@ -55,7 +55,7 @@ typedef struct {
     casadi_real *rest;         /* the accelerations of `residual` */
     const casadi_real *qdd, *r, *h, *hd, *gamma, *qt; /* where `direct`, `residual`, `closure`, ... write */
     mbs_entries M, J;
-    mbs_call direct;   /* qdd; may be NULL */
+    mbs_call direct;   /* qdd; NULL, or without loops and driven joints the one of these three that there is */
     mbs_call residual; /* r = M rest + c - Q, without lam */
     mbs_call mass;     /* M */
     mbs_call closure;  /* h */
@@ -65,7 +65,7 @@ typedef struct {
     const casadi_int *driven; /* their entries of qd */
     const casadi_int *place;  /* and of q */
     const casadi_int *loop;   /* of each equation: the number of its loop, from 1 */
-} mbs_closed;
+} mbs_explicit;
 
 /* How to step: A, b, c and E of a Runge-Kutta method; E has a row for each of `estimates` estimates of a step's error: none
  * for steps of a fixed length, one, or two of DOP853. */
@@ -86,23 +86,24 @@ typedef struct {
 } mbs_outcome;
 
 /* Room for a run. */
-casadi_int mbs_closed_reals(const mbs_closed *plant, casadi_int stages);
-casadi_int mbs_closed_integers(const mbs_closed *plant);
+casadi_int mbs_explicit_reals(const mbs_explicit *plant, casadi_int stages);
+casadi_int mbs_explicit_integers(const mbs_explicit *plant);
 
 /* Take at most `steps` steps from times[0] and states[0], which is closed, until `end`. Steps of a fixed length have length
  * *h; else *h is the first to try, or 0, and on return the next one. Of each step times[k] and states[k] are written: nq
- * coordinates, then n velocities. Steps of a fixed length end where the caller's times say, times[1], ... are given. */
-void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_real end, casadi_real *h, casadi_int steps,
-                    casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers,
-                    mbs_outcome *outcome);
+ * coordinates, then n velocities. Steps of a fixed length end where the caller's times say, times[1], ... are given, and
+ * inputs and courses may be given for them: for all stages of each step, then for its end, rows of m and of 3 d numbers;
+ * NULL: the manner's functions are asked. */
+void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, casadi_real end, casadi_real *h,
+                      casadi_int steps, const casadi_real *inputs, const casadi_real *courses, casadi_real *times,
+                      casadi_real *states, casadi_real *reals, casadi_int *integers, mbs_outcome *outcome);
 
 /* Take `count` steps, each from a time and a state (starts), with a length, and write where they end: the motion
- * within the steps of a run, to its order. Inputs and courses may be given for all stages of each step, then for its end:
- * rows of m and of 3 d numbers; NULL: the manner's functions are asked. */
-void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
-                     const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
-                     const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
-                     mbs_outcome *outcome);
+ * within the steps of a run, to its order. Inputs and courses may be given as above. */
+void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
+                       const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
+                       const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
+                       mbs_outcome *outcome);
 
 #ifdef __cplusplus
 }

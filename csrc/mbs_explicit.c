@@ -1,5 +1,5 @@
-/* Integrate a motion with closed loops, explicitly. */
-#include "mbs_closed.h"
+/* Integrate a motion explicitly, with closed loops or without. */
+#include "mbs_explicit.h"
 #include "mbs_entries.h"
 #include "mbs_least.h"
 
@@ -20,7 +20,7 @@
 #define SHORTEST 1e-14     /* of the time */
 
 typedef struct {
-    const mbs_closed *p;
+    const mbs_explicit *p;
     const mbs_manner *how;
     mbs_outcome *out;
     casadi_int free;     /* joints that are not driven, */
@@ -67,18 +67,18 @@ static int fail(mbs_run *r, int status, const casadi_real *equations)
     return status;
 }
 
-casadi_int mbs_closed_reals(const mbs_closed *p, casadi_int stages)
+casadi_int mbs_explicit_reals(const mbs_explicit *p, casadi_int stages)
 {
     const casadi_int size = p->nq + p->n;
     return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1);
 }
 
-casadi_int mbs_closed_integers(const mbs_closed *p)
+casadi_int mbs_explicit_integers(const mbs_explicit *p)
 {
     return 2 * p->n + 3 * p->e;
 }
 
-static mbs_run open_run(const mbs_closed *p, const mbs_manner *how, casadi_real *reals, casadi_int *integers,
+static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_real *reals, casadi_int *integers,
                         mbs_outcome *out)
 {
     mbs_run r;
@@ -271,7 +271,7 @@ static void correct(mbs_run *r, const casadi_real *g)
 /* Move q along velocities x for a unit of time. */
 static int move(mbs_run *r)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_int k;
     int status = 0;
     if (!p->change.f) {
@@ -294,7 +294,7 @@ static int move(mbs_run *r)
 /* Put q on h = 0. `way` adds up the changes since J was computed. */
 static int close_coordinates(mbs_run *r, casadi_real *way)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_real before = 0;
     casadi_int i;
     int status = prepare(r);
@@ -327,7 +327,7 @@ static int close_coordinates(mbs_run *r, casadi_real *way)
 /* Put qd on J qd = 0, with J at most `way` away. */
 static int close_velocities(mbs_run *r, casadi_real way)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_real before = 0;
     casadi_int i, k;
     int status = way > 1e-3 ? prepare(r) : 0;
@@ -365,7 +365,7 @@ static int restore(mbs_run *r)
 /* Put driven joints where they are at time t of stage i. */
 static int guide(mbs_run *r, casadi_real t, casadi_int i)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_int k;
     if (!r->courses && r->how->guide && r->how->guide(t))
         return MBS_STOPPED;
@@ -384,7 +384,7 @@ static int guide(mbs_run *r, casadi_real t, casadi_int i)
  * least in the norm of M. */
 static int solve(mbs_run *r)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     const casadi_int n = p->n, e = p->e, f = r->free;
     const casadi_real alpha = r->how->alpha, beta = r->how->beta;
     casadi_real scale;
@@ -394,9 +394,7 @@ static int solve(mbs_run *r)
         p->rest[k] = 0;
     for (k = 0; k < p->d; ++k)
         p->rest[p->driven[k]] = p->course[2 * p->d + k];
-    if ((status = call(p->residual)) != 0 || (status = factorise_mass(r)) != 0 || (status = differentiate(r)) != 0)
-        return status;
-    if (r->how->keeping == MBS_BAUMGARTE && ((status = call(p->closure)) != 0 || (status = call(p->rates)) != 0))
+    if ((status = call(p->residual)) != 0 || (status = factorise_mass(r)) != 0)
         return status;
     for (k = 0; k < n; ++k)
         r->x[k] = p->rest[k];
@@ -406,6 +404,12 @@ static int solve(mbs_run *r)
     mbs_cholesky_backward(f, r->M, r->x + n);
     for (k = 0; k < f; ++k)
         r->x[r->moves[k]] = r->x[n + k];
+    if (!e)
+        return 0;
+    if ((status = differentiate(r)) != 0)
+        return status;
+    if (r->how->keeping == MBS_BAUMGARTE && ((status = call(p->closure)) != 0 || (status = call(p->rates)) != 0))
+        return status;
     for (i = 0; i < e; ++i) {
         casadi_real sum = -p->gamma[i];
         for (k = 0; k < n; ++k)
@@ -427,14 +431,14 @@ static int solve(mbs_run *r)
 /* Write the derivative of (q, qd) at plant's q and qd. */
 static int accelerate(mbs_run *r, casadi_real *rate)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_int k;
     int status = 0, is_solved = 0;
     ++r->out->evaluations;
     if (p->direct.f && r->how->keeping != MBS_BAUMGARTE && r->last > SINGULAR) {
         status = call(p->direct);
         is_solved = !status;
-        if (status && status <= p->n)
+        if (status && (status <= p->n || !p->e))
             return status;
     }
     if (!is_solved && (status = solve(r)) != 0)
@@ -519,10 +523,12 @@ static int step(mbs_run *r, casadi_real t, casadi_real h, const casadi_real *x, 
 /* Close the loops at the end of a step, whose first stage is in k. */
 static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
 {
-    const mbs_closed *p = r->p;
+    const mbs_explicit *p = r->p;
     casadi_real speed = 0, jump = 0;
     casadi_int k;
     int status;
+    if (!p->e && !p->d)
+        return 0;
     lay(r, y);
     status = guide(r, t, r->how->stages);
     if (!status && p->e && r->how->keeping != MBS_BAUMGARTE)
@@ -601,7 +607,7 @@ static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_r
 {
     const casadi_int size = r->p->nq + r->p->n;
     int status = 0;
-    for (; r->out->steps < steps; ++r->out->steps) {
+    for (; r->out->steps < steps; ++r->out->steps, r->row_of_step += r->how->stages + 1) {
         const casadi_real t = times[r->out->steps];
         const casadi_real *x = states + size * r->out->steps;
         casadi_real *y = states + size * (r->out->steps + 1);
@@ -616,6 +622,30 @@ static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_r
     return status;
 }
 
+/* Return whether the last stage of a step is the first one of the next. */
+static int ends_with_first(const mbs_run *r)
+{
+    const casadi_int last = r->how->stages - 1;
+    casadi_int j;
+    for (j = 0; j <= last; ++j)
+        if (r->how->A[last * r->how->stages + j] != r->how->b[j])
+            return 0;
+    return !r->p->e && !r->p->d;
+}
+
+/* Write the rates at the end of a step, from which the next one begins. */
+static int begin_next(mbs_run *r, casadi_real t, const casadi_real *y, int is_known)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    casadi_int c;
+    int status = renew(r);
+    if (status || !is_known)
+        return status ? status : evaluate(r, t, 0, y);
+    for (c = 0; c < size; ++c)
+        r->k[c] = r->k[size * (r->how->stages - 1) + c];
+    return 0;
+}
+
 /* Return whether a step that failed may succeed when it is shorter. */
 static int may_retry(int status)
 {
@@ -627,9 +657,8 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
                         casadi_real *states)
 {
     const casadi_int size = r->p->nq + r->p->n;
-    int status = renew(r), was_rejected = 0;
-    if (!status)
-        status = evaluate(r, times[0], 0, states);
+    const int is_known = ends_with_first(r);
+    int status = begin_next(r, times[0], states, 0), was_rejected = 0;
     if (!status && *h == 0)
         status = begin(r, times[0], states, h);
     while (!status && r->out->steps < steps && times[r->out->steps] < end) {
@@ -667,26 +696,26 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
             *h = length * factor;
         was_rejected = 0;
         if (r->out->steps < steps && times[r->out->steps] < end)
-            status = renew(r);
-        if (!status && r->out->steps < steps && times[r->out->steps] < end)
-            status = evaluate(r, times[r->out->steps], 0, y);
+            status = begin_next(r, times[r->out->steps], y, is_known);
     }
     return status;
 }
 
-void mbs_closed_run(const mbs_closed *plant, const mbs_manner *manner, casadi_real end, casadi_real *h, casadi_int steps,
-                    casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
+void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, casadi_real end, casadi_real *h,
+                      casadi_int steps, const casadi_real *inputs, const casadi_real *courses, casadi_real *times,
+                      casadi_real *states, casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
 {
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
+    r.inputs = inputs, r.courses = courses;
     lay(&r, states);
     outcome->status = manner->estimates ? run_adaptive(&r, end, h, steps, times, states)
                                         : run_fixed(&r, *h, steps, times, states);
 }
 
-void mbs_closed_read(const mbs_closed *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
-                     const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
-                     const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
-                     mbs_outcome *outcome)
+void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, casadi_int count, const casadi_real *times,
+                       const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
+                       const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
+                       mbs_outcome *outcome)
 {
     const casadi_int size = plant->nq + plant->n;
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
