@@ -24,6 +24,7 @@ from mbsrun.commands import simulate, sweep
 from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
+from mbsrun.ocp import pictures
 from mbsrun.ocp.problem import Form, Refinement
 from mbsrun.ocp.solution import Solution, read_solution
 from mbsrun.ocp.solve import solve
@@ -72,7 +73,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def quick(run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
     """The same, with empty files for pictures."""
     for name in ("plot_trajectories", "draw_mechanism", "animate", "plot_starts", "plot_mesh"):
-        monkeypatch.setattr(solving, name, lambda *arguments: arguments[-1].touch())
+        monkeypatch.setattr(pictures, name, lambda *arguments: arguments[-1].touch())
     return run
 
 
