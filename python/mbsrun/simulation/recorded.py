@@ -1,8 +1,9 @@
 """Inverse dynamics along a recording: columns -> splines -> q, qd, qdd, and the open wrenches that act meanwhile.
 
 Coordinates are splines of their samples; quaternions are scaled to length 1, and velocities follow from their rates.
-Loops are closed: the independent coordinates keep their recorded values where all of them are recorded. A force F at a
-point P, with a free moment M, acts at the point of the wrench p, where a sensor of the wrench's name is:
+Loops are closed: the independent coordinates keep their recorded values where all of them are recorded. Where one of
+them turns with a quaternion, all coordinates are recorded, and the nearest motion that closes the loops is taken. A
+force F at a point P, with a free moment M, acts at the point of the wrench p, where a sensor of the wrench's name is:
 
     force F,    moment M + (P - p) x F
 
@@ -20,8 +21,9 @@ from numpy.typing import NDArray
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import TIME, Manifest, Wrench
+from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
-from mbsrun.quaternions import find_velocities, normalise
+from mbsrun.quaternions import find_velocities, list_places, normalise
 from mbsrun.recordings import AXES, Recording, Track, Treatment, find_column, fit, name_coordinate, read_column, stack
 from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.splines import count_gaps
@@ -86,7 +88,8 @@ def analyse(
 def _fit_coordinates(
     recording: Recording, manifest: Manifest, treatment: Treatment, columns: Mapping[str, str]
 ) -> tuple[dict[str, Track], int, int]:
-    """Fit splines to all coordinates that have a column; without loops, each must have one."""
+    """Fit splines to all coordinates that have a column; each must have one, unless a few determine the others."""
+    is_short = bool(manifest.loops) and set(manifest.independent) <= set(_pair_alone(manifest))
     units, tracks, faults = {c.name: c.unit for c in manifest.coordinates}, {}, []
     bridged = left_open = 0
     for name in manifest.positions:
@@ -96,7 +99,7 @@ def _fit_coordinates(
             tracks[name] = fit(recording.times, samples, treatment)
             found = count_gaps(recording.times, samples, treatment)
             bridged, left_open = bridged + found[0], left_open + found[1]
-        elif not manifest.loops:
+        elif not is_short:
             faults.append(refuse_column(recording, name_coordinate(name)[0]).faults[0])
     if faults:
         raise InputError(faults)
@@ -112,22 +115,40 @@ def _move(
     report: Report | None,
 ) -> Forces:
     """Compute the motion, and the forces along it."""
-    manifest = kernels.manifest
-    names = [c.name for c in manifest.coordinates]
-    if manifest.loops:
-        chosen = [names[i] for i in manifest.independent]
-        chosen = chosen if set(chosen) <= set(tracks) else list(tracks)
-        own = [tracks[name] for name in chosen]
+    manifest, alone = kernels.manifest, _pair_alone(kernels.manifest)
+    if manifest.loops and set(manifest.independent) <= set(alone):
+        recorded = [i for i, name in alone.items() if name in tracks]
+        chosen = list(manifest.independent) if set(manifest.independent) <= set(recorded) else recorded
+        own = [tracks[alone[i]] for i in chosen]
         course = Course(lambda t: (stack(own, t), stack(own, t, 1), stack(own, t, 2)), False)
-        moved = invert(kernels, [names.index(name) for name in chosen], course, times)
+        moved = invert(kernels, chosen, course, times)
         q, qd, qdd = moved.q, moved.qd, moved.qdd
     else:
         every = [tracks[name] for name in manifest.positions]
         rates = [stack(every, times, order) for order in range(3)]
         q, *rates = scale(rates, manifest)
-        qd, qdd = find_velocities(kernels, q, *rates)
+        q, qd, qdd = _close(kernels, q, *find_velocities(kernels, q, *rates))
     w = _resolve(kernels, times, q, loads, parts)
     return balance(kernels, times, q, qd, qdd, w, report)
+
+
+def _pair_alone(manifest: Manifest) -> dict[int, str]:
+    """Name the coordinates whose rates are velocities, by the numbers of these."""
+    pairs = list_places(manifest)
+    return {speeds[0]: manifest.positions[places[0]] for places, speeds in pairs if len(speeds) == 1}
+
+
+def _close(kernels: Mechanism, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+    """Return the nearest motion that closes the loops. Raises OpenError."""
+    if not kernels.manifest.loops:
+        return q, qd, qdd
+    closure = Closure(kernels)
+    closed = closure.close(q)
+    worst = int(np.abs(closure.gaps(closed)).max(axis=1).argmax())
+    if not closure.is_closed(closed[worst]):
+        raise closure.tell_open(closed[worst])
+    qd = closure.project_velocities(closed, qd)
+    return closed, qd, closure.project_accelerations(closed, qd, qdd)
 
 
 def scale(rates: Sequence[Array], manifest: Manifest) -> list[Array]:

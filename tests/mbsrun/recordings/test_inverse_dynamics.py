@@ -111,6 +111,17 @@ def test_the_derivatives_of_a_scaled_quaternion() -> None:
     np.testing.assert_allclose(here[2], (after[0] - 2 * here[0] + before[0]) / 1e-8, atol=1e-5)
 
 
+HELD = """\
+name: held
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: bob, joint: {type: ball, actuated: false}, mass: 1, com: [0, 0, -0.5], inertia: [0.1, 0.1, 0.1]}
+  - {name: cart, joint: {name: x, type: prismatic, axis: x, position: [0, 0, -1]}, mass: 1}
+loops: [{name: pin, type: rod, length: 0.5, from: {body: bob, position: [0, 0, -1]}, to: {body: cart}}]
+assembly: {x: 0.5}
+"""
+
+
 @pytest.mark.parametrize(
     ("model", "start", "inputs"),
     [
@@ -122,11 +133,28 @@ def test_the_inputs_of_a_simulation_come_back(
     model: str, start: list[str], inputs: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The table of `mbsrun simulate` is read back: quaternions, closed loops, and the inputs that moved them."""
-    kernels = load(MODELS / f"{model}.yaml", extent=INTEGRATED)
+    check_inputs(MODELS / f"{model}.yaml", start, inputs, tmp_path, monkeypatch)
+
+
+def test_a_loop_that_a_quaternion_determines_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cart holds a ball joint's pendulum by a rod; with a coordinate left out, its name is asked for."""
+    (tmp_path / "held.yaml").write_text(HELD, "utf-8")
+    check_inputs(tmp_path / "held.yaml", ["--velocity", "x=0.2"], {"x": "0.3*sin(3*t)"}, tmp_path, monkeypatch)
+    table = tmp_path / "out" / "trajectory.csv"
+    table.write_text(table.read_text("utf-8").replace("q[bob.qy]", "q[other]"), "utf-8")
+    kernels = load(tmp_path / "held.yaml", extent=INTEGRATED)
+    with pytest.raises(InputError, match=r'no column is named "q\[bob.qy\]"'):
+        analyse(read_recording(table), kernels, Treatment())
+
+
+def check_inputs(
+    model: Path, start: list[str], inputs: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernels = load(model, extent=INTEGRATED)
     names = [kernels.manifest.coordinates[i].name for i in kernels.manifest.actuated]
     given = [word for pair in inputs.items() for word in ("--input", "=".join(pair))]
     folder = tmp_path / "out"
-    command = ["simulate", str(MODELS / f"{model}.yaml"), *start, *given, "--duration", "0.5", "--output-step", "0.005"]
+    command = ["simulate", str(model), *start, *given, "--duration", "0.5", "--output-step", "0.005"]
     monkeypatch.setattr("sys.argv", ["mbsrun", *command, "-o", str(folder)])
     for name in ("plot_motion", "write_animation"):
         monkeypatch.setattr(f"mbsrun.simulation.record.{name}", lambda *_, **__: None)
