@@ -98,7 +98,9 @@ class Mechanism:
         own = list(kept)
         sizes = np.array([self.sizes[k] if k < len(self.sizes) else self.unit for k, _ in self.equations])
         pulls = weight * sizes**2 / (gaps if self.unit != 1.0 else np.where(self._weigh() == 1.0, 1.0, sizes))
-        plain = gaps / np.maximum((J * J).sum(axis=1), 1e-300) if self.unit != 1.0 else np.ones(len(gaps))
+        plain = (
+            gaps / np.maximum(((J * self._speeds) ** 2).sum(axis=1), 1e-300) if self.unit != 1.0 else np.ones(len(gaps))
+        )
         return tuple(map(_choose_unit, pulls[own])), tuple(map(_choose_unit, plain[own]))
 
     def _weigh(self) -> Array:

@@ -1,9 +1,10 @@
 """Entries that are zero for all inputs, though no operation shows it: found by evaluation, and left out.
 
 A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
-moment about it. An expression that is 0 to 35 of 50 digits at several random points is taken to be identically zero
-(Schwartz, Zippel). Where the largest entry of a block is below 1, as with tiny masses, such an entry may still be
-right: then it vanishes only if it has no digits, that is if 50 digits and 45 give other numbers.
+moment about it. An expression that is 0 to 35 of 50 digits at random points is taken to be identically zero (Schwartz,
+Zippel), unless it has digits: where masses or lengths are tiny, such an entry may be right. It has none if 50 digits
+and 45 give other numbers. What other entries are large does not matter: forces of loops are drawn like all inputs, and
+may exceed any weight of a tiny mechanism.
 
 The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of max(x, 0) for x < 0, or
 of tanh(100 x). Other functions stand in their place here.
@@ -26,7 +27,7 @@ from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits
 from mbsgen.tape.passes import drop_dead
 from mbsgen.tape.types import Op, Output, Sparsity, Tape
 
-POINTS = 3
+POINTS = 2
 VANISHED = Decimal("1e-35")
 COARSE = 45  # digits
 AGREED = Decimal("1e-6")  # relative difference between 50 digits and COARSE ones of a number that has digits
@@ -84,13 +85,9 @@ def _find_kept(
     with fifty_digits():
         drawn = [compute(seed) for seed in range(POINTS)]
     blocks = {o.name: [values[o.name] for values in drawn] for o in outputs if o.port.role is Role.DERIVATIVE}
-    limits = {name: VANISHED * min(Decimal(1), _find_largest(rows)) for name, rows in blocks.items()}
     columns = {name: list(zip(*rows, strict=True)) for name, rows in blocks.items()}
     small = {name: [_is_below(x, VANISHED) for x in columns[name]] for name in blocks}
-    doubtful = {
-        name: {k for k, x in enumerate(small[name]) if x and not _is_below(columns[name][k], limits[name])}
-        for name in blocks
-    }
+    doubtful = {name: {k for k, x in enumerate(small[name]) if x and columns[name][k][0] != 0} for name in blocks}
     coarse: Mapping[str, Sequence[Decimal]] = {}
     if any(doubtful.values()):
         with localcontext(Context(prec=COARSE, traps=[])):
@@ -103,10 +100,6 @@ def _find_kept(
         ]
         for name in blocks
     }
-
-
-def _find_largest(rows: Sequence[Sequence[Decimal]]) -> Decimal:
-    return max((abs(x) for row in rows for x in row if x.is_finite()), default=Decimal(0))
 
 
 def _is_below(column: Sequence[Decimal], limit: Decimal) -> bool:

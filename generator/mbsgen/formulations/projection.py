@@ -4,8 +4,10 @@
     qd <- qd - W^-1 JT lam,   J qd = 0         J and W at the new q
 
 with W = 1 (`project_plain`), or the mass matrix (`project`), in whose norm the change is the least (Hairer, Lubich,
-Wanner, 2006, IV.4; Lubich, 1991). The changes of q are along velocities, so quaternions turn: q <- q + rates(q, x),
-made unit quaternions at the end. Driven joints keep their coordinates and velocities.
+Wanner, 2006, IV.4; Lubich, 1991). Where W = 1, a shift of 1 m counts as a turn of 1 rad; in loops that are much smaller
+or larger, a shift of their size does: loops of kilometres would rather turn their bodies than shift them. The changes
+of q are along velocities, so quaternions turn: q <- q + rates(q, x), made unit quaternions at the end. Driven joints
+keep their coordinates and velocities.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from mbsgen.formulations import closure, coupling, multipliers, ports, rates, se
 from mbsgen.formulations.multipliers import Row
 from mbsgen.formulations.parsimony.elimination import Column, factorise
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.tree import Tree
+from mbsgen.model.tree import Motion, Tree
 from mbsgen.procedure.newton import Newton
 from mbsgen.procedure.patterns import General
 from mbsgen.procedure.procedure import Procedure
@@ -104,7 +106,7 @@ class _Projection:
         for (r, c), value in closure.jacobian_entries(self.jacobian, values).items():
             rows[r][c] = value
         if self.mass is None:
-            return _Solved(b, rows, [{k: row.get(k, b.zero) for k in self.free} for row in rows])
+            return _Solved(b, rows, [{k: self._ease(k, row.get(k, b.zero)) for k in self.free} for row in rows])
         values = self._replay(self.mass, sheet, q)
         output = self.mass.outputs[0]
         M = {place: values[v] for place, v in zip(output.sparsity.entries, output.values, strict=True)}
@@ -120,6 +122,12 @@ class _Projection:
             x = factors.solve({numbers[k]: value for k, value in row.items() if k in numbers})
             columns.append({k: x[numbers[k]] for k in self.free})
         return _Solved(b, rows, columns)
+
+    def _ease(self, k: int, force: Scalar) -> Scalar:
+        """Return the shift or turn by a force along a velocity where W = 1 in the unit of the loops."""
+        known, is_shift = self.tree.closure, self.tree.joints[k].motion is Motion.PRISMATIC
+        unit = known.unit if known is not None and is_shift else 1.0
+        return force if unit == 1.0 else force * force.builder.number(unit * unit)
 
     def _move(self, sheet: Sheet, q: Sequence[Scalar], x: Mapping[int, Scalar]) -> list[Scalar]:
         """Return the coordinates after a step along velocities."""

@@ -210,8 +210,7 @@ class Truth:
     @cached_property
     def closures(self) -> Closures:
         """Return the loops and constraints."""
-        sizes = self.state.sizes.get(ports.VELOCITIES.name, [])
-        return Closures(self.tree, self.mechanism, self.q, self._constrain, min(sizes, default=Decimal(1)))
+        return Closures(self.tree, self.mechanism, self.q, self._constrain, self.state.unit)
 
     def _constrain(self, q: Sequence[Decimal]) -> Numbers:
         """Return the values of the constraints at coordinates of all joints."""

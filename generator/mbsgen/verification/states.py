@@ -29,6 +29,11 @@ class State:
     coordinates: tuple[Decimal, ...] | None = None  # None: drawn
     sizes: Mapping[str, Sequence[Decimal]] = field(default_factory=dict)  # of drawn entries, where they are not 1
 
+    @property
+    def unit(self) -> Decimal:
+        """Return the size of drawn shifts; 1 of mechanisms of ordinary size."""
+        return next((x for sizes in self.sizes.values() for x in sizes if x != 1), Decimal(1))
+
     def take(self, name: str, size: int) -> Numbers:
         """Return the numbers of an input."""
         if name in self.parameters:

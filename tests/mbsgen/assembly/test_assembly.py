@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from decimal import Decimal
 from math import acos, cos, pi, sin
 from pathlib import Path
 
@@ -14,12 +15,14 @@ from mbsgen.assembly import assemble, describe
 from mbsgen.assembly.assemble import AssemblyError
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
-from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.model.construction import (
     body,
     constraint,
     end,
     free,
+    joint,
     loop,
     make_model,
     number,
@@ -32,6 +35,8 @@ from mbsgen.model.model import Body, Follow, Loop, Model, Parameter
 from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import Options, make, read_tree
+from mbsgen.procedure.procedure import evaluate
+from mbsgen.tape.interpreter import DECIMALS, fifty_digits
 
 CRANK, COUPLER, ROCKER, GROUND = 0.2, 0.5, 0.4, 0.6
 UNIFORM = (0.1, 0.1, 0.1)
@@ -344,6 +349,63 @@ def test_a_constraint_is_verified_near_its_pose_where_it_has_no_value_elsewhere(
         four_bar(loops=[], constraints=equation, assembly={"crank": -1.6}), replace(ONE_PLAN, functions=("exp1",))
     )
     assert product.report.verification.unchecked == ()
+
+
+def size(kind: str, s: float) -> Model:
+    """A screw in a nut that slides; or two free bodies, one on a ball at the base, a hinge between them."""
+    mass, inertia = s**3, (1e-3 * s**5, 2e-3 * s**5, 2.5e-3 * s**5)
+    if kind == "screw":
+        nut = body("nut", prismatic("z", name="x"), mass=mass, inertia=inertia)
+        turning = revolute("z", name="turn", actuated=False)
+        screw = body("screw", turning, parent="nut", mass=mass, inertia=inertia, com=(0.1 * s, 0, 0))
+        thread = loop("thread", "helical", end("base"), end("screw"), axis="z", pitch=0.1 * s)
+        rough = {"x": 0.05 * s, "turn": 0.4}
+        return make_model("sized", [nut, screw], gravity=(0, 0, -9.81), loops=[thread], assembly=rough)
+    if kind == "ball":
+        crank = body("crank", revolute("y", name="q1"), mass=mass, inertia=inertia, com=(0.1 * s, 0, 0))
+        plate = body("plate", joint("free"), mass=mass, inertia=inertia, com=(0.1 * s, 0.02 * s, 0))
+        pin = loop("pin", "ball", end("crank", position=(0.2 * s, 0, 0)), end("plate", position=(0, 0.1 * s, 0)))
+        return make_model("sized", [crank, plate], gravity=(0, 0, -9.81), loops=[pin], assembly={"q1": 0.3})
+    bodies = [
+        body(name, joint("free"), mass=mass, inertia=inertia, com=(0.1 * s, 0.02 * s, 0)) for name in ("one", "other")
+    ]
+    hung = loop("hung", "ball", end("base"), end("one", position=(0, 0.3 * s, 0)))
+    pin = loop("pin", "hinge", end("one", position=(0.2 * s, 0, 0)), end("other"), axis="y")
+    return make_model("sized", bodies, gravity=(0, 0, -9.81), loops=[hung, pin])
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale", "names", "derivatives"),
+    [
+        ("screw", 1e6, ("semi_red", "exp1_red", "impl_red", "close_accelerations"), 0),
+        ("screw", 1e-9, ("semi_red", "exp1_red", "impl_red", "close_accelerations"), 0),
+        ("ball", 1e3, ("project_plain", "project"), 0),
+        ("ball", 1e6, ("project_plain", "project"), 0),
+        ("ball", 1e-9, ("project_plain", "project"), 0),
+        ("free", 1e-9, ("exp1",), 1),
+        ("free", 1e6, ("exp1",), 1),
+    ],
+)
+def test_screws_and_quaternions_close_at_any_size(
+    kind: str, scale: float, names: tuple[str, ...], derivatives: int
+) -> None:
+    """Each function is verified in 50 digits, against the mechanism's geometry and its own differences."""
+    product = make(size(kind, scale), replace(ONE_PLAN, functions=names, derivatives=derivatives))
+    assert product.report.verification.unchecked == ()
+
+
+def test_a_plain_projection_does_not_depend_on_the_size() -> None:
+    """Shifts count in units of the loops, powers of two: projected coordinates are in proportion to the size."""
+    found = []
+    for s in (2.0**-20, 2.0**14):
+        tree = assemble(build_tree(size("ball", s)))
+        shifts = [Decimal(x) for x in (1, s, s, s, 1, 1, 1, 1)]
+        rough = [Decimal(x) for x in ("0.3", "0.2", "-0.09", "-0.06", "0", "0", "0", "1")]
+        given = {"q": [x * y for x, y in zip(rough, shifts, strict=True)], "qd": [Decimal(0)] * 7}
+        with fifty_digits():
+            closed = evaluate(FUNCTIONS["project_plain"].build(tree, ALL), given, DECIMALS)["closed"]
+        found.append([float(x / y) for x, y in zip(closed, shifts, strict=True)])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-13)
 
 
 @pytest.mark.parametrize(("kind", "scale"), [("turns", 1e-9), ("turns", 1e6), ("slides", 1e-7), ("slides", 1e3)])

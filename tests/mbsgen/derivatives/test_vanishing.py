@@ -46,6 +46,17 @@ def test_a_tape_without_such_entries_stays_as_it_is():
     assert drop_vanishing(tape) is tape
 
 
+def test_large_entries_of_a_block_do_not_hide_a_tiny_one():
+    """A force of a loop is drawn near 1 N, and may stand beside the weight of 1e-27 kg: both have digits."""
+    b = Builder()
+    x, y = b.vector("x", 2)
+    one = b.sin(x) * b.sin(x) + b.cos(x) * b.cos(x)
+    values = [x, b.number(1e-48) * y, one - b.number(1.0), (x + b.number(1e-44)) - x]
+    b.output(Port("jac_y_x", Role.DERIVATIVE), Sparsity.dense(4), values)
+    pruned = drop_vanishing(b.build("f"))
+    assert [r for r, _ in pruned.output("jac_y_x").sparsity.entries] == [0, 1]
+
+
 def test_what_is_zero_in_a_region_alone_is_kept():
     """max(x - 9, 0), exp(-400 x) and tanh(400 x) have no slope, to 35 digits, where points are drawn."""
     b = Builder()
