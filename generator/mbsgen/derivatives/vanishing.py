@@ -3,7 +3,7 @@
 A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
 moment about it. An expression that is 0 to 35 of 50 digits at random points is taken to be identically zero (Schwartz,
 Zippel), unless it has digits: where masses or lengths are tiny, such an entry may be right. It has none if 50 digits
-and 45 give other numbers. What other entries are large does not matter: forces of loops are drawn like all inputs, and
+and 45 give other numbers. Large entries of the same block do not matter: forces of loops are drawn like all inputs, and
 may exceed any weight of a tiny mechanism.
 
 The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of max(x, 0) for x < 0, or
