@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
 
@@ -19,8 +22,28 @@ _AXES = ("x", "y", "z")
 class Quantity:
     """One number of a motion."""
 
-    kind: str  # t, T, q, qd, qdd, u, position or v; states, controls, w or tau, where a problem adds them
+    kind: str  # t, T, q, qd, qdd, u, or a key of SENSED; states, controls, w or tau, where a problem adds them
     index: int  # within its kind; positions and velocities of sensors follow each other
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """A kind of quantities that a kernel computes of coordinates and velocities."""
+
+    kernel: str
+    inputs: tuple[str, ...]
+    result: str
+    unit: str
+
+
+SENSED: Mapping[str, Sensed] = {
+    "position": Sensed("sensors", ("q",), "position", "m"),
+    "v": Sensed("motion", ("q", "qd"), "v", "m/s"),
+    "omega": Sensed("motion", ("q", "qd"), "omega", "rad/s"),
+    "attitude": Sensed("attitudes", ("q",), "attitude", ""),
+    "length": Sensed("lengths", ("q",), "length", "m"),
+}
+RARE = ("omega", "attitude", "length")  # kinds that a list of all quantities leaves out
 
 
 @dataclass(frozen=True)
@@ -47,6 +70,9 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
         for k, axis in enumerate(_AXES if name is not None else ()):
             known[f"{axis}_{name}"] = Quantity("position", 3 * i + k)
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
+            known[f"w{axis}_{name}"] = Quantity("omega", 3 * i + k)
+            known |= {f"{axis}{part}_{name}": Quantity("attitude", 9 * i + 3 * k + j) for j, part in enumerate(_AXES)}
+    known |= {f"length_{x}": Quantity("length", i) for i, x in enumerate(spell(manifest.elements)) if x is not None}
     if added is not None:
         known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
         driven = spell([coordinates[i] for i in manifest.driven])
@@ -71,14 +97,17 @@ def find_unit(quantity: Quantity, manifest: Manifest) -> str:
             return manifest.coordinates[manifest.actuated[entry]].force_unit
         case "tau":
             return manifest.coordinates[manifest.driven[entry]].force_unit
-        case "position":
-            return "m"
-        case "v":
-            return "m/s"
+        case kind if kind in SENSED:
+            return SENSED[kind].unit
         case "w":
             parts = [k for x in manifest.wrenches for k, is_open in enumerate((x.force, x.moment)) if is_open]
             return ("N", "N m")[parts[entry // 3]] if entry < 3 * len(parts) else ""
     return ""
+
+
+def lay_out(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a result of a kernel in K states as vectors, column by column: (K, rows, cols) -> (K, rows cols)."""
+    return values.swapaxes(1, 2).reshape(len(values), -1) if values.ndim == 3 else values
 
 
 def list_input_units(manifest: Manifest) -> list[str]:

@@ -32,7 +32,7 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.errors import MbsError
 from mbsgen.expressions import spell
 from mbsgen.manifest import Kernel, Manifest
-from mbsrun.quantities import Quantity, find_unit, list_multiplier_units
+from mbsrun.quantities import RARE, SENSED, Quantity, find_unit, lay_out, list_multiplier_units
 
 Array = NDArray[np.float64]
 
@@ -96,15 +96,10 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     for name, unit in (("momentum", "kg m/s"), ("angular_momentum", "kg m2/s"), ("com", "m")):
         yield name, {f"{name}_{axis}": unit for axis in AXES}
     yield "power", {"power": "W", **{f"power_{name}": "W" for name in powered}}
-    for group, letter, unit in (
-        ("omega", "w", "rad/s"),
-        ("acceleration", "a", "m/s^2"),
-        ("alpha", "wd", "rad/s^2"),
-    ):
+    for group, letter, unit in (("acceleration", "a", "m/s^2"), ("alpha", "wd", "rad/s^2")):
         yield group, {f"{letter}{axis}_{name}": unit for name in sensors for axis in AXES}
-    yield "attitude", {f"{axis}{part}_{name}": "" for name in sensors for axis in AXES for part in AXES}
     yield "turns", {f"{turn}_{name}": "rad" for name in sensors for turn in ("roll", "pitch", "yaw")}
-    for group, unit in (("length", "m"), ("rate", "m/s"), ("tension", "N")):
+    for group, unit in (("rate", "m/s"), ("tension", "N")):
         yield group, {f"{group}_{name}": unit for name in manifest.elements}
     arms = {f"arm_{force}_{c.name}": "m" if c.unit == "rad" else "" for force in manifest.elements for c in joints}
     yield "arm", arms
@@ -136,8 +131,8 @@ class Numbers:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """List the names of quantities of expressions."""
-        return tuple(self._known)
+        """List the names of quantities of expressions, but for the rarer ones, which are among the results."""
+        return tuple(name for name, x in self._known.items() if x.kind not in RARE)
 
     @cached_property
     def _results(self) -> Mapping[str, Result]:
@@ -147,7 +142,8 @@ class Numbers:
     @property
     def results(self) -> tuple[str, ...]:
         """List the names of the numbers that follow from the motion."""
-        return tuple(self._results)
+        rare = (name for name, x in self._known.items() if x.kind in RARE)
+        return (*rare, *self._results)
 
     def __contains__(self, name: object) -> bool:
         return name in self._known or name in self._results
@@ -223,17 +219,12 @@ class Numbers:
         return UnknownNameError(f"there is no quantity {abbreviate(name)}; {remedy}")
 
 
-def _flatten(vectors: Array) -> Array:
-    """Return matrices (K, 3, columns) as vectors, column by column."""
-    return vectors.swapaxes(1, 2).reshape(len(vectors), -1)
-
-
 def _column(kernel: str, result: str) -> Callable[[Numbers], Array]:
     return lambda numbers: numbers.call(kernel, result)
 
 
 def _vectors(kernel: str, result: str) -> Callable[[Numbers], Array]:
-    return lambda numbers: _flatten(numbers.call(kernel, result))
+    return lambda numbers: lay_out(numbers.call(kernel, result))
 
 
 def _find_energy(numbers: Numbers) -> Array:
@@ -281,19 +272,15 @@ def _find_reactions(numbers: Numbers) -> Array:
 
 
 _GROUPS: Mapping[str, Callable[[Numbers], Array]] = {
-    "position": _vectors("sensors", "position"),
-    "v": _vectors("motion", "v"),
+    **{kind: _vectors(x.kernel, x.result) for kind, x in SENSED.items()},
     "energy": _find_energy,
     "momentum": _column("energy", "momentum"),
     "angular_momentum": _column("energy", "angular_momentum"),
     "com": _column("energy", "com"),
     "power": _find_power,
-    "omega": _vectors("motion", "omega"),
     "acceleration": _vectors("accelerations", "acceleration"),
     "alpha": _vectors("accelerations", "alpha"),
-    "attitude": _vectors("attitudes", "attitude"),
     "turns": _find_turns,
-    "length": _column("lengths", "length"),
     "rate": _find_rate,
     "tension": _column("tensions", "tension"),
     "arm": _find_arms,

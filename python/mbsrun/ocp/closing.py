@@ -101,7 +101,7 @@ def _reads_dependent_velocities(shape: Structure, manifest: Manifest) -> bool:
         return True
     known = list_quantities(manifest, shape.added)
     read = [known[name] for text in shape.expressions for name in list_names(text, shape.functions) if name in known]
-    return any(x.kind == "v" or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
+    return any(x.kind in ("v", "omega") or (x.kind == "qd" and x.index in manifest.dependent) for x in read)
 
 
 def correct(

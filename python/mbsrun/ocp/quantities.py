@@ -4,6 +4,8 @@
     q_NAME, qd_NAME, qdd_NAME                     of a coordinate: value, velocity, acceleration
     u_NAME                                        of an actuated coordinate: input
     x_NAME, y_NAME, z_NAME, vx_NAME, ...          of a sensor: position and velocity in the base frame
+    wx_NAME, ...; xx_NAME, xy_NAME, ..., zz_NAME  its angular velocity; its axes: xy is the y component of its x axis
+    length_NAME                                   of a spring, cable or muscle
     fx_NAME, ..., mx_NAME, ...                    of a wrench that the model leaves open: its components
     tau_NAME                                      of a driven joint: the force that keeps it on its motion
     NAME                                          of a state or a control that the problem adds
@@ -38,7 +40,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.functions import Formula, Input, KernelResult, SymbolicCall
 from mbsrun.ocp.layout import Motions
 from mbsrun.ocp.problem import Symbolic
-from mbsrun.quantities import Added, Quantity, list_quantities, name_components
+from mbsrun.quantities import SENSED, Added, Quantity, list_quantities, name_components
 
 __all__ = ["Added", "Quantity", "formulate", "list_quantities"]
 
@@ -87,8 +89,7 @@ def formulate(
     known |= {_TIME_NAME: (TIME, 0), **{name: (CONSTANTS, i) for i, name in enumerate(constants)}}
     known |= {name: (TIME, 1 + i) for i, name in enumerate(references)}
     computed = {
-        "position": KernelResult("sensors", ("q",), "position"),
-        "v": KernelResult("motion", ("q", "qd"), "v"),
+        **{kind: KernelResult(x.kernel, x.inputs, x.result) for kind, x in SENSED.items()},
         **accelerations,
     }
     expressions = [_read(text, known, horizon, [function.name for function in functions]) for text in texts]

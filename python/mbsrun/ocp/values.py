@@ -16,7 +16,7 @@ from mbsrun.ocp.backends.symbolic import load
 from mbsrun.ocp.given import list_texts, order_given, place_unknown
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, list_names
-from mbsrun.quantities import list_quantities, name_components
+from mbsrun.quantities import SENSED, lay_out, list_quantities, name_components
 from mbsrun.recordings import references
 from mbsrun.simulation.drive import ARRAYS
 
@@ -50,11 +50,10 @@ class Values:
         Kinds that no expression reads may be left out. Where an expression has no value, the number is not finite.
         """
         found, B = dict(parts), len(parts["t"])
-        for kind, kernel, inputs in (("position", "sensors", ("q",)), ("v", "motion", ("q", "qd"))):
+        for kind, sensed in SENSED.items():
             if kind in self.kinds:
-                given: dict[str, Any] = {name: parts[name] for name in inputs}
-                vectors = self._plant(kernel, **given)[kind]
-                found[kind] = vectors.swapaxes(1, 2).reshape(B, -1)
+                given: dict[str, Any] = {name: parts[name] for name in sensed.inputs}
+                found[kind] = lay_out(self._plant(sensed.kernel, **given)[sensed.result])
         numbers = {name: found[quantity.kind][:, quantity.index] for name, quantity in self._read.items()}
         numbers |= {name: np.full(1, value) for name, value in self._problem.constants}
         t, T = parts["t"][:, 0], float(parts["T"][0, 0])

@@ -20,7 +20,7 @@ from scipy.interpolate import BarycentricInterpolator
 from mbsgen.errors import MbsError
 from mbsgen.expressions import Algebra, Expression, Program, names
 from mbsrun.kernel import Kernels
-from mbsrun.quantities import Quantity
+from mbsrun.quantities import SENSED, Quantity, lay_out
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ Law = Callable[[Array, Array, Array], Array]  # times (K,), q (K, nq), qd (K, n)
 Control = Callable[[Kernels, Array, Array, Array], Array]  # a law that calls kernels, for sensors
 
 TIME = "t"  # the name of time in an expression
-STATE = ("q", "qd", "position", "v")  # the kinds of quantities that a feedback can read
+STATE = ("q", "qd", *SENSED)  # the kinds of quantities that a feedback can read
 
 
 class DriveError(MbsError):
@@ -233,16 +233,11 @@ def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array)
     """Compute quantities of states (K, nq), (K, n): shape (K,) each."""
     kinds = {quantity.kind for quantity in used.values()}
     found = {"q": q, "qd": qd}
-    if "position" in kinds:
-        found["position"] = _flatten(kernels("sensors", q=q)["position"])
-    if "v" in kinds:
-        found["v"] = _flatten(kernels("motion", q=q, qd=qd)["v"])
+    for kind, sensed in SENSED.items():
+        if kind in kinds:
+            given = {name: found[name] for name in sensed.inputs}
+            found[kind] = lay_out(kernels(sensed.kernel, **given)[sensed.result])
     return {name: found[quantity.kind][:, quantity.index] for name, quantity in used.items()}
-
-
-def _flatten(vectors: Array) -> Array:
-    """Lay the vectors of sensors, (K, 3, sensors), one after the other: (K, 3 sensors)."""
-    return vectors.swapaxes(1, 2).reshape(len(vectors), -1)
 
 
 def _number(value: float) -> Array:

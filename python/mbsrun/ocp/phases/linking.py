@@ -28,15 +28,12 @@ from mbsrun.ocp.phases.sides import Side, State, spell_coordinates, spell_veloci
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Term
 from mbsrun.ocp.program import Block, Column, Matrix
-from mbsrun.quantities import Quantity
+from mbsrun.quantities import SENSED, Quantity
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 Impulses = Mapping[str, int]  # the variables of an impact's impulses, by name
 Places = tuple[str, int]  # kind and index of a name in a formula
-_KERNELS: Mapping[str, KernelResult] = {
-    "position": KernelResult("sensors", ("q",), "position"),
-    "v": KernelResult("motion", ("q", "qd"), "v"),
-}
+_KERNELS: Mapping[str, KernelResult] = {kind: KernelResult(x.kernel, x.inputs, x.result) for kind, x in SENSED.items()}
 
 
 @dataclass(frozen=True)

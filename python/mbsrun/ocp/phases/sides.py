@@ -19,7 +19,7 @@ from mbsrun.ocp.phases.addition import move_part
 from mbsrun.ocp.problem import Contact, Form, Problem
 from mbsrun.ocp.program import Column
 from mbsrun.ocp.transcription import Transcription
-from mbsrun.quantities import Added, Quantity, list_quantities
+from mbsrun.quantities import SENSED, Added, Quantity, list_quantities
 from mbsrun.quaternions import find_quaternion, list_quaternions
 
 END, START = "end_", "start_"
@@ -31,8 +31,7 @@ READ = (
     "u",
     "w",
     "T",
-    "position",
-    "v",
+    *SENSED,
     "states",
     "controls",
 )  # kinds of quantities that a condition may read
