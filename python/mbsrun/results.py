@@ -131,7 +131,7 @@ class Numbers:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """List the names of quantities of expressions, but for the rarer ones, which are among the results."""
+        """List the names of quantities of expressions, except for rare ones, which are among the results."""
         return tuple(name for name, x in self._known.items() if x.kind not in RARE)
 
     @cached_property

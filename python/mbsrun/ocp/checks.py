@@ -394,6 +394,7 @@ def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Findi
     for place, kind, wanted, known in (
         ("end.sensors", "sensor", [name for name, _ in problem.end.sensors], sensors),
         ("end.sensor_velocities", "sensor", [name for name, _ in problem.end.sensor_velocities], sensors),
+        ("end.orientations", "sensor", [name for name, _ in problem.end.orientations], sensors),
         ("guess.upright", "frame", problem.guess.upright, frames),
     ):
         for name in wanted:

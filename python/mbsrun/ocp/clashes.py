@@ -218,7 +218,7 @@ def _list(transcription: Transcription, manifest: Manifest) -> Iterator[tuple[In
     inputs = [f"the rate of the input {names[manifest.actuated[i]]}" for i in shape.rated_inputs]
     inputs += [f"the rate of {shape.added.controls[i]}" for i in shape.rated_controls]
     yield from _name(rows.rates.T, inputs)
-    yield from _name(rows.constraints, (f"constraint {text}" for text, _ in shape.constraints))
+    yield from _name(rows.constraints, (f"constraint {label}" for label in shape.labels))
 
 
 def _name(rows: Sequence[Indices] | Indices, texts: Iterable[str]) -> Iterator[tuple[Indices, str]]:

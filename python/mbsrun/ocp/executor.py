@@ -158,7 +158,11 @@ class Worker:
         scheme = schemes.build(problem.family, problem.degree)
         if problem.guess.motion == "rest":
             return rest(problem, scheme, self.plant)
-        key = (problem.start_q, problem.bounds.q, problem.end.sensors, problem.end.coordinates, problem.guess.upright)
+        end = problem.end
+        key = (
+            *(problem.start_q, problem.bounds.q, problem.guess.upright),
+            *(end.sensors, end.coordinates, end.orientations),
+        )
         if key not in self._poses:
             self._poses[key] = find_pose(problem, self.plant)
         pose = self._poses[key]

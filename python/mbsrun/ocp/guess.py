@@ -308,6 +308,7 @@ class _Kinematics:
         frames = plant.manifest.frames  # of a joint and a sensor with one name, the sensor is meant
         self.indices = {frame.name: i for i, frame in sorted(enumerate(frames), key=lambda f: f[1].sensor)}
         self.sensors = [(self.indices[name], np.array(place, dtype=float)) for name, place in problem.end.sensors]
+        self.aims = [(self.indices[name], k, np.array(t)) for name, aims in problem.end.orientations for k, t in aims]
         self.coordinates = [i for i, _ in problem.end.coordinates]
         self.values = np.array([value for _, value in problem.end.coordinates])
         self.turning = list_quaternions(plant.manifest)
@@ -381,18 +382,19 @@ class _Kinematics:
         m = 0 if self.closure is None else len(self.closure.dependent)
         places, coordinates, gaps, axes, _ = np.split(
             self.residual(q[None], frames)[0],
-            np.cumsum([3 * len(self.sensors), len(self.coordinates), m, 3 * len(frames)]),
+            np.cumsum([3 * (len(self.sensors) + len(self.aims)), len(self.coordinates), m, 3 * len(frames)]),
         )
         distances = [*np.linalg.norm(places.reshape(-1, 3), axis=1), *np.abs(coordinates), *np.abs(gaps)]
         return Pose(q, float(max(distances, default=0.0)), bool((np.abs(axes) < REACHED).all()))
 
     def residual(self, q: Array, upright: list[int]) -> Array:
-        """Compute the residual of each pose: distances to the targets, gaps, of z axes from up, and two more.
+        """Compute the residual of each pose: distances to targets, of axes too, gaps, of z axes from up, and two more.
 
         These are the lengths of quaternions minus 1, and a small multiple of the distance from the start.
         """
-        frames = self.plant("frames", q=q) if self.sensors or upright else {}
+        frames = self.plant("frames", q=q) if self.sensors or self.aims or upright else {}
         places = [np.nan_to_num(frames["p"][:, :, i] - target) for i, target in self.sensors]  # NaN: free
+        places += [frames["R"][:, :, 3 * i + k] - target for i, k, target in self.aims]
         coordinates = q[:, self.coordinates] - self.sign(q) * self.values
         axes = [frames["R"][:, :, 3 * i + 2] - [0.0, 0.0, 1.0] for i in upright]
         lengths = measure_lengths(q, self.plant.manifest) - 1.0

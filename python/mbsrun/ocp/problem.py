@@ -114,6 +114,9 @@ class Bounds:
     tau: tuple[Range, ...] = ()  # of the force of each driven joint; empty where none is bounded
 
 
+Aims = tuple[tuple[int, tuple[float, float, float]], ...]  # axes of a sensor, 0 to 2: directions in the base frame
+
+
 @dataclass(frozen=True)
 class End:
     """The conditions at the end of the horizon."""
@@ -125,6 +128,7 @@ class End:
     velocities: tuple[tuple[int, float], ...] = ()  # index into qd, value
     accelerations: tuple[tuple[int, float], ...] = ()  # index into qdd, value
     sensor_velocities: tuple[tuple[str, Target], ...] = ()  # name, velocity in the base frame [m/s]
+    orientations: tuple[tuple[str, Aims], ...] = ()  # name, directions of axes; constraints hold the conditions
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,12 @@ class Constraint:
     range: Range
     at: Literal["start", "path", "end"] = "path"
     is_relaxed: bool = False  # a product of complementary numbers, whose upper bound is lowered in steps
+    name: str = ""  # in messages, in place of the expression
+
+    @property
+    def label(self) -> str:
+        """Return the constraint's name."""
+        return self.name or self.expression
 
 
 @dataclass(frozen=True)

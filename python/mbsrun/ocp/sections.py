@@ -113,6 +113,7 @@ LimitField = Annotated[
     Expression | None,
     PlainValidator(lambda v: None if v is None else read_number(v), json_schema_input_type=Written | None),
 ]
+TripleField = tuple[NumberField, NumberField, NumberField]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
 StartField = Annotated[  # one for each coordinate, or by name; null: not given
     Annotated[tuple[LimitField, ...], Tag("list")] | Annotated[dict[str, LimitField], Tag("mapping")],
@@ -268,10 +269,23 @@ class VelocitySection(Section):
     z: NumberField = Field(default=Number(0.0), examples=[0.0])
 
 
+class OrientationSection(Section):
+    """The orientation of a frame: whole, or the direction of an axis."""
+
+    rpy: TripleField | None = Field(default=None, examples=[[0.0, 0.5, 0.0]])  # about x, then y, then z of the base
+    quaternion: tuple[NumberField, NumberField, NumberField, NumberField] | None = Field(
+        default=None, examples=[[0.0, 0.0, 0.0, 1.0]]
+    )  # its scalar last
+    x: TripleField | None = Field(default=None, examples=[[1.0, 0.0, 0.0]])  # of one axis, or of two
+    y: TripleField | None = Field(default=None, examples=[[0.0, 1.0, 0.0]])
+    z: TripleField | None = Field(default=None, examples=[[0.0, 0.0, -1.0]])
+
+
 class EndSection(Section):
     """The conditions at the end; null where it is free."""
 
     sensors: dict[str, PositionSection] = Field(default={}, examples=[{}])
+    orientations: dict[str, OrientationSection] = Field(default={}, examples=[{}])
     pose: StartField | None = Field(default=None, examples=[{}])
     velocity: RestField | None = Field(default=None, examples=["zero"])
     acceleration: RestField | None = Field(default=None, examples=["zero"])

@@ -338,7 +338,7 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
         ("force of driven joint", bounds.tau, [names[i] for i in manifest.driven][: len(bounds.tau)]),
         ("input rate", bounds.rates, [names[i] for i in manifest.actuated][: len(bounds.rates)]),
         ("control rate", [control.rates for control in problem.controls], problem.added.controls),
-        ("constraint", [c.range for c in problem.constraints], [c.expression for c in problem.constraints]),
+        ("constraint", [c.range for c in problem.constraints], [c.label for c in problem.constraints]),
         ("state", [state.bounds for state in problem.states], problem.added.states[: len(problem.states)]),
         ("control", [control.bounds for control in problem.controls], problem.added.controls),
         ("integral", [part.range for part in problem.integrals], [part.expression for part in problem.integrals]),

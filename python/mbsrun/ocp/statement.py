@@ -31,7 +31,7 @@ from mbsgen.documents import (
     refuse,
 )
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, parse
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, parse, spell
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.checks import (
     LEAST_ACCURACY,
@@ -58,9 +58,11 @@ from mbsrun.ocp.driving import SAME, Guide
 from mbsrun.ocp.driving import find_conflicts as find_driven_conflicts
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount, choose
+from mbsrun.ocp.orienting import list_conditions, point, turn_by, turn_to
 from mbsrun.ocp.parts import PartReading
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import (
+    Aims,
     Bounds,
     Constraint,
     Cost,
@@ -86,6 +88,7 @@ from mbsrun.ocp.sections import (
     GuessSection,
     HorizonSection,
     Limits,
+    OrientationSection,
     PositionSection,
     ProblemSection,
     RefinementSection,
@@ -306,7 +309,7 @@ class _Reading(PartReading):
             end=end,
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
-            constraints=(*constraints, *complements),
+            constraints=(*constraints, *complements, *self.orient(end)),
             guess=self.guess(section.guess, bounds, start_q, free_q, end),
             parameters=parameters,
             unknowns=unknowns,
@@ -670,7 +673,9 @@ class _Reading(PartReading):
             self.look_up(place, name, self.sensors)
             x, y, z = (self.number((*place, key), getattr(velocity, key)) for key in ("x", "y", "z"))
             velocities.append((name, (x, y, z)))
+        orientations = ((name, self.orientation(name, part)) for name, part in section.orientations.items())
         return End(
+            orientations=tuple((name, aims) for name, aims in orientations if aims is not None),
             sensors=tuple(sensors),
             coordinates=self.pose(section.pose, bounds),
             velocity_zero=section.velocity == "zero",
@@ -679,6 +684,41 @@ class _Reading(PartReading):
             accelerations=self.targets("acceleration", section.acceleration, self.velocities, ()),
             sensor_velocities=tuple(velocities),
         )
+
+    def orientation(self, name: str, section: OrientationSection) -> Aims | None:
+        """Read the orientation of a sensor at the end."""
+        place: Place = ("end", "orientations", name)
+        known = self.look_up(place, name, self.sensors) is not None
+        given = {key: x for key in OrientationSection.model_fields if (x := getattr(section, key)) is not None}
+        values = {key: [self.number((*place, key, i), x) for i, x in enumerate(own)] for key, own in given.items()}
+        aims: Aims | None = None
+        if values.keys() == {"rpy"}:
+            aims = turn_by(*values["rpy"])
+        elif values.keys() == {"quaternion"}:
+            aims = turn_to(*values["quaternion"])
+        elif values and values.keys() <= {"x", "y", "z"}:
+            aims = point({"xyz".index(key): direction for key, direction in values.items()})
+        if aims is None:
+            finding = f"found {', '.join(given) or 'nothing'}"
+            remedy = "give rpy, a quaternion that is not 0, the direction of one axis, or perpendicular ones of two"
+            self.fault(place, finding, remedy)
+        return aims if known else None
+
+    def orient(self, end: End) -> Iterator[Constraint]:
+        """Yield the constraints of orientations at the end."""
+        spelled = dict(zip(self.sensors.known, spell(self.sensors.known), strict=True))
+        for name, aims in end.orientations:
+            place: Place = ("end", "orientations", name)
+            own = spelled[name]
+            if own is None:
+                self.fault(place, "two sensors have one name in expressions", "rename the frame in the model")
+                continue
+            for found in list_conditions(aims, self.sensors.known.index(name), own, self.plant):
+                if isinstance(found, float):
+                    finding = f"no coordinate turns {name} there: an axis stays {found:.3g} off"
+                    self.fault(place, finding, "give an orientation that the mechanism can have, or one axis of it")
+                    break
+                yield Constraint(found.expression, found.range, "end", name=f"the orientation of {name}")
 
     def pose(
         self, given: tuple[Expression | None, ...] | dict[str, Expression | None] | None, bounds: Bounds

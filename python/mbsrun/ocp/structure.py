@@ -31,6 +31,7 @@ class Structure:
     running: tuple[str, ...]  # expressions
     terminal: tuple[str, ...]
     constraints: tuple[tuple[str, str], ...]  # expression, where it holds
+    labels: tuple[str, ...]  # of the constraints
     constants: tuple[str, ...]
     sensors: tuple[str, ...]
     coordinates: tuple[int, ...]
@@ -97,6 +98,7 @@ def structure(problem: Problem) -> Structure:
         running=tuple(term.expression for term in cost.running),
         terminal=tuple(term.expression for term in cost.terminal),
         constraints=tuple((constraint.expression, constraint.at) for constraint in problem.constraints),
+        labels=tuple(constraint.label for constraint in problem.constraints),
         constants=tuple(name for name, _ in problem.constants),
         sensors=tuple(name for name, _ in end.sensors),
         coordinates=tuple(i for i, _ in end.coordinates),

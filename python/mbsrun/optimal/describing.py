@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.methods import choose
-from mbsrun.ocp.problem import Delay, Form, Problem, Range, Target, WrenchComponent
+from mbsrun.ocp.problem import Aims, Delay, Form, Problem, Range, Target, WrenchComponent
 from mbsrun.quantities import SIGNAL
 
 LONGEST = 12  # parts of one line; more are counted
@@ -29,6 +29,7 @@ def describe_problem(problem: Problem, manifest: Manifest) -> dict[str, str]:
         "constraints": _list(
             _write_range(_name(c.expression, problem), c.range) + (f" ({c.at})" if c.at != "path" else "")
             for c in problem.constraints
+            if not c.name
         ),
         **_describe_additions(problem, manifest),
         "constants": _list(f"{name} = {value:g}" for name, value in problem.constants),
@@ -126,6 +127,7 @@ def _list_end(problem: Problem, manifest: Manifest) -> list[str]:
     end, names = problem.end, [c.name for c in manifest.coordinates]
     return [
         *(f"{name} at ({_write_target(target)})" for name, target in end.sensors),
+        *(f"{name} turned: {_write_aims(aims)}" for name, aims in end.orientations),
         *(f"q_{manifest.positions[i]} = {value:g}" for i, value in end.coordinates),
         *(["velocity 0"] if end.velocity_zero else []),
         *(["acceleration 0"] if end.acceleration_zero else []),
@@ -133,6 +135,10 @@ def _list_end(problem: Problem, manifest: Manifest) -> list[str]:
         *(f"qdd_{names[i]} = {value:g}" for i, value in end.accelerations),
         *(f"{name} moves at ({_write_target(velocity)})" for name, velocity in end.sensor_velocities),
     ]
+
+
+def _write_aims(aims: Aims) -> str:
+    return ", ".join(f"{'xyz'[k]} along ({_write_target(direction)})" for k, direction in aims)
 
 
 def _list_bounds(problem: Problem, manifest: Manifest) -> list[str]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -235,7 +236,7 @@ def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array)
     found = {"q": q, "qd": qd}
     for kind, sensed in SENSED.items():
         if kind in kinds:
-            given = {name: found[name] for name in sensed.inputs}
+            given: dict[str, Any] = {name: found[name] for name in sensed.inputs}
             found[kind] = lay_out(kernels(sensed.kernel, **given)[sensed.result])
     return {name: found[quantity.kind][:, quantity.index] for name, quantity in used.items()}
 
