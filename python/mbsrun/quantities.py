@@ -6,7 +6,7 @@ of driven joints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,6 +125,13 @@ def list_multiplier_units(manifest: Manifest) -> list[str]:
 
 _PLACES = (".x", ".y", ".z")  # ends of the names of coordinates of a free body
 _MULTIPLIERS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": ""}
+
+
+def name_quantities(kind: str, entries: Sequence[str]) -> list[str]:
+    """Return the names of entries of a kind in expressions; entries without one keep theirs."""
+    return [entry if name is None else f"{kind}_{name}" for entry, name in zip(entries, spell(entries), strict=True)]
+
+
 SIGNAL = -1  # the component of a signal, which has one number
 
 

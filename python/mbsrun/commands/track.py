@@ -33,6 +33,7 @@ from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
+from mbsrun.tracking.analysis import Margin
 from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits, remembers
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
@@ -76,9 +77,9 @@ Ctrl-C ends the loop; the part so far is written, and marked as incomplete.
 
 \b
 Exit codes
-  0   the end was reached, and every measure stayed below its limit
-  1   it was not reached, or a measure exceeded its limit; what there is is written; or the
-      controller found no plan from the start: then nothing is written
+  0   the end was reached, every measure stayed below its limit, and no range was left
+  1   it was not reached, a measure exceeded its limit, or the motion left its ranges; what there is
+      is written; or the controller found no plan from the start: then nothing is written
   2   a file or an argument cannot be accepted; nothing written
 """
 
@@ -284,6 +285,13 @@ def _print_report(report: Report) -> None:
         click.echo(f"  {margin.least:>10.3g} at {margin.time:.3f} s  {margin.name}")
 
 
+def _describe_margin(margin: Margin) -> str:
+    """Describe where a range was left, as `mbsrun solve` does."""
+    number, limit = margin.worst
+    side = "below" if number < limit else "above"
+    return f"{margin.name} is {number:.6g} at {margin.time:.4g} s, {-margin.least:.2g} {side} its limit {limit:.6g}"
+
+
 def _describe_preparation(report: Report) -> dict[str, str]:
     """Describe the work before measurements, where a controller does a part of its work there."""
     times = report.preparing
@@ -308,11 +316,10 @@ def _list_warnings(report: Report) -> list[str]:
         )
     left = sorted((x for x in report.margins if not x.is_kept), key=lambda x: x.least / x.tolerated)
     if left:
-        named = [f"{x.name} by {-x.least:.3g} at {x.time:.3f} s" for x in left[:LISTED]]
-        more = f", and {len(left) - LISTED} more" if len(left) > LISTED else ""
+        more = f"; and {len(left) - LISTED} more" if len(left) > LISTED else ""
         warnings.append(
-            f"the motion leaves its ranges: {', '.join(named)}{more}; take a shorter period or more intervals, "
-            "or keep a distance from the limits"
+            f"the motion leaves its ranges: {'; '.join(map(_describe_margin, left[:LISTED]))}{more}; take a shorter "
+            "period or more intervals, keep a distance from the limits, or allow it by leeway in the settings"
         )
     if report.late:
         warnings.append(

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from mbsgen.expressions import Expression, evaluate, names, parse
 from mbsrun.external import Mechanism
 from mbsrun.ocp.margins import find_tolerated
-from mbsrun.ocp.problem import Problem
-from mbsrun.quantities import list_quantities
+from mbsrun.ocp.problem import Problem, Range
+from mbsrun.quantities import list_quantities, name_quantities
 from mbsrun.simulation.drive import ARRAYS, STATE, measure
 from mbsrun.tracking.loop import Track
 from mbsrun.tracking.trial import TIME
@@ -57,6 +57,8 @@ class Margin:
     values: Array  # (K,)
     is_bound: bool  # of a coordinate, a velocity or an input; else a constraint along the path
     tolerated: float  # the violation from which on it counts
+    numbers: Array  # (K,): of the quantity
+    range: Range
 
     @property
     def least(self) -> float:
@@ -67,6 +69,12 @@ class Margin:
     def time(self) -> float:
         """Return the time of the least distance."""
         return float(self.t[self.values.argmin()])
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """Return the number at the least distance, and the limit that is near."""
+        number = float(self.numbers[self.values.argmin()])
+        return number, min(self.range, key=lambda limit: abs(number - limit))
 
     @property
     def is_kept(self) -> bool:
@@ -119,20 +127,20 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
     """Return the margins of bounds and of constraints along the path, and the constraints that have none here.
 
     The time t of a constraint counts from the start of a plan, so that it is 0 along the motion. A constraint that
-    reads accelerations has no margin.
+    reads accelerations has no margin. Leeways of the trial allow more than is tolerated otherwise.
     """
     manifest, margins, left = plant.manifest, [], []
     coordinates = [c.name for c in manifest.coordinates]
-    inputs = [coordinates[i] for i in manifest.actuated]
+    inputs, added = [coordinates[i] for i in manifest.actuated], found.trial.states
     columns = [
-        (f"{kind} {name}", column, limits, True)
-        for kind, known, values, ranges in (
-            ("coordinate", manifest.positions, found.q, problem.bounds.q),
-            ("velocity", coordinates, found.qd, problem.bounds.qd),
-            ("input", inputs, found.u, problem.bounds.u),
-            ("state", found.trial.states, found.states, [state.bounds for state in problem.states]),
+        (f"{kind} {name}", key, column, limits, True)
+        for kind, known, keys, values, ranges in (
+            ("coordinate", manifest.positions, name_quantities("q", manifest.positions), found.q, problem.bounds.q),
+            ("velocity", coordinates, name_quantities("qd", coordinates), found.qd, problem.bounds.qd),
+            ("input", inputs, name_quantities("u", inputs), found.u, problem.bounds.u),
+            ("state", added, added, found.states, [state.bounds for state in problem.states]),
         )
-        for name, column, limits in zip(known, values.T, ranges, strict=True)
+        for name, key, column, limits in zip(known, keys, values.T, ranges, strict=True)
     ]
     for constraint in problem.constraints:
         if constraint.at != "path":
@@ -142,11 +150,12 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
             left.append(constraint.expression)
             continue
         values = _evaluate([expression], found, plant, {TIME: 0.0, "T": problem.horizon})[0]
-        columns.append((constraint.expression, values, constraint.range, False))
-    for name, values, (lower, upper), is_bound in columns:
+        columns.append((constraint.expression, constraint.expression, values, constraint.range, False))
+    for name, key, values, (lower, upper), is_bound in columns:
         if math.isfinite(lower) or math.isfinite(upper):
-            distances, tolerated = np.minimum(values - lower, upper - values), find_tolerated((lower, upper), values)
-            margins.append(Margin(name, found.t, distances, is_bound, tolerated))
+            distances = np.minimum(values - lower, upper - values)
+            tolerated = max(find_tolerated((lower, upper), values), found.trial.leeway.get(key, 0.0))
+            margins.append(Margin(name, found.t, distances, is_bound, tolerated, values, (lower, upper)))
     return margins, left
 
 

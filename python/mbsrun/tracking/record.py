@@ -50,8 +50,9 @@ class Report:
 
     @property
     def is_met(self) -> bool:
-        """Return whether the end was reached, and every measure is small enough."""
-        return self.track.is_complete and all(x.is_met for x in self.measured)
+        """Return whether the end was reached, every measure is small enough, and no range was left."""
+        kept = all(margin.is_kept for margin in self.margins)
+        return kept and self.track.is_complete and all(x.is_met for x in self.measured)
 
 
 def report_track(track: Track, problem: Problem, plant: Mechanism) -> Report:
@@ -124,7 +125,10 @@ def _summarise(report: Report, plant: Mechanism) -> str:
         "measures": {
             x.name: {"largest": x.largest, "rms": x.rms, "most": x.most, "met": x.is_met} for x in report.measured
         },
-        "margins": {x.name: {"least": x.least, "time": x.time} for x in report.margins},
+        "margins": {
+            x.name: {"least": x.least, "time": x.time, "tolerated": x.tolerated, "kept": x.is_kept}
+            for x in report.margins
+        },
         "unmeasured": list(report.unmeasured),
         "energy_drift": track.drift,
         "end": {"t": float(track.t[-1]), "q": track.q[-1].tolist(), "qd": track.qd[-1].tolist()}

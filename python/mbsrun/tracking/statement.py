@@ -32,7 +32,7 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, Number, is_free_name, names
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.problem import Problem
-from mbsrun.quantities import list_quantities
+from mbsrun.quantities import list_quantities, name_quantities
 from mbsrun.quaternions import normalise
 from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.drive import STATE
@@ -151,6 +151,7 @@ class TrialSection(Section):
     kicks: tuple[_KickSection, ...] = Field(default=(), examples=[[]])
     wrenches: tuple[_PushSection, ...] = Field(default=(), examples=[[]])
     measures: tuple[_MeasureSection, ...] = Field(default=(), examples=[[]])
+    leeway: dict[str, NumberField] = Field(default={}, examples=[{}])
     references: dict[str, NumberField] = Field(default={}, examples=[{}])
 
 
@@ -251,6 +252,7 @@ class _Reading(Reading):
             kicks=tuple(self.kick(i, kick, duration) for i, kick in enumerate(section.kicks)),
             pushes=tuple(self.push(i, push) for i, push in enumerate(section.wrenches)),
             measures=tuple(self.measure(i, measure, duration) for i, measure in enumerate(section.measures)),
+            leeway=self.leeway(section.leeway),
             references=self.references(section.references),
         )
 
@@ -405,6 +407,27 @@ class _Reading(Reading):
             self.fault((*place, "from"), finding, f"give a time before {min(end, duration):g} s")
         most = None if section.most is None else self.number((*place, "most"), section.most)
         return Measure(section.name, section.expression, start, end, most)
+
+    def leeway(self, section: Mapping[str, Expression]) -> dict[str, float]:
+        """Read by how much ranges may be left: of bounds by quantity, of constraints by expression."""
+        known = [
+            name
+            for kind, entries, ranges in (
+                ("q", self.manifest.positions, self.problem.bounds.q),
+                ("qd", self.velocities, self.problem.bounds.qd),
+                ("u", self.inputs, self.problem.bounds.u),
+            )
+            for name, limits in zip(name_quantities(kind, entries), ranges, strict=False)
+            if any(map(math.isfinite, limits))
+        ]
+        known += [state.name for state in self.problem.states]
+        known += [constraint.expression for constraint in self.problem.constraints if constraint.at == "path"]
+        found = {}
+        for name, expression in section.items():
+            place: Place = ("leeway", name)
+            if self.find(place, name, known, "bound or constraint of", "problem") is not None:
+                found[name] = self.number(place, expression, 0.0)
+        return found
 
     def references(self, section: Mapping[str, Expression]) -> dict[str, Expression]:
         """Read the values that quantities of the state should have over time."""

@@ -101,6 +101,8 @@ class Trial:
     kicks: tuple[Kick, ...] = ()
     pushes: tuple[Push, ...] = ()
     measures: tuple[Measure, ...] = ()
+    # by how much a bound (by its quantity) or a constraint (by its expression) may be violated
+    leeway: Mapping[str, float] = field(default_factory=dict)
     references: Mapping[str, Expression] = field(default_factory=dict)  # by quantity of the state, for plots
 
     @property

@@ -98,13 +98,23 @@ def test_a_trial_is_run_and_written(run: Run, monkeypatch: pytest.MonkeyPatch) -
     assert read_table("missed") == rows
 
 
-def test_a_motion_that_leaves_its_ranges_is_warned_of(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It starts at 1 m/s where plans keep 0.9; within its ranges nothing is said."""
+def test_a_motion_that_leaves_its_ranges_has_an_exit_code(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It starts at 1 m/s where plans keep 0.9; within its ranges, and a leeway, nothing is said."""
     monkeypatch.setattr(record, "save", lambda *_: None)  # pictures take seconds
     task = BOUNDED.replace("bounds: {", "bounds: {velocities: [-0.9, 0.9], ")
     settings = SETTINGS.replace("LIMIT", "10")
-    assert "the motion leaves its ranges: velocity x by 0.1 at " in run("-o", "fast", settings=settings, task=task)[2]
-    assert "leaves its ranges" not in run("-o", "slow", settings=settings)[2]
+    told = "the motion leaves its ranges: velocity x is 1 at 0.05 s, 0.1 above its limit 0.9; take a shorter period"
+    code, _, stderr = run("-o", "fast", settings=settings, task=task)
+    assert (code, told in stderr) == (1, True), stderr
+    summary = json.loads(Path("fast/summary.json").read_text(encoding="utf-8"))
+    assert (summary["met"], summary["margins"]["velocity x"]["kept"]) == (False, False)
+    for more, expected in (("leeway: {qd_x: 0.11}\n", 0), ("leeway: {qd_x: 0.09}\n", 1)):
+        code, _, stderr = run("-o", "allowed", settings=settings + more, task=task)
+        assert (code, "leaves its ranges" in stderr) == (expected, bool(expected)), stderr
+    code, _, stderr = run("-o", "slow", settings=settings)
+    assert (code, "leaves its ranges" in stderr) == (0, False)
+    code, _, stderr = run("-o", "none", settings=f"{settings}leeway: {{qd_y: 0.1}}\n", task=task)
+    assert (code, "leeway.qd_y: the problem has no bound or constraint of" in stderr) == (2, True), stderr
 
 
 def test_no_plan_from_the_start_writes_nothing(run: Run) -> None:
