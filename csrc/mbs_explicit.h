@@ -1,6 +1,6 @@
 /* Integrate a motion explicitly, of a tree or with closed loops, h(q) = 0 with J = dh/dv.
  *
- * The accelerations are those of `direct`, or solve M qdd + c = J^T lam, J qdd + gamma = 0. All coordinates are integrated
+ * The accelerations are results of `direct`, or solve M qdd + c = J^T lam, J qdd + gamma = 0. All coordinates are integrated
  * by a Runge-Kutta method; with loops, coordinates and velocities are put back on h = 0, J qd = 0 by a correction
  *
  *     MBS_PARTITIONING      of the dependent ones alone, at every stage: the independent ones move as if they were alone

@@ -105,7 +105,7 @@ def describe(command: click.Command, ctx: click.Context) -> Entry:
     """Return the entry of a command that is loaded."""
     own = click.Context(command, info_name=command.name, parent=ctx)
     words = [word for part in command.params if isinstance(part, click.Argument) for word in part.get_usage_pieces(own)]
-    return Entry(command.name or "", *(words[:1] or [""]), command.get_short_help_str(limit=_WHOLE))
+    return Entry(command.name or "", next(iter(words), ""), command.get_short_help_str(limit=_WHOLE))
 
 
 def _write_sections(formatter: click.HelpFormatter, sections: Mapping[str, Sequence[tuple[str, str]]]) -> None:

@@ -52,5 +52,5 @@ class Allowance:
         self._steps += steps
 
     def note(self, steps: int) -> None:
-        """Count steps that were taken, of those that remained."""
+        """Count steps that were taken without asking."""
         self._steps += steps
