@@ -112,6 +112,22 @@ def test_tables_have_the_columns_that_are_named(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
+def test_pins_of_a_given_motion_carry_the_weight(tmp_path: Path) -> None:
+    """A linkage that hardly moves: its joints on the base carry its weight; a power is the torque times the speed."""
+    out = tmp_path / "pins.csv"
+    motion = ["--motion", "motor=60 deg + 1e-3*t", "--duration", "1", "--output-step", "0.5"]
+    arguments = ["inverse", str(MODELS / "four_bar.yaml"), *motion, "--columns", "reaction_z_*,power_motor", "-o"]
+    found = CliRunner().invoke(cli, [*arguments, str(out)])
+    assert found.exit_code == 0, found.output
+    with out.open() as file:
+        row = next(csv.DictReader(file))
+    linkage = mbsrun.load(MODELS / "four_bar.yaml", extent=Extent(derivatives=1))
+    masses = sum(x.mass for x in linkage.manifest.appearance.masses)  # type: ignore[union-attr]
+    carried = float(row["reaction_z_motor [N]"]) + float(row["reaction_z_swing [N]"])
+    assert carried == pytest.approx(masses * GRAVITY, rel=1e-6)
+    assert float(row["power_motor [W]"]) == pytest.approx(1e-3 * float(row["u[motor]"]), rel=1e-12)
+
+
 def test_solutions_write_further_columns(lift: Solved, tmp_path: Path) -> None:
     lift.to_csv(tmp_path / "lift.csv", "arm_*", "length_deltoid")
     with (tmp_path / "lift.csv").open() as file:

@@ -12,12 +12,13 @@ import numpy as np
 from mbsgen.expressions import Expression, ExpressionError, Number, parse
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
+from mbsrun.commands.columns import more_columns
 from mbsrun.commands.console import NumberType, say
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.simulation.course import follow, place_driven
-from mbsrun.simulation.inverse import invert, tabulate
+from mbsrun.simulation.inverse import invert, measure, tabulate
 
 INVERSE_HELP = """Compute the forces that a given motion of MODEL takes, and write them as a table.
 
@@ -49,9 +50,15 @@ Exit codes
 @click.option("--duration", type=NumberType(), default=1.0, metavar="T", help="The length of the motion [s]; 1.")
 @click.option("--output-step", type=NumberType(), metavar="H", help="The time between rows [s]; by default T/1000.")
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The table; by default NAME.inverse.csv.")
+@more_columns
 @accept_robots
 def inverse_command(
-    model: Path, motions: Sequence[str], duration: float, output_step: float | None, out: Path | None
+    model: Path,
+    motions: Sequence[str],
+    duration: float,
+    output_step: float | None,
+    out: Path | None,
+    columns: tuple[str, ...],
 ) -> None:
     """Read, compute, write, print."""
     step = output_step if output_step is not None else duration / 1000
@@ -68,6 +75,10 @@ def inverse_command(
     times = np.linspace(0.0, duration, round(duration / step) + 1)
     forces = invert(mechanism, list(expressions), course, times)
     header, rows = tabulate(forces, mechanism)
+    numbers = measure(forces, mechanism)
+    chosen = numbers.select(columns)
+    header += map(numbers.label, chosen)
+    rows = np.column_stack((rows, *(numbers[name] for name in chosen)))
     out = out or Path(f"{model.stem}.inverse.csv")
     with out.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -20,7 +20,9 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import TIME
 from mbsrun.closure import RANK, Closure
 from mbsrun.kernel import ArgumentError, Kernels
+from mbsrun.quantities import Added, list_quantities
 from mbsrun.quaternions import neutral
+from mbsrun.results import Numbers
 from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.course import Course, stand
 from mbsrun.simulation.dynamics import Dynamics
@@ -47,6 +49,7 @@ class Forces:
     multipliers: Array  # (K, e)
     rest: Array  # (K, n): generalised forces that u, tau and multipliers cannot provide
     spare: int  # entries of u and tau beyond the freedoms: they have the least norm
+    w: Array  # (K, nw): components of open wrenches, and other numbers that forces read
 
     @property
     def unbalanced(self) -> Array:
@@ -98,7 +101,7 @@ def balance(
         if report is not None:
             report(k, len(q))
     u, tau, lam, rest, spare = (np.array(x) for x in zip(*steps, strict=True))
-    return Forces(times, q, qd, qdd, u, tau, lam, rest, int(spare.max()))
+    return Forces(times, q, qd, qdd, u, tau, lam, rest, int(spare.max()), w)
 
 
 def _follow(
@@ -145,6 +148,13 @@ def _balance(
     multipliers = Closure(dynamics.kernels).balance(q, rest - unbalanced) if len(J) else np.zeros(0)
     spare = sides.shape[1] - int(rank)
     return found[:forces], found[forces:], multipliers, unbalanced, spare
+
+
+def measure(forces: Forces, kernels: Kernels) -> Numbers:
+    """Return the numbers of a motion with its forces by name."""
+    parts = {"t": forces.t[:, None], "q": forces.q, "qd": forces.qd, "qdd": forces.qdd, "u": forces.u}
+    parts |= {"tau": forces.tau, "lam": forces.multipliers, "w": forces.w}
+    return Numbers(kernels, list_quantities(kernels.manifest, Added()), parts)
 
 
 def tabulate(forces: Forces, kernels: Kernels) -> tuple[list[str], Array]:
