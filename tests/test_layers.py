@@ -189,7 +189,7 @@ MBSRUN = Package(
         "commands.phases commands.recorded commands.animated commands.robots",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
         "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
-        "commands.simulate commands.solve commands.study commands.sweep commands.track",
+        "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
         "__main__",

@@ -25,6 +25,7 @@ COMMANDS = {
     "Motions": (
         Entry("simulate", "MODEL", "Integrate a motion; write it with an animation."),
         Entry("inverse", "MODEL", "Compute the forces that a given motion takes."),
+        Entry("range", "MODEL", "Find how far the joints can move."),
         Entry("linearise", "MODEL", "Find linear equations, modes and poles about a pose."),
         Entry("animate", "MODEL", "Write motions as a page, a GIF, a picture or an MP4."),
     ),
