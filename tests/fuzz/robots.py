@@ -166,7 +166,7 @@ class Drake:
                 velocity = SpatialVelocity(R0 @ omega, R0 @ [vx, vy, vz])
                 self.plant.SetFreeBodySpatialVelocity(context, self.links[link], velocity)
             case "ball_rpy":
-                rotation, omega = turn(own, link)
+                rotation, omega = self._turn_ball(joint, link, own)
                 joint.set_angles(context, RollPitchYaw(rotation_matrix(rotation)).vector())
                 joint.set_angular_velocity(context, omega)
             case "planar":
@@ -191,6 +191,14 @@ class Drake:
                 self.plant.SetVelocities(
                     context, self._put(self.plant.GetVelocities(context), joint.velocity_start(), v)
                 )
+
+    def _turn_ball(self, joint: Any, link: str, own: dict[str, tuple[float, float]]) -> tuple[Array, Array]:
+        """Return the turn of a ball's child in its parent; ours may be the parent's turn in the child."""
+        if f"{link}.rz" in own:
+            return turn(own, link)
+        names = {body.index(): name for name, body in self.links.items()}
+        rotation, omega = turn(own, names[joint.parent_body().index()])
+        return rotation.T, -rotation.T @ omega
 
     @staticmethod
     def _put(values: Array, k: int, value: float) -> Array:

@@ -189,9 +189,10 @@ def _name_readings(
         f"{other.distance:.1e} (rad, or of the loop's size), and without them there {_count(other.freedoms, verb=True)}"
     )
     enough = f"{1.2 * other.distance:.0e}" if float(f"{1.2 * other.distance:.0e}") > other.distance else str(NEAR)
-    remedy = f"give `loop_tolerance: {enough}` to leave them out, or mend the axes and lengths"
+    option = f"(--loop-tolerance {enough})"
+    remedy = f"give `loop_tolerance: {enough}` {option} to leave them out, or mend the axes and lengths"
     if exactly is not None:
-        remedy = f"give `loop_tolerance: {enough}` to leave them out, `loop_tolerance: 0` to keep them"
+        remedy = f"give `loop_tolerance: {enough}` {option} to leave them out, `loop_tolerance: 0` to keep them"
     return [Finding(place, finding, remedy)]
 
 

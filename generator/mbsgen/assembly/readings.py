@@ -92,4 +92,5 @@ def _read(mechanism: Mechanism, attempt: Attempt, count: int) -> Reading | None:
 
 
 def _choose(mechanism: Mechanism, poses: Sequence[Array], count: int) -> tuple[int, ...]:
-    return choose_rows([mechanism.gauge(J) for J in poses], count, NEAR)
+    """Choose rows by their sizes, so that no weak one stands for a strong one."""
+    return choose_rows([mechanism.gauge(J) for J in poses], count, 1.0)

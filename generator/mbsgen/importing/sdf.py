@@ -1,8 +1,9 @@
 """SDF -> Draft of a model: one body a link, in the frame of the joint that carries it.
 
 Links and joints of SDF form a graph. Joints are taken in the order of the file: a joint carries its child, unless
-another joint does, or its parent moves with the child already. Such joints become loops. A link that no joint carries
-moves freely, or is fixed to the base in a static model. All coordinates are 0 in the poses of the file.
+another joint does, or its parent moves with the child already. Such a joint becomes a loop, or it carries its parent
+where nothing else connects the two. A link that no joint carries moves freely, or is fixed to the base in a static
+model. All coordinates are 0 in the poses of the file.
 
 Source: the specification of SDFormat, versions 1.2 to 1.12 (sdformat.org).
 """
@@ -11,7 +12,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -147,7 +149,10 @@ class _File:
         return parent, child
 
     def _choose_carriers(self, ends: dict[str, tuple[str, str]]) -> tuple[dict[str, Entry], list[Entry]]:
-        """Return the joints that carry links, by link, and the joints that close loops."""
+        """Return the joints that carry links, by link, and the joints that close loops.
+
+        A joint that would close a loop between two parts that nothing else connects carries one of them instead.
+        """
         carriers: dict[str, Entry] = {}
         rest: list[Entry] = []
         roots: dict[str, str] = {}  # links that are carried -> a link on the way to the first one of their chain
@@ -158,7 +163,8 @@ class _File:
                 rest.append(joint)
             else:
                 carriers[child], roots[child] = joint, parent
-        return carriers, rest
+        tree = _Tree(carriers, ends, self._is_static)
+        return carriers, [x for x in rest if _is_loop(x.element) or not tree.connect(x)]
 
     def _is_static(self, link: str) -> bool:
         """Return whether a link, or the world, is part of a static model."""
@@ -173,7 +179,7 @@ class _File:
     def _add_links(self, links: list[Entry], carriers: dict[str, Entry], ends: dict[str, tuple[str, str]]) -> None:
         carried: dict[str, list[str]] = {}
         for link in links:
-            above = ends[carriers[link.key].key][0] if link.key in carriers else WORLD
+            above = _find_other(ends[carriers[link.key].key], link.key) if link.key in carriers else WORLD
             carried.setdefault(above, []).append(link.key)
         waiting = carried.get(WORLD, [])[::-1]
         while waiting:
@@ -186,8 +192,14 @@ class _File:
         parent = WORLD
         moves: list[Move] = []
         if joint is not None:
-            parent = ends[joint.key][0]
+            parent = _find_other(ends[joint.key], link.key)
             moves = self._list_moves(joint)
+            if parent == ends[joint.key][1]:
+                moves = _reverse(moves)
+                text = (
+                    f"it carries its parent here, {abbreviate(self._show(link))}: its child stands nearer to the base"
+                )
+                self._findings.tell(joint.element, text)
             here = self._frames.locate(joint.key) if moves else own
         elif not self._is_static(link.key):
             moves = move_freely(link.element, quaternion=self._choices.quaternions)
@@ -390,6 +402,62 @@ class _File:
         if found.idle:
             shown = ", ".join(f"{count} {tag[:40]}" for tag, count in sorted(found.idle.items()))
             self._findings.sum_up(f"of no meaning for the dynamics: {shown}")
+
+
+@dataclass(frozen=True)
+class _Tree:
+    """Links and the joints that carry them; a joint may carry its parent."""
+
+    carriers: dict[str, Entry]
+    ends: Mapping[str, tuple[str, str]]
+    is_static: Callable[[str], bool]
+
+    def connect(self, joint: Entry) -> bool:
+        """Connect two parts of the tree by a joint; return False where they are connected."""
+        parent, child = self.ends[joint.key]
+        ways = self._climb(parent), self._climb(child)
+        tops = [way[-1] for way in ways]
+        stands, other_stands = (x == WORLD or self.is_static(x) for x in tops)
+        if tops[0] == tops[1] or (stands and other_stands):
+            return False
+        turns_fewer = len(ways[1]) <= len(ways[0])  # of the joints that would carry their parents
+        hung = child if stands or (turns_fewer and not other_stands) else parent
+        self._hang(hung)
+        self.carriers[hung] = joint
+        return True
+
+    def _climb(self, link: str) -> list[str]:
+        """Return the links from one to the first of its part."""
+        way = [link]
+        while way[-1] in self.carriers:
+            way.append(self._find_bearer(way[-1]))
+        return way
+
+    def _find_bearer(self, link: str) -> str:
+        return _find_other(self.ends[self.carriers[link].key], link)
+
+    def _hang(self, link: str) -> None:
+        """Let a link be the first one of its part: the joints above it carry the links at their other ends."""
+        way: list[tuple[str, Entry]] = []
+        while link in self.carriers:
+            bearer = self._find_bearer(link)
+            way.append((bearer, self.carriers.pop(link)))
+            link = bearer
+        self.carriers.update(way)
+
+
+def _find_other(ends: tuple[str, str], link: str) -> str:
+    """Return the other end of a joint."""
+    parent, child = ends
+    return parent if link == child else child
+
+
+def _reverse(moves: Sequence[Move]) -> list[Move]:
+    """Return the joints by which the parent moves in the child, of the same coordinates; of a ball, its own ones."""
+    if len(moves) > 2:
+        return [*moves]
+    turned = [replace(move, axis=-move.axis) for move in moves]
+    return turned if any(move.follows for move in moves) else turned[::-1]
 
 
 _TRUE = ("true", "1")

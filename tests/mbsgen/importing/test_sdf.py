@@ -101,14 +101,21 @@ def move(kind: str, axis: Array, q: Array) -> Array:
     return X
 
 
-def place_links(kinds: tuple[str, str, str], axes: tuple[Array, Array, Array], q: Array) -> list[Array]:
-    """Return the poses of the links of a chain in the world."""
+def place_links(
+    kinds: tuple[str, str, str], axes: tuple[Array, Array, Array], q: Array, reversed: str = ""
+) -> list[Array]:
+    """Return the poses of the links of a chain in the world; `reversed` links are parents of the joints before them.
+
+    A reversed ball has the coordinates of the parent's turn in the child.
+    """
     motion, found = np.eye(4), []
     for name, kind, axis in zip("abc", kinds, axes, strict=True):
         size = {"ball": 3, "universal": 2, "fixed": 0}.get(kind, 1)
         own = pose(TOP) @ pose(POSES[name])
         home = own @ pose(POSES[f"j{name}"])
-        motion = motion @ home @ move(kind, axis, q[:size]) @ np.linalg.inv(home)
+        step = move(kind, axis, q[:size] if name not in reversed else q[:size][::-1] if kind != "ball" else q[:size])
+        step = np.linalg.inv(step) if name in reversed and kind != "ball" else step
+        motion = motion @ home @ step @ np.linalg.inv(home)
         q = q[size:]
         found.append(motion @ own)
     return found
@@ -125,12 +132,17 @@ def measure(poses: Array, after: Array, h: float) -> float:
     return total
 
 
-def compare(imported: Imported, kinds: tuple[str, str, str], axes: tuple[Array, Array, Array] = (AXIS,) * 3) -> None:
+def compare(
+    imported: Imported,
+    kinds: tuple[str, str, str],
+    axes: tuple[Array, Array, Array] = (AXIS,) * 3,
+    reversed: str = "",
+) -> None:
     """Compare places and kinetic energy at a random state."""
     tree = open_loops(build_tree(imported.model))
     rng, n = np.random.default_rng(1), len(tree.coordinates)
     q, qd, h = rng.uniform(-1, 1, n), rng.uniform(-1, 1, n), 1e-4
-    at, before, after = (np.array(place_links(kinds, axes, x)) for x in (q, q - h / 2 * qd, q + h / 2 * qd))
+    at, before, after = (np.array(place_links(kinds, axes, x, reversed)) for x in (q, q - h / 2 * qd, q + h / 2 * qd))
     found = evaluate(FUNCTIONS["frames"].build(tree, NONE), {"q": list(q)})
     for k, X in enumerate(at, len(tree.bodies)):  # behind the bodies
         np.testing.assert_allclose(np.array(found["p"], float).reshape(-1, 3)[k], X[:3, 3], atol=1e-13)
@@ -240,6 +252,42 @@ def test_a_joint_beyond_the_tree_closes_a_loop(kind: str, tmp_path: Path) -> Non
         assert loop.pitch == Number(1 / (2 * np.pi))
     if loop.cut is Cut.UNIVERSAL:
         assert loop.axis2 == (Number(0.0), Number(1.0), Number(0.0))
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "ball", "universal", "screw", "fixed"])
+def test_a_joint_carries_its_parent_where_only_its_child_is_connected(kind: str, tmp_path: Path) -> None:
+    """Coordinates stay the child's in the parent, which moves the other way; no body floats, and no loop is closed."""
+    inner = "<axis><xyz>0.6 0 0.8</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>"
+    inner += "<screw_thread_pitch>0.5</screw_thread_pitch>"
+    place = f'<pose relative_to="c">{text(POSES["jc"])}</pose>'
+    before = joint("jc", "continuous", "b", "c")
+    imported = import_model(save(tmp_path, CHAIN.replace(before, joint("jc", kind, "c", "b", inner, place))), ALL)
+    assert not imported.model.loops
+    assert 'it carries its parent here, "c": its child stands nearer to the base' in told(imported)
+    compare(imported, ("revolute", "prismatic", kind), reversed="c")
+
+
+def test_parts_hang_where_the_fewest_joints_carry_their_parents(tmp_path: Path) -> None:
+    """A chain of a and b hangs on c, which the world carries, or begins at its middle."""
+    first, last = joint("ja", "revolute", "a", "b"), joint("jc", "revolute", "world", "c")
+    links = "".join(map(link, "abc"))
+    upside = import_model(save(tmp_path, links + first + last + joint("jb", "revolute", "c", "b")), ALL)
+    assert [(body.name, body.parent) for body in upside.model.bodies] == [("c", "base"), ("b", "c"), ("a", "b")]
+    assert not upside.model.loops
+    middle = import_model(save(tmp_path, links + first + joint("jb", "revolute", "c", "b")), ALL)
+    assert [(body.name, body.parent) for body in middle.model.bodies] == [("a", "base"), ("b", "a"), ("c", "b")]
+    assert [len(body.joints) for body in middle.model.bodies] == [6, 1, 1]
+    looped = joint("jb", "revolute", "c", "b", "<axis/><physics><simbody><must_be_loop_joint>1</must_be_loop_joint>"
+                   "</simbody></physics>")  # fmt: skip
+    assert [x.name for x in import_model(save(tmp_path, links + first + last + looped), ALL).model.loops] == ["jb"]
+
+
+def test_a_joint_to_a_static_link_carries_its_parent(tmp_path: Path) -> None:
+    wall = f'<model name="wall"><static>1</static>{link("a")}</model>'
+    hinge = joint("ja", "revolute", "machine::b", "wall::a", place="<pose>0.1 0 0 0 0 1</pose>")
+    imported = import_model(save(tmp_path, link("b"), outer=wall + hinge))
+    assert [(body.name, len(body.joints)) for body in imported.model.bodies] == [("wall::a", 0), ("machine::b", 1)]
+    assert not imported.model.loops
 
 
 LEVEL = '<axis><xyz expressed_in="__model__">0 1 0</xyz></axis>'
