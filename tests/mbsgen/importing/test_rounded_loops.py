@@ -92,7 +92,7 @@ def read(path: Path) -> tuple[Closure, np.ndarray]:
     ("kind", "tilt"), [("four", 1e-6), ("four", 5e-6), ("five", 1e-6), ("five", 1e-5), ("five", 1e-4)]
 )
 def test_a_small_tilt_is_rounding(kind: str, tilt: float, tmp_path: Path) -> None:
-    """Planar equations are kept, within the digits of the file (1e-5 of full ones, 3e-4 of few), as without the tilt."""
+    """Planar equations are kept, within the digits of the file: 1e-5 of full ones, 3e-4 of few."""
     exact, expected = read(WRITERS[kind](tmp_path, 0.0))
     closure, found = read(WRITERS[kind](tmp_path, tilt))
     assert len(closure.independent) == len(exact.independent) == FREEDOMS[kind]
