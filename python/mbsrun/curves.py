@@ -23,14 +23,14 @@ class Panel:
     """A panel: curves of one quantity in one unit share its axis."""
 
     title: str
-    symbol: str = ""  # in the language of matplotlib's formulas; empty: the title stands at the axis
+    symbol: str = ""  # in the language of matplotlib's formulas
     unit: str = ""
 
     @property
     def label(self) -> str:
         """Return the text at the axis."""
-        text = f"${self.symbol}$" if self.symbol else plain(self.title)
-        return f"{text} [{self.unit}]".strip() if self.unit else text
+        parts = (f"${self.symbol}$" if self.symbol else "", f"[{self.unit}]" if self.unit else "")
+        return " ".join(part for part in parts if part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +59,8 @@ def fill(axes: Sequence[Axes], panels: Sequence[Panel], curves: Iterable[Curve])
     for curve in curves:
         curve.draw(axes[panels.index(curve.panel)], curve.label)
     for own, panel in zip(axes, panels, strict=True):
+        own.set_title(plain(panel.title), loc="left", fontsize="medium")
         if panel.symbol:
-            own.set_title(panel.title, loc="left", fontsize="medium")
             own.axhline(0, color="black", linewidth=0.6)
         own.set_ylabel(panel.label)
         own.grid(alpha=0.3)

@@ -356,10 +356,11 @@ def test_the_force_is_drawn_beside_the_inputs_and_summarised(cart: OnDemand) -> 
     found = find(cart, state(cart, TASK))
     assert found.driving is not None
     panels = make_trajectories(found, cart.manifest).axes
-    (dashed,) = [line for line in panels[2].lines if line.get_linestyle() == "--"]
-    assert np.asarray(dashed.get_ydata()) == pytest.approx(found.driving.ravel())
-    assert panels[2].get_ylabel() == r"$u, \tau$ [N m, N]"
-    assert [line.get_label() for line in panels[0].lines[:2]] == ["cart (driven)", "pole"]
+    labels = [panel.get_ylabel() for panel in panels]
+    assert labels[:4] == ["$q$ [m]", "$q$ [rad]", r"$\dot{q}$ [m/s]", r"$\dot{q}$ [rad/s]"]
+    assert labels[4:] == ["$u$ [N m]", r"$\tau$ [N]"]
+    assert np.asarray(panels[5].lines[0].get_ydata()) == pytest.approx(found.driving.ravel())
+    assert [panel.lines[0].get_label() for panel in panels[:2]] == ["cart (driven)", "pole"]
     least, most = (float(x) for x in summarise(found)["tau[cart]"].split(" to "))
     assert (least, most) == pytest.approx((found.driving.min(), found.driving.max()), rel=1e-5)
 

@@ -57,6 +57,6 @@ def test_the_lift_is_a_program_in_opti() -> None:
     solution = opti.solve()
     assert found.cost.total == pytest.approx(solution.value(cost), rel=1e-7)
     titles = [axes.get_title(loc="left") for axes in make_trajectories(found, plant.manifest).axes]
-    assert [title.split(",")[0] for title in titles] == ["Joint coordinates", "Joint velocities", "Further states"]
+    assert titles == ["Joint coordinates", "Joint velocities", "Further states", "Further controls", "Signals"]
     assert motion.q == pytest.approx(solution.value(mesh)[:2].T, abs=1e-5)
     assert motion.states == pytest.approx(solution.value(mesh)[4:].T, abs=1e-4)
