@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-import casadi as ca
-
 from mbsgen import resources
 from mbsrun.library import compile_library, find_compiler
 
@@ -61,6 +59,8 @@ def compile_own() -> Path:
 
 def read_version() -> Version | None:
     """Return the version of CasADi's IPOPT, by its first words in a file; None if it writes none."""
+    import casadi as ca
+
     x = ca.SX.sym("x")
     with tempfile.TemporaryDirectory() as folder:
         words = Path(folder) / "ipopt.txt"

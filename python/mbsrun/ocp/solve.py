@@ -17,7 +17,7 @@ from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.assembly import find_other_assembly
-from mbsrun.ocp.backends.casadi import Functions, evaluate
+from mbsrun.ocp.backends.numpy import evaluate
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError, check_problem, find_loop_conflicts
 from mbsrun.ocp.clashes import Found, describe, describe_point, name_parts, see_solver
@@ -174,7 +174,7 @@ class Solver:
         if run.status not in INFEASIBLE or not run.iterations or not np.isfinite(x).all():
             return describe(clash, own, self.plant.manifest)
         try:
-            g = evaluate(self.program.casadi.constraint, x, own.parameters(problem)).full().ravel()
+            g = evaluate(self.program.numpy.constraint, x, own.parameters(problem))
         except NoNumbersError:
             return describe(clash, own, self.plant.manifest)
         names = see_solver(name_parts(own, self.plant.manifest), own.program)
@@ -184,7 +184,7 @@ class Solver:
     def _read_end(self, x: Array) -> Trajectory | None:
         """Return the motion at which a search ended; None where its numbers are no motion."""
         try:
-            return self.transcription.unpack(self.program.casadi.complete(x)) if np.isfinite(x).all() else None
+            return self.transcription.unpack(self.program.numpy.complete(x)) if np.isfinite(x).all() else None
         except ValueError:
             return None
 
@@ -211,18 +211,18 @@ class Solver:
     def _solution(self, problem: Problem, run: Run, x: Array) -> Solution:
         """Read the motion that a search ended at. Raises NoNumbersError where there is none."""
         transcription = self.transcription
-        functions, parameters = self.program.casadi, transcription.parameters(problem)
+        functions, parameters = self.program.numpy, transcription.parameters(problem)
         completed = functions.complete(x)
         return make_solution(
             problem,
             self.plant.manifest,
             transcription,
             run,
-            measure_size(functions),
+            measure_size(self.program),
             Values(
                 x=x,
-                g=evaluate(functions.constraint, x, parameters).full().ravel(),
-                terms=evaluate(functions.terms, x, parameters).full().ravel(),
+                g=evaluate(functions.constraint, x, parameters),
+                terms=evaluate(functions.terms, x, parameters),
                 completed=completed,
             ),
         )
@@ -291,10 +291,10 @@ def report(watch: Watch) -> Callable[[Iterate], None]:
     return lambda iterate: watch(Progress(iterate.number, iterate.cost, iterate.violation))
 
 
-def measure_size(functions: Functions) -> Size:
-    """Return the size of a program."""
-    nonzeros = functions.jacobian.nnz_out(0), functions.hessian.nnz_out(0)
-    return Size(functions.variables, functions.constraints, *nonzeros)
+def measure_size(program: Prepared) -> Size:
+    """Return the size of a program, as a method sees it."""
+    data = program.data
+    return Size(data.kept.size, data.kept_rows.size, *program.numpy.count_nonzeros())
 
 
 def make_solution(

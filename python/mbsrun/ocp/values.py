@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import Program, names, parse
-from mbsrun.ocp.backends.symbolic import load
 from mbsrun.ocp.given import list_texts, order_given, place_unknown
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, list_names
@@ -61,6 +60,8 @@ class Values:
             numbers[name] = references.evaluate(name, self._problem.references, t / T, T)
         for function in self._functions:
             arguments = [np.broadcast_to(numbers[name], B) for name in function.reads]
+            from mbsrun.ocp.backends.symbolic import load  # loads CasADi
+
             numbers[function.name] = load(function.code).map(B)(*arguments).full()[0]
         with np.errstate(all="ignore"):
             columns = [np.broadcast_to(column, B) for column in self._program.evaluate(numbers)]

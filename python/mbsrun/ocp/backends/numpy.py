@@ -6,7 +6,7 @@ inner equations are solved for, derivatives follow from the whole program's, as 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -46,6 +46,17 @@ class Functions(Protocol):
 
     def complete(self, x: Array) -> Array:
         """Return all variables of the program. Raises NoNumbersError where inner equations have no solution."""
+
+    def count_nonzeros(self) -> tuple[int, int]:
+        """Count the entries of the Jacobian, and of the Hessian's upper triangle, that may be nonzero."""
+
+
+def evaluate(function: Callable[[Array, Array], Array], x: Array, p: Array) -> Array:
+    """Call one of these at a point. Raises NoNumbersError where a kernel fails, or a number is not finite."""
+    found = function(x, p)
+    if not np.isfinite(found).all():
+        raise NoNumbersError("a row or a cost is not a finite number, or a kernel fails")
+    return found
 
 
 def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Functions:
@@ -138,6 +149,16 @@ class NumpyProgram:
         """Return x: nothing is condensed."""
         return x
 
+    def count_nonzeros(self) -> tuple[int, int]:
+        """Count the entries of the Jacobian, and of the Hessian's upper triangle, that may be nonzero."""
+        slopes, curvatures = self.patterns
+        return slopes.nnz, curvatures.nnz
+
+    @property
+    def patterns(self) -> tuple[Matrix, Matrix]:
+        """Return the Jacobian and the Hessian's upper triangle with 1 where an entry may be nonzero."""
+        return self._slopes.pattern, self._curvatures.pattern
+
     @property
     def has_curved_rows(self) -> bool:
         """Return whether rows have second derivatives, by the patterns of their functions."""
@@ -227,6 +248,14 @@ class _Sum:
         self._shape, self._scatters = shape, scatters
         self._assembled: Assembled | None = None
 
+    @property
+    def pattern(self) -> Matrix:
+        """Return the matrix with 1 at its entries."""
+        row, col = (np.concatenate([getattr(part, k) for part in self._scatters]) for k in ("row", "col"))
+        found = sparse.coo_array((np.ones(row.size), (row, col)), shape=self._shape).tocsc()
+        found.data[:] = 1.0
+        return found
+
     def add(self, values: Sequence[Array]) -> Matrix:
         """Return the matrix."""
         if self._assembled is None:
@@ -283,6 +312,17 @@ class NumpyCondensed:
         curvature, places = self._inner.curve(x, gradient[self._inner.unknowns]), self._inner.curvature
         added = sparse.coo_array((curvature, (places.row, places.col)), shape=(x.size, x.size))
         return sparse.csc_array(sparse.triu(slopes.T @ whole @ slopes + added))
+
+    def count_nonzeros(self) -> tuple[int, int]:
+        """Count the entries of the Jacobian, and of the Hessian's upper triangle, that may be nonzero."""
+        J, upper = self._rest.patterns
+        kept, slopes, curvature = self.program.kept, self._inner.slopes, self._inner.curvature
+        rows = np.concatenate((kept, self._inner.unknowns[slopes.row[slopes.mask]]))
+        cols = np.concatenate((np.arange(kept.size), slopes.col[slopes.mask]))
+        V = sparse.coo_array((np.ones(rows.size), (rows, cols)), shape=(self.program.variables, kept.size)).tocsc()
+        places = curvature.row[curvature.mask], curvature.col[curvature.mask]
+        added = sparse.coo_array((np.ones(places[0].size), places), shape=(kept.size, kept.size))
+        return (J @ V).nnz, sparse.triu(V.T @ (upper + upper.T) @ V + added).nnz
 
     def _complete(self, x: Array) -> Array:
         v = np.empty(self.program.variables)

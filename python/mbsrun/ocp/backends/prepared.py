@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-from mbsrun.ocp.backends import casadi, condensation, numpy
+from mbsrun.ocp.backends import numpy
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Program
+
+if TYPE_CHECKING:
+    from mbsrun.ocp.backends import casadi
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,8 @@ class Prepared:
     @cached_property
     def casadi(self) -> casadi.Functions:
         """The functions for CasADi's solvers."""
+        from mbsrun.ocp.backends import condensation  # loads CasADi
+
         return condensation.build(self.data, self.plant, self.others)
 
     @cached_property

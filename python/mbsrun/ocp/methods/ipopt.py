@@ -7,14 +7,14 @@ programming", Mathematical Programming 106 (2006). See `linear` for the linear s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
-import casadi as ca
+from typing import TYPE_CHECKING, Any
 
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
 from mbsrun.ocp.methods.method import Method, Order, Solver
-from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Choice, Option, Settings
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 LINEAR_SOLVER = "linear_solver"  # by default MUMPS, if one of MUMPS's options is given; else the project's
 
@@ -72,6 +72,8 @@ QUIET: Settings = {"print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
 
 def make_ipopt(order: Order) -> Solver:
     """Make IPOPT for a program."""
+    from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make  # loads CasADi
+
     functions = order.program.casadi
     given = {"tol": order.tolerance, "max_iter": order.max_iterations, "obj_scaling_factor": order.scaling}
     settings: dict[str, Any] = {
@@ -87,6 +89,8 @@ def make_ipopt(order: Order) -> Solver:
 
 def pair(jacobian: ca.Function) -> ca.Function:
     """Return (x, p) -> g, Jacobian, as `nlpsol` takes it; IPOPT does not read g here, so it is left out."""
+    import casadi as ca
+
     x, p = jacobian.mx_in()
     outputs = [ca.MX(jacobian.size1_out(0), 1), jacobian(x, p)]
     return ca.Function("nlp_jac_g", [x, p], outputs, ["x", "p"], ["g", "jac_g_x"])

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import casadi as ca
-
 from mbsrun.ocp.linear import OWN, set_up
 from mbsrun.ocp.methods.ipopt import QUIET
 from mbsrun.ocp.methods.method import Method, Order, Solver
-from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
 from mbsrun.ocp.methods.options import COUNT, FRACTION, Amount, Choice, Option
 
 SQP_OPTIONS: Mapping[str, Option] = {
@@ -24,6 +21,10 @@ SQP_OPTIONS: Mapping[str, Option] = {
 
 def make_sqp(order: Order) -> Solver:
     """Make the SQP method for a program; it does not scale, so the objective that it sees is scaled."""
+    import casadi as ca
+
+    from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
+
     functions, scale = order.program.casadi, order.scaling
     x, p, lam_f, lam_g = functions.hessian.mx_in()
     hessian = ca.triu2symm(functions.hessian(x, p, scale * lam_f, lam_g))

@@ -15,7 +15,7 @@ import numpy as np
 
 from mbsrun.ocp import methods
 from mbsrun.ocp.assembly import find_other_assembly
-from mbsrun.ocp.backends.casadi import evaluate
+from mbsrun.ocp.backends.numpy import evaluate
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe_point, name_parts, see_solver
@@ -208,7 +208,7 @@ class PhasedSolver:
         """Find an expression of the first phase by which a search failed."""
         own, every = self.transcription, None
         try:
-            every = self.program.casadi.complete(x) if np.isfinite(x).all() else None
+            every = self.program.numpy.complete(x) if np.isfinite(x).all() else None
         except ValueError:
             every = None
         ends = [None] * len(own.phases) if every is None else own.split(every)
@@ -271,10 +271,13 @@ class PhasedSolver:
 
     def _evaluate(self, x: Array) -> Array:
         parameters = self.transcription.parameters(self.problem)
-        return np.asarray(evaluate(self.program.casadi.constraint, x, parameters).full().ravel())
+        return evaluate(self.program.numpy.constraint, x, parameters)
 
     def _differentiate(self, x: Array) -> Matrix:
-        return evaluate(self.program.casadi.jacobian, x, self.transcription.parameters(self.problem)).tocsc().tocsr()  # type: ignore[no-any-return]
+        found = self.program.numpy.jacobian(x, self.transcription.parameters(self.problem))
+        if not np.isfinite(found.data).all():
+            raise NoNumbersError("a derivative of a row is not a finite number, or a kernel fails")
+        return found.tocsr()
 
     def _find_method(self) -> methods.Solver:
         """Return the method, which solvers of relaxed problems share."""
@@ -321,10 +324,10 @@ class PhasedSolver:
     # --- the solution ---
 
     def _read(self, run: Run, x: Array) -> PhasedSolution:
-        problem, own, functions = self.problem, self.transcription, self.program.casadi
+        problem, own, functions = self.problem, self.transcription, self.program.numpy
         parameters = own.parameters(problem)
         every = functions.complete(x)
-        g, terms = self._evaluate(x), evaluate(functions.terms, x, parameters).full().ravel()
+        g, terms = self._evaluate(x), evaluate(functions.terms, x, parameters)
         solutions = []
         for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
             first, last = own.offsets[k], own.offsets[k + 1]
@@ -343,7 +346,7 @@ class PhasedSolver:
             links=problem.links,
             values=tuple(self._read_link(i, every, terms, *links) for i in range(len(problem.links))),
             run=run,
-            size=measure_size(functions),
+            size=measure_size(self.program),
             constants=problem.constants,
             unknowns=problem.every_unknown,
             unknown_values=tuple(every[own.unknowns].tolist()),
