@@ -292,7 +292,7 @@ def test_a_stationary_guess_is_not_taken_for_an_optimum() -> None:
     )
     solver = Solver(fall, double_integrator())
     still = interpolate(fall, solver.transcription.scheme, np.zeros(1))
-    run = solver._call(fall, solver.transcription.pack(still), None).run
+    run = solver._call(fall, solver.transcription.pack(still), None, np.ones(solver.program.data.kept.size)).run
     assert (run.status, run.iterations) == ("Solve_Succeeded", 0)
     assert isinstance(solver.solve(fall, still), Failure)
 
