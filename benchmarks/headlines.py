@@ -138,9 +138,9 @@ def describe_legged(text: str) -> str:
 
 
 def describe_mpc(text: str) -> str:
-    """Describe predictive control."""
+    """Describe predictive control: the first two tables are of solves, and of steps in real time."""
     tables = read_tables(text)
-    solves, latencies = (rows for rows in tables.values())
+    solves, latencies = (rows for rows, _ in zip(tables.values(), range(2), strict=False))
     latency = latencies[0]
     own = [row for row in solves if row["N"] == latency["N"]]
     fatrop, acados = (_part(read_number(_find(own, "solver", name)["by ours"])) for name in ("fatrop", "acados"))

@@ -8,7 +8,9 @@ multipliers of the solution before, as fatrop and IPOPT would if CasADi gave the
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Task
+from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Task, wait
 from mbsgen.expressions import parse
 from mbsrun.external import OnDemand
 from mbsrun.ocp.functions import Formula, Input, KernelResult
@@ -24,8 +26,6 @@ from mbsrun.ocp.program import Block, Program, Stages
 from mbsrun.ocp.stages.binding import Numbers, Tables, Workspace, fill, set_bounds
 from mbsrun.ocp.stages.building import build
 
-TOLERANCE = 1e-7
-WARM = {"warm": 1, "barrier": 1e-8}
 LEAST_BARRIER = 1e-5  # of real-time steps
 SIZE = STATES + 2 * JOINTS  # of a stage: q, qd, a, u
 
@@ -73,24 +73,23 @@ def write_program(task: Task) -> Program:
 
 
 @dataclass(frozen=True)
-class Latency:
-    """Times of steps in real time [s], and how the robot came to its target."""
+class Settings:
+    """Options of the solver."""
 
-    prepare: Array
-    feedback: Array
-    idle: Array  # of loops that do nothing, for as long as the median of feedback
-    gap: float  # the largest distance of a joint from the target at the end [rad]
+    tolerance: float = 1e-8  # these are its defaults
+    barrier: float = 1e-7  # of the first step from a solution
+
+    def __str__(self) -> str:
+        """Name them."""
+        return f"tolerance {self.tolerance:g}, first barrier from a solution {self.barrier:g}"
 
 
-def wait(seconds: float, rounds: int) -> Array:
-    """Do nothing for a time, again and again; return how long it took: what the machine itself is late by."""
-    times = np.empty(rounds)
-    for k in range(rounds):
-        begin = now = time.perf_counter()
-        while now - begin < seconds:
-            now = time.perf_counter()
-        times[k] = now - begin
-    return times
+def list_settings() -> Iterator[Settings]:
+    """List the grid of options that is searched; the defaults are the first."""
+    yield Settings()
+    for tolerance, barrier in product((1e-8, 1e-7, 1e-6), (1e-9, 1e-8, 1e-7, 1e-6)):
+        if Settings(tolerance, barrier) != Settings():
+            yield Settings(tolerance, barrier)
 
 
 class OwnRunner:
@@ -98,30 +97,42 @@ class OwnRunner:
 
     name = "mbs"
 
-    def __init__(self, task: Task, model: Path) -> None:
-        """Build the tables."""
-        self._task, plant = task, OnDemand(model)
-        self._torque = plant.casadi("impl")
-        self._tables = Tables(build(write_program(task), plant), plant)
+    def __init__(self, task: Task, model: Path, settings: Settings = Settings(), like: OwnRunner | None = None) -> None:
+        """Build the tables, or share another one's, of the same task."""
+        self._task, self.settings = task, settings
+        if like is None:
+            plant = OnDemand(model)
+            self._torque = plant.casadi("impl")
+            self._tables = Tables(build(write_program(task), plant), plant)
+        else:
+            self._torque, self._tables = like._torque, like._tables
         self._workspace: Workspace | None = None
-        self._multipliers: NDArray[np.uint8] | None = None
+        self._kept: tuple[NDArray[np.uint8], Array] = np.zeros(0, dtype=np.uint8), np.zeros(0)
+        self._solved = np.zeros(0, dtype=np.uint8)  # the memory after a solve that did not shift
+        self._options: Any = None
+        self._shifts = False
 
-    def solve(self, start: Array, guess: Iterate, rounds: int) -> Answer:
-        """Solve from a state of the robot and a guess, several times; return the quickest answer."""
-        workspace, warm = self._lay(start), self._multipliers is not None
-        if warm:
+    def prepare(self, start: Array, guess: Iterate, *, shifts: bool) -> None:
+        """Keep where solves begin."""
+        workspace = self._lay(start)
+        if shifts:
+            workspace.memory[:] = self._solved
             self._tables.lib.mbs_stages_shift(workspace.solver)
-        kept, w = workspace.memory.copy(), fill(workspace.evaluator, self._pack(guess))
-        options = self._make_options(**(WARM if warm else {}))
-        answers = []
-        for _ in range(rounds):
-            workspace.memory[:] = kept
-            workspace.w[:] = w
-            begin = time.process_time()
-            result = self._tables.lib.mbs_stages_solve(workspace.solver, options)
-            answers.append(self._read(result, time.process_time() - begin))
-        self._multipliers = workspace.memory
-        return min(answers, key=lambda answer: answer.seconds)
+        self._shifts = shifts
+        self._kept = workspace.memory.copy(), fill(workspace.evaluator, self._pack(guess))
+        self._options = self._make_options(**({"warm": 1, "barrier": self.settings.barrier} if shifts else {}))
+
+    def solve(self) -> Answer:
+        """Solve once."""
+        workspace = self._workspace
+        assert workspace is not None, "solves are prepared"
+        workspace.memory[:], workspace.w[:] = self._kept
+        begin = time.process_time()
+        result = self._tables.lib.mbs_stages_solve(workspace.solver, self._options)
+        seconds = time.process_time() - begin
+        if not self._shifts:
+            self._solved = workspace.memory.copy()
+        return self._read(result, seconds)
 
     def control(self, steps: int) -> Latency:
         """Move the robot in real time from rest, from a converged solution: one step of Newton's method a period."""
@@ -131,6 +142,7 @@ class OwnRunner:
         lib.mbs_stages_solve(workspace.solver, options)
         x, inner = np.concatenate([task.start, np.zeros(JOINTS)]), np.zeros(2 * JOINTS)
         times: list[tuple[float, float]] = []
+        path = np.zeros((steps, STATES + JOINTS))
         for k in range(steps):
             begin = time.perf_counter()
             prepared = lib.mbs_stages_prepare(workspace.solver, options, int(k > 0))
@@ -141,10 +153,11 @@ class OwnRunner:
             times.append((middle - begin, time.perf_counter() - middle))
             if (prepared.status, made.status) != (lib.MBS_STAGES_PREPARED, lib.MBS_STAGES_STEPPED):
                 raise RuntimeError(f"step {k}: statuses {prepared.status} and {made.status}")
+            path[k] = *x, *inner[JOINTS:]
             x = task.A @ x + task.B @ inner[JOINTS:]
         prepare, feedback = np.array(times).T
         idle = wait(float(np.median(feedback)), steps)
-        return Latency(prepare, feedback, idle, float(np.abs(x[:JOINTS] - task.target).max()))
+        return Latency(prepare, feedback, idle, path[:, :STATES], path[:, STATES:], x)
 
     def _lay(self, start: Array) -> Workspace:
         """Set the bounds; the start is one of them."""
@@ -169,7 +182,7 @@ class OwnRunner:
 
     def _make_options(self, **values: float) -> Any:
         options = self._tables.ffi.new("mbs_stages_options *", self._tables.lib.mbs_stages_default_options())
-        options.tolerance = TOLERANCE
+        options.tolerance = self.settings.tolerance
         for name, value in values.items():
             setattr(options, name, value)
         return options

@@ -15,6 +15,7 @@ and accelerations 4 times the bounds from there, so that torques limit the motio
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -68,6 +69,12 @@ class Task:
         """Return the matrix of the accelerations in the dynamics."""
         return np.kron(np.array([[self.step**2 / 2], [self.step]]), np.eye(JOINTS))
 
+    def measure_error(self, found: Iterate, exact: Iterate) -> float:
+        """Return the largest error of a state or of an acceleration, as a part of the range of its bounds."""
+        states = np.abs(found.x - exact.x) / (self.upper_x - self.lower_x)
+        accelerations = np.abs(found.a - exact.a) / (2 * self.acceleration)
+        return float(max(states.max(), accelerations.max()))
+
     def cost(self, x: Array, a: Array) -> float:
         """Return the cost of N + 1 states and N accelerations."""
         gap = x - np.concatenate([self.target, np.zeros(JOINTS)])
@@ -97,13 +104,54 @@ class Answer:
 
 
 class Runner(Protocol):
-    """A solver, made for a task: each one is an entry of the comparison."""
+    """A solver with its settings, made for a task: each one is an entry of the comparison."""
 
     name: str
 
-    def solve(self, start: Array, guess: Iterate, rounds: int) -> Answer:
-        """Solve from a state of the robot and a guess, several times; return the quickest answer."""
+    @property
+    def settings(self) -> object:
+        """Return its options, to be printed."""
+
+    def prepare(self, start: Array, guess: Iterate, *, shifts: bool) -> None:
+        """Keep a state of the robot and a guess; where it shifts, the multipliers of the solution before, too."""
         ...
+
+    def solve(self) -> Answer:
+        """Solve from the kept state and guess, the same ones each time."""
+        ...
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Times of steps in real time [s], and the way of the robot."""
+
+    prepare: Array
+    feedback: Array
+    idle: Array  # of loops that do nothing, for as long as the median of feedback
+    x: Array  # states of the robot, and its accelerations, a row a step
+    a: Array
+    end: Array  # the last state
+
+    def gap(self, task: Task) -> float:
+        """Return the largest distance of a joint from the target at the end [rad]."""
+        return float(np.abs(self.end[:JOINTS] - task.target).max())
+
+    def cost(self, task: Task) -> float:
+        """Return the cost of the way, by the weights of the task's steps."""
+        gap = self.x - np.concatenate([task.target, np.zeros(JOINTS)])
+        Q = np.repeat(task.weights[:2], JOINTS)
+        return task.step / 2 * float((gap**2 * Q).sum() + task.weights[2] * (self.a**2).sum())
+
+
+def wait(seconds: float, rounds: int) -> Array:
+    """Do nothing for a time, again and again; return how long it took: what the machine itself is late by."""
+    times = np.empty(rounds)
+    for k in range(rounds):
+        begin = now = time.perf_counter()
+        while now - begin < seconds:
+            now = time.perf_counter()
+        times[k] = now - begin
+    return times
 
 
 def rest(task: Task) -> Iterate:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.mpc.__main__ import agree, measure, shift
-from benchmarks.mpc.casadi_peers import SETTINGS, CasadiPeer
+from benchmarks.mpc import acados_peer, own
+from benchmarks.mpc.__main__ import shift
+from benchmarks.mpc.casadi_peers import REFERENCE, CasadiPeer, list_settings
+from benchmarks.mpc.contest import ACCURATE, Start, choose, compete
 from benchmarks.mpc.own import OwnRunner
-from benchmarks.mpc.problem import JOINTS, Iterate, Task, rest
+from benchmarks.mpc.page import Horizon, RealTime, write_page
+from benchmarks.mpc.problem import JOINTS, Answer, Array, Iterate, Task, rest
 from mbsrun.external import OnDemand
 
 
@@ -22,17 +25,81 @@ def make_torque() -> ca.Function:
     return ca.Function("impl", [q, qd, a, u], [(2 + ca.sin(q)) * a + 10 * ca.cos(q) + 0.1 * qd**2 - u])
 
 
+def begin(task: Task, torque: ca.Function) -> Start:
+    """Start at rest, with the exact solution."""
+    state = np.concatenate([task.start, np.zeros(JOINTS)])
+    return Start(state, rest(task), solve(CasadiPeer(task, REFERENCE, torque), state, rest(task)))
+
+
+def solve(peer: CasadiPeer, state: Array, guess: Iterate, *, shifts: bool = False) -> Iterate:
+    peer.prepare(state, guess, shifts=shifts)
+    return peer.solve().iterate
+
+
 def test_runners_find_one_optimum_between_the_bounds() -> None:
-    """Dynamics hold, torques stay within their bounds and reach them, and a shifted solution is a good guess."""
-    task, torque = Task(intervals=8, step=0.05), make_torque()
-    task = replace(task, torque=np.full(JOINTS, 18.0))
-    rows = [measure(task, CasadiPeer(task, name, torque), 1) for name in SETTINGS]
-    assert agree(rows)
+    """Dynamics hold, torques stay within their bounds and reach them; multipliers that are kept save iterations."""
+    torque = make_torque()
+    task = replace(Task(intervals=8, step=0.05), torque=np.full(JOINTS, 18.0))
+    start = begin(task, torque)
+    rows = []
+    for name in ("fatrop", "ipopt"):
+        best = choose(task, [CasadiPeer(task, next(list_settings(name)), torque)], start)
+        rows += compete(task, {name: best}, start, 2)
     for row in rows:
-        x, a = row.cold.iterate.x, row.cold.iterate.a
+        x, a = row.answer.iterate.x, row.answer.iterate.a
+        assert row.error <= ACCURATE
         assert x[1:] == pytest.approx(x[:-1] @ task.A.T + a @ task.B.T, abs=1e-9)
         torques = torque(x[:-1, :JOINTS].T, x[:-1, JOINTS:].T, a.T, 0).full()
-        assert 18.0 - 1e-5 < np.abs(torques).max() < 18.0 + 1e-5
+        assert 18.0 - 1e-4 < np.abs(torques).max() < 18.0 + 1e-5
+    kept = CasadiPeer(task, next(x for x in list_settings("ipopt") if x.multipliers == "kept"), torque)
+    cold = solve(kept, start.state, start.guess)
+    ahead = shift(task, cold)
+    kept.prepare(ahead.x[0], ahead, shifts=True)
+    again = kept.solve()
+    zero = CasadiPeer(task, replace(kept.settings, multipliers="zero"), torque)
+    zero.prepare(ahead.x[0], ahead, shifts=True)
+    assert again.iterations < zero.solve().iterations
+    assert task.measure_error(again.iterate, solve(zero, ahead.x[0], ahead)) <= ACCURATE
+
+
+def test_the_quickest_accurate_options_are_chosen() -> None:
+    """Of three solvers, one is quick and wrong, one right and slow."""
+
+    @dataclass
+    class Known:
+        settings: str
+        seconds: float
+        iterate: Iterate
+        name: str = "known"
+
+        def prepare(self, start: Array, guess: Iterate, *, shifts: bool) -> None:
+            pass
+
+        def solve(self) -> Answer:
+            return Answer("done", True, 3, self.iterate, self.seconds)
+
+    task = Task(intervals=2)
+    exact = rest(task)
+    off = Iterate(exact.x, exact.a + 2e-4 * 2 * task.acceleration)
+    start = Start(exact.x[0], exact, exact)
+    runners = [Known("wrong", 1.0, off), Known("slow", 3.0, exact), Known("best", 2.0, exact)]
+    found = choose(task, runners, start)
+    assert (found.runner, found.tried, found.accurate, found.best) == (runners[2], 3, 2, 2.0)
+    assert np.isnan(found.first)
+    with pytest.raises(RuntimeError, match="no options find the optimum"):
+        choose(task, runners[:1], start)
+    rows = compete(task, {"best": found, "slow": choose(task, runners[1:2], start)}, start, 4)
+    assert (rows[1].ratios == 1.5).all()
+    text = write_page([Horizon(task, tuple(rows), tuple(rows), ())], 4)
+    assert "| 2 | slow | 3, 3000.00 | 1.5 | 3, 3000.00 | 1.5 | 1000.00 | 0e+00 |" in text
+    assert "| 2 | best | cold | 3 | 2 | – | 2000.00 | best |" in text
+
+
+def test_grids_begin_with_defaults_and_have_no_option_twice() -> None:
+    for every in (list(acados_peer.list_settings(20)), list(own.list_settings()), list(list_settings("ipopt"))):
+        assert len({str(x) for x in every}) == len(every)
+    assert next(acados_peer.list_settings(20)) == acados_peer.Settings()
+    assert next(own.list_settings()) == own.Settings()
 
 
 def test_an_iterate_is_shifted_along_the_dynamics() -> None:
@@ -68,9 +135,16 @@ def write_slides(folder: Path) -> Path:
 def test_the_projects_solver_finds_the_optimum_and_controls_in_real_time(tmp_path: Path) -> None:
     model, task = write_slides(tmp_path), Task(intervals=8, step=0.05)
     task = replace(task, torque=np.full(JOINTS, 30.0))
-    own = OwnRunner(task, model)
-    rows = [measure(task, runner, 1) for runner in (own, CasadiPeer(task, "ipopt", OnDemand(model).casadi("impl")))]
-    assert agree(rows)
-    found = own.control(100)
+    torque = OnDemand(model).casadi("impl")
+    start, runner = begin(task, torque), OwnRunner(task, model)
+    (cold,) = compete(task, {"mbs": choose(task, [runner], start)}, start, 2)
+    ahead = shift(task, cold.answer.iterate)
+    exact = solve(CasadiPeer(task, REFERENCE, torque), ahead.x[0], ahead)
+    shifted = Start(ahead.x[0], ahead, exact, shifts=True)
+    (warm,) = compete(task, {"mbs": choose(task, [runner], shifted)}, shifted, 2)
+    assert warm.answer.iterations < cold.answer.iterations
+    found = runner.control(100)
     assert len(found.feedback) == 100
-    assert found.gap < 1e-2
+    assert found.gap(task) < 1e-2
+    page = write_page([Horizon(task, (cold,), (warm,), (RealTime("mbs", "some", 1, (found,)),))], 2)
+    assert "| 8 | mbs | 100 |" in page
