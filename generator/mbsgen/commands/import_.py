@@ -7,9 +7,12 @@ from pathlib import Path
 import click
 
 from mbsgen.commands.importing import MODEL, importing, tell
+from mbsgen.errors import Fault, InputError
 from mbsgen.help import ModelCommand
 from mbsgen.importing import Choices, import_model, list_formats, write_imported
 from mbsgen.output import write_file
+
+_OWN = (".yaml", ".yml")  # suffixes of model files
 
 
 @click.command(
@@ -29,6 +32,8 @@ def import_command(
     choices: Choices,
 ) -> None:
     """Make a model file of a file in another format."""
+    if model.suffix.lower() in _OWN:
+        raise InputError([Fault(str(model), 0, "", "it is a model file already", f"give a file of {list_formats()}")])
     imported = import_model(model, choices)
     tell(imported.notices)
     text = write_imported(imported)
