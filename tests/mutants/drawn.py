@@ -17,15 +17,20 @@ from pathlib import Path
 from tests.mutants.faults import ROOT, Fault
 
 STAGES = ("tests/csrc/test_stages.py", "tests/csrc/test_stages_inner.py")
-OCP = "tests/mbsrun/ocp"
+OCP, MOTIONS = "tests/mbsrun/ocp", "tests/mbsrun/simulation"
 SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a file matches decides
     ("csrc/stages/realtime.c", ("tests/csrc/test_realtime.py",)),
     ("csrc/stages/*.c", STAGES),
+    ("csrc/mbs_least.c", ("tests/csrc/test_least.py", f"{MOTIONS}/test_loops.py")),
+    ("csrc/mbs_variational.c", (f"{MOTIONS}/test_variational.py",)),
+    ("csrc/mbs_explicit.c", (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py")),
+    ("csrc/mbs_radau.c", (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py")),
     ("csrc/program/*.c", ("tests/mbsrun/ocp/stages", "tests/mbsrun/controllers/test_controllers.py")),
     ("python/mbsrun/tracking/compiled.py", ("tests/mbsrun/tracking/test_compiled.py",)),
     ("python/mbsrun/tracking/*.py", ("tests/mbsrun/tracking",)),
     ("python/mbsrun/controllers/*.py", ("tests/mbsrun/controllers",)),
-    ("python/mbsrun/simulation/*.py", ("tests/mbsrun/simulation",)),
+    ("python/mbsrun/simulation/*.py", (MOTIONS,)),
+    ("python/mbsrun/linearisation/*.py", ("tests/mbsrun/linearisation",)),
     ("python/mbsrun/recordings/*.py", ("tests/mbsrun/recordings",)),
     ("python/mbsrun/ocp/stages/*.py", (f"{OCP}/stages", f"{OCP}/test_methods.py")),
     ("python/mbsrun/ocp/phases/*.py", (f"{OCP}/phases",)),

@@ -57,7 +57,8 @@ def plot_responses(found: Linearisation, path: Path) -> None:
             magnitude.loglog(frequencies, np.abs(values), color=color, linestyle=dashes, label=output)
             phase.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))), color=color, linestyle=dashes)
         magnitude.set_title(title, loc="left", fontsize="medium")
-        magnitude.legend(frameon=False, fontsize="small")
+        if magnitude.lines:  # none where the input moves nothing
+            magnitude.legend(frameon=False, fontsize="small")
         phase.set_xlabel("frequency [Hz]")
         low, high = phase.get_ylim()
         phase.set_ylim(min(low, (low + high) / 2 - 100), max(high, (low + high) / 2 + 100))
