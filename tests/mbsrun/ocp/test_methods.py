@@ -14,6 +14,7 @@ from mbsrun.ocp import methods
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.methods import METHODS, Amount, Answer, Order, Start
+from mbsrun.ocp.methods.nlpsol import count_iterations
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
 from mbsrun.ocp.solution import Solution
@@ -163,3 +164,9 @@ def test_options_that_the_solver_must_not_be_told(arm: Peer, tmp_path: Path, tex
     with pytest.raises(InputError) as refusal:
         read_problem(file, lambda _: arm)
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize(("told", "seen", "iterations"), [(7, 8, 7), (1701978173, 0, 0), (-1, 0, 0), (0, 1, 0)])
+def test_iterations_of_a_program_that_is_refused_at_once_are_none(told: int, seen: int, iterations: int) -> None:
+    """IPOPT does not set its count where there are more equations than variables."""
+    assert count_iterations({"iter_count": told}, seen) == iterations

@@ -30,7 +30,7 @@ def make(name: str, order: Order, settings: Mapping[str, Any], *, scale: float =
             x0=start.x, p=start.parameters, lbx=start.lower, ubx=start.upper, lbg=start.g_lower, ubg=start.g_upper
         )
         callback.end()
-        return _read(function.stats(), answer, scale)
+        return _read(function.stats(), answer, scale, callback.seen)
 
     return solve
 
@@ -43,13 +43,20 @@ def read_status(statistics: Mapping[str, Any]) -> str:
     return SOLVED if statistics["success"] else f"Ended_With_Status_{status}"
 
 
-def _read(statistics: Mapping[str, Any], answer: Mapping[str, ca.DM], scale: float) -> Answer:
+def count_iterations(statistics: Mapping[str, Any], seen: int) -> int:
+    """Count iterations; where a solver refuses a program at once, its own count is not set, and no iterate was seen."""
+    count = int(statistics["iter_count"])
+    return count if 0 <= count <= seen else max(0, seen - 1)
+
+
+def _read(statistics: Mapping[str, Any], answer: Mapping[str, ca.DM], scale: float, seen: int) -> Answer:
     evaluating, cpu_evaluating = (
         sum(value for key, value in statistics.items() if key.startswith(f"t_{clock}_nlp_"))
         for clock in ("wall", "proc")
     )
     x, multipliers = answer["x"].full().ravel(), answer["lam_g"].full().ravel() / scale
-    return Answer(x, read_status(statistics), statistics["iter_count"], evaluating, cpu_evaluating, multipliers)
+    iterations = count_iterations(statistics, seen)
+    return Answer(x, read_status(statistics), iterations, evaluating, cpu_evaluating, multipliers)
 
 
 class _Callback(ca.Callback):
@@ -63,13 +70,13 @@ class _Callback(ca.Callback):
         self._patterns = [ca.Sparsity.dense(sizes.get(name, functions.parameters)) for name in ca.nlpsol_out()]
         self._scale = scale
         self._start: Start | None = None
-        self._iteration = 0
+        self.seen = 0  # iterates, with the start
         self._error: Exception | None = None
         self.construct("watch")
 
     def begin(self, start: Start) -> None:
         """Count from 0 again."""
-        self._start, self._iteration, self._error = start, 0, None
+        self._start, self.seen, self._error = start, 0, None
 
     def end(self) -> None:
         """Raise what the watch raised, which CasADi would turn into a warning."""
@@ -89,9 +96,9 @@ class _Callback(ca.Callback):
         if self._start is not None and self._start.watch is not None:
             violation = self._start.measure(arguments[2].full().ravel())
             try:
-                self._start.watch(Iterate(self._iteration, float(arguments[1]) / self._scale, violation))
+                self._start.watch(Iterate(self.seen, float(arguments[1]) / self._scale, violation))
             except Exception as error:
                 self._error = error
                 return [ca.DM(1)]  # asks the solver to stop
-        self._iteration += 1
+        self.seen += 1
         return [ca.DM(0)]
