@@ -115,6 +115,16 @@ def describe_methods(text: str) -> str:
     return f"The method by stages {solved}, in {whole['mean ratio']} times its iterations ([figures](methods.md))."
 
 
+def describe_ends(text: str) -> str:
+    """Describe random problems that end on their limits."""
+    whole = _find(next(iter(read_tables(text).values())), "kind", "all")
+    ours, theirs = whole["solved"].split(", ")
+    return (
+        f"Of {whole['problems']} random problems that end on their limits it solves {ours}, IPOPT {theirs}, in "
+        f"{whole['mean ratio']} times its iterations ([figures](ends.md))."
+    )
+
+
 def describe_classics(text: str) -> str:
     """Describe published problems."""
     problems = _search(r"- (\d+) problems", text)
@@ -153,7 +163,14 @@ def describe_mpc(text: str) -> str:
 
 PARAGRAPHS: tuple[Mapping[str, Callable[[str], str]], ...] = (
     MappingProxyType({"loops.md": describe_loops, "ocp_loops.md": describe_ocp_loops}),
-    MappingProxyType({"kkt.md": describe_kkt, "methods.md": describe_methods, "classics.md": describe_classics}),
+    MappingProxyType(
+        {
+            "kkt.md": describe_kkt,
+            "methods.md": describe_methods,
+            "ends.md": describe_ends,
+            "classics.md": describe_classics,
+        }
+    ),
     MappingProxyType({"legged.md": describe_legged, "mpc.md": describe_mpc}),
 )
 
