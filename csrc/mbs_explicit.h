@@ -55,7 +55,7 @@ typedef struct {
     casadi_real *rest;         /* the accelerations of `residual` */
     const casadi_real *qdd, *r, *h, *hd, *gamma, *qt; /* where `direct`, `residual`, `closure`, ... write */
     mbs_entries M, J;
-    mbs_call direct;   /* qdd; NULL, or without loops and driven joints the one of these three that there is */
+    mbs_call direct;   /* qdd; may be NULL; alone, without `residual` and `mass`, it serves trees */
     mbs_call residual; /* r = M rest + c - Q, without lam */
     mbs_call mass;     /* M */
     mbs_call closure;  /* h */

@@ -437,7 +437,7 @@ class _Tree:
         return _find_other(self.ends[self.carriers[link].key], link)
 
     def _hang(self, link: str) -> None:
-        """Let a link be the first one of its part: the joints above it carry the links at their other ends."""
+        """Make a link the first one of its part: the joints above it carry the links at their other ends."""
         way: list[tuple[str, Entry]] = []
         while link in self.carriers:
             bearer = self._find_bearer(link)

@@ -1,4 +1,4 @@
-"""What a command prints where a problem has no solution."""
+"""The message of a command where a problem has no solution."""
 
 from __future__ import annotations
 

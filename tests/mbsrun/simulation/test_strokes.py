@@ -1,4 +1,4 @@
-"""How far joints move: dead centres by the law of cosines, limits, whole turns."""
+"""Ranges of joints: dead centres by the law of cosines, limits, whole turns."""
 
 from __future__ import annotations
 
