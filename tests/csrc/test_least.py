@@ -10,6 +10,7 @@ import cffi
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.linalg import lu, qr
 
 from mbsgen import resources
 from mbsrun.library import compile_library, find_compiler
@@ -26,6 +27,11 @@ typedef struct {
 double mbs_least_factorise(mbs_least *system, double tolerance);
 double mbs_least_solve(const mbs_least *system, const double *g, double *x);
 void mbs_least_weigh(const mbs_least *system, const double *x, double *lam);
+double mbs_lu_factorise(long long n, double *A, long long *row, double *volume);
+void mbs_lu_solve(long long n, const double *A, const long long *row, double *x, double *room);
+int mbs_cholesky(long long n, double *M);
+void mbs_cholesky_forward(long long n, const double *L, double *x);
+void mbs_cholesky_backward(long long n, const double *L, double *x);
 """
 
 
@@ -112,3 +118,59 @@ def test_dependent_equations_are_left_out_and_judged(least: Least) -> None:
     assert least.lib.mbs_least_solve(system, least.ffi.from_buffer("double[]", g), room) == pytest.approx(
         0.5, rel=1e-12
     )
+
+
+def test_the_strength_of_equations_is_the_least_pivot_over_the_largest(least: Least) -> None:
+    """By LAPACK's decomposition with exchanges of columns; 0 where equations depend on each other, 1 without any."""
+    rng = np.random.default_rng(7)
+    for n, e in ((5, 2), (7, 7), (9, 4), (3, 1), (4, 0)):
+        B = rng.normal(size=(e, n)) * 0.01
+        pivots = np.abs(np.diag(qr(B.T, mode="r", pivoting=True)[0])) if e else np.ones(1)
+        system, _, _, _memory = least.factorise(B, 0.0)
+        system.A[0 : e * n] = B.ravel().tolist()
+        found = least.lib.mbs_least_factorise(system, 1e-10)
+        assert found == pytest.approx(pivots.min() / pivots.max(), rel=1e-10)
+    system, _, _, _memory = least.factorise(np.ones((2, 3)), 1e-10)
+    system.A[0:6] = [1.0] * 6
+    assert least.lib.mbs_least_factorise(system, 1e-10) == 0
+
+
+def test_lu_solves_and_measures_the_determinant(least: Least) -> None:
+    """A x = b as NumPy solves it; log |det A|; the least pivot over the largest, 0 of singular matrices."""
+    rng = np.random.default_rng(8)
+    for n in (1, 2, 5, 9):
+        A, b = rng.normal(size=(n, n)) * 3, rng.normal(size=n)
+        factors, row, volume, x, room = A.copy(), np.zeros(n, dtype=np.int64), np.zeros(1), b.copy(), np.zeros(n)
+        strength = _call(least, "mbs_lu_factorise", n, factors, row, volume)
+        _call(least, "mbs_lu_solve", n, factors, row, x, room)
+        tolerance = 100 * EPS * np.linalg.cond(A)
+        np.testing.assert_allclose(A @ x, b, rtol=0, atol=tolerance * np.abs(b).max())
+        assert volume[0] == pytest.approx(np.linalg.slogdet(A)[1], rel=1e-12, abs=1e-12)
+        pivots = np.abs(np.diag(lu(A)[2]))
+        assert strength == pytest.approx(pivots.min() / pivots.max(), rel=tolerance)
+    assert _call(least, "mbs_lu_factorise", 2, np.array([[1.0, 2.0], [2.0, 4.0]]), row, volume) == 0
+
+
+def test_cholesky_is_the_root_of_a_matrix(least: Least) -> None:
+    """L and L^T applied one after the other solve M x = b; a matrix that is not positive is named by its row."""
+    rng = np.random.default_rng(9)
+    for n in (1, 3, 6):
+        root, b = rng.normal(size=(n, n)) + 3 * np.eye(n), rng.normal(size=n)
+        M = root @ root.T
+        L, x = M.copy(), b.copy()
+        assert _call(least, "mbs_cholesky", n, L) == 0
+        np.testing.assert_allclose(np.tril(L), np.linalg.cholesky(M), rtol=1e-12, atol=1e-12)
+        _call(least, "mbs_cholesky_forward", n, L, x)
+        np.testing.assert_allclose(np.tril(L) @ x, b, rtol=1e-11, atol=1e-11)
+        _call(least, "mbs_cholesky_backward", n, L, x)
+        np.testing.assert_allclose(M @ x, b, rtol=0, atol=1e-12 * np.linalg.cond(M))
+    for k in range(3):
+        M = np.eye(3)
+        M[k, k] = 1e-30 * k
+        M[k, :k] = M[:k, k] = 1e-15
+        assert _call(least, "mbs_cholesky", 3, M) == k + 1
+
+
+def _call(least: Least, name: str, n: int, *arrays: Array | NDArray[np.int64]) -> float:
+    kinds = {np.dtype(float): "double[]", np.dtype(np.int64): "long long[]"}
+    return float(getattr(least.lib, name)(n, *(least.ffi.from_buffer(kinds[x.dtype], x) for x in arrays)) or 0)
