@@ -72,6 +72,7 @@ class CompiledController:
         self._has_plan = False
         self._violation = 0.0
         self._states: Array = np.zeros(0)
+        self._velocities = _list_velocities(manifest, problem)
         self._is_lost = False  # the plan has diverged, or has no step
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
@@ -102,7 +103,7 @@ class CompiledController:
         before, stepping = clock.process_time(), self._stepping
         if stepping is None or not self._has_plan:
             return self._solve(q, qd, before)
-        state = np.concatenate((q, qd, self._states))
+        state = np.concatenate((q, qd[self._velocities], self._states))
         if self._is_lost or not self._violation <= stepping.rescue:
             return self._rescue(state, before)
         inputs, step = self._controller.feedback(state)
@@ -142,7 +143,7 @@ class CompiledController:
 
     def _solve(self, q: Array, qd: Array, before: float) -> Decision:
         data = self._controller.data
-        data["start_q"][:], data["start_qd"][:] = q, qd
+        data["start_q"][:], data["start_qd"][:] = q, qd[self._velocities]
         if START_STATES in data:
             data[START_STATES][:] = self._states
         result = self._controller.solve(warm=self._has_plan)
@@ -156,7 +157,7 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
     """List the ways in which a controller is not one of a problem; `constants` of it change in the loop."""
     found = []
     sizes = len(manifest.states), len(manifest.inputs), manifest.intervals
-    measured = len(problem.start_q) + len(problem.start_qd) + len(problem.states)
+    measured = len(problem.start_q) + len(_list_velocities(manifest, problem)) + len(problem.states)
     expected = measured, len(problem.bounds.u), problem.intervals
     if sizes != expected:
         words = "states, inputs and intervals"
@@ -168,6 +169,17 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
         f"{manifest.prefix} has no constant {name}, which the loop updates" for name in constants if name not in known
     ]
     return found
+
+
+def _list_velocities(manifest: Manifest, problem: Problem) -> list[int]:
+    """Number the velocities that a controller reads: all, or with closed loops the independent ones."""
+    names, wanted = (
+        [entry.name for data in manifest.data if data.name == name for entry in data.entries]
+        for name in ("start_q", "start_qd")
+    )
+    every = len(problem.start_qd)
+    is_part = len(wanted) < every == len(names) and set(wanted) <= set(names)
+    return [names.index(name) for name in wanted] if is_part else [*range(every)]
 
 
 def _list(numbers: tuple[int, ...]) -> str:

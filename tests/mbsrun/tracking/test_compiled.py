@@ -230,3 +230,51 @@ def test_one_step_a_sample_swings_a_pole_up(
             cli.main()
         told = "".join(capsys.readouterr())
         assert (end.value.code, warning in told) == (0, is_warned), told
+
+
+CAM = """\
+name: cam
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: valve, joint: {name: valve, type: prismatic, axis: z, actuated: false}, mass: 0.1}
+  - {name: wheel, joint: {name: wheel, type: revolute, axis: y}, mass: 1, com: [0.1, 0, 0]}
+constraints: [{name: cam, equation: valve - 0.1*sin(wheel)**2}]
+independent: [wheel]
+"""
+TURN = """\
+model: cam.yaml
+horizon: 0.4
+intervals: 8
+scheme: radau
+degree: 2
+cost: {inputs: 0.1, running: [{expression: (q_wheel - 1)**2, weight: 20}, {expression: qd_wheel**2}]}
+start: {pose: {wheel: 0.3}}
+accuracy: 1
+"""
+
+
+def test_a_controller_of_a_closed_loop_reads_the_independent_velocities(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The wheel is the second joint, and the only one whose speed is a state: it moves as under the solver."""
+    monkeypatch.chdir(tmp_path)
+    Path("cam.yaml").write_text(CAM, "utf-8")
+    Path("turn.ocp.yaml").write_text(TURN, "utf-8")
+    loop = ("track", "turn.ocp.yaml", "--duration", "0.5", "--rate", "20")
+    for command in (
+        ("controller", "turn.ocp.yaml", "-o", "written"),
+        (*loop, "-o", "solved"),
+        (*loop, "--controller", "written", "-o", "compiled"),
+        (*loop, "--controller", "written", "--steps", "2", "-o", "stepped"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["mbsrun", *command])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 0, capsys.readouterr().err
+    ways = []
+    for folder in ("solved", "compiled", "stepped"):
+        with Path(folder, "track.csv").open(encoding="utf-8") as file:
+            ways.append([[float(row[f"q[{name}]"]) for name in ("valve", "wheel")] for row in csv.DictReader(file)])
+    assert ways[0][-1][1] > 0.8
+    np.testing.assert_allclose(ways[1], ways[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(ways[2], ways[0], rtol=0, atol=1e-2)  # one barrier parameter, not the least one
