@@ -277,7 +277,7 @@ class PhasedSolver:
         found = self.program.numpy.jacobian(x, self.transcription.parameters(self.problem))
         if not np.isfinite(found.data).all():
             raise NoNumbersError("a derivative of a row is not a finite number, or a kernel fails")
-        return found.tocsr()
+        return found
 
     def _find_method(self) -> methods.Solver:
         """Return the method, which solvers of relaxed problems share."""
