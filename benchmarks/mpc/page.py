@@ -133,7 +133,7 @@ def _write_rows(horizon: Horizon) -> Iterator[list[str]]:
 
 def _write_ways(horizon: Horizon) -> Iterator[list[str]]:
     for way in horizon.ways:
-        both = np.median(way.prepare + way.feedback)
+        both = float(np.median(way.prepare)) + float(np.median(way.feedback))
         idle = np.concatenate([x.idle for x in way.rounds])
         last = way.rounds[-1]
         yield [
