@@ -40,6 +40,7 @@ REST: Mapping[str, tuple[str, ...]] = {
     "packages": ("test_packaging.py",),
     "golden files of many models": ("test_golden.py",),
     "random inputs": ("test_fuzz.py",),
+    "every command on every kind of model": ("test_commands.py",),
 }
 
 # Kinds of which the tests that take a while run in `make rest`: few changes touch them.
