@@ -421,6 +421,32 @@ def test_driven_joints_go_on_with_their_accelerations(
         assert list(found)[1:] == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_new_inputs_of_driven_joints_close_the_loops_at_once(
+    compressor: tuple[Mechanism, Path], size: float, tmp_path: Path
+) -> None:
+    """The crank determines all: from new inputs on, the unit is where one stands that began with them."""
+    kernels, unit = compressor
+    inputs = [f"{kind}_crank" for kind in ("q", "qd", "qdd")]
+    joints = [coordinate.name for coordinate in kernels.manifest.coordinates]
+    wanted = [f"{kind}_{joint}" for kind in ("q", "qd") for joint in joints] + ["tau_crank"]
+    found = []
+    for k, starts in enumerate(([(0.7, 150.0, 30.0), (0.75, 140.0, -20.0)], [(0.75, 140.0, -20.0)])):
+        with _open(unit, tmp_path / str(k)) as (slave, places):
+            slave.setupExperiment()
+            slave.enterInitializationMode()
+            slave.setReal([places[x] for x in inputs], list(starts[0]))
+            slave.exitInitializationMode()
+            slave.setReal([places[x] for x in inputs], list(starts[-1]))
+            slave.doStep(0.0, size)
+            found.append(np.array(slave.getReal([places[x] for x in wanted])))
+    q, qd = found[0][: len(joints)], found[0][len(joints) : -1]
+    loops = load(FOLDER / "compressor.yaml", extent=LOOPS)
+    assert loops("loops", q=q)["gap"] == pytest.approx([0, 0], abs=1e-14)
+    assert loops("loop_rates", q=q, qd=qd)["hd"] == pytest.approx([0, 0], abs=1e-11)
+    assert found[0] == pytest.approx(found[1], rel=1e-11)
+
+
 def test_model_exchange_follows_any_course(crane: tuple[Mechanism, Path], tmp_path: Path) -> None:
     """Stages of the Runge-Kutta method, with the inputs of each, are steps of the simulator."""
     unit, h = crane[1], 1e-3

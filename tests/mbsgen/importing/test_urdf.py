@@ -12,6 +12,8 @@ import pytest
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.importing import Choices, Imported, Notice, import_model, write_imported
+from mbsgen.importing.poses import Pose
+from mbsgen.importing.solids import Solid
 from mbsgen.model.model import Body, Fixed, Follow, Friction, Joint
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -317,6 +319,25 @@ def test_inertias_that_no_body_has(tmp_path: Path, value: float, warned: bool, r
     found = altering(imported)
     assert [text for text in found if "miss by 0.17 of the largest" in text] == found
     assert len(found) == warned
+
+
+@pytest.mark.parametrize(("excess", "warned"), [(0.0, False), (2e-11, False), (4e-10, False), (5e-9, True)])
+def test_an_inertia_that_is_just_possible_may_be_rounded(tmp_path: Path, excess: float, warned: bool) -> None:
+    """A thin plate has izz = ixx + iyy, of which a file of ten digits misses 1e-9 at most."""
+    tensor = f'<mass value="1"/><inertia ixx="0.2" iyy="0.3" izz="{0.5 * (1 + excess)!r}"/>'
+    inner = link("a") + f'<link name="b"><inertial>{tensor}</inertial></link>' + joint("j", "revolute", "a", "b", LIMIT)
+    imported = import_model(write(tmp_path, inner))
+    assert bool(altering(imported)) == imported.model.allow_unphysical == warned
+
+
+def test_turns_leave_no_rounding_in_an_inertia() -> None:
+    """Products that are 0 stay 0, and cost nothing in the equations; small ones that a file gives are kept."""
+    c, s = 6.123233995736766e-17, 1.0  # cosine and sine of pi/2 in doubles
+    quarter = Pose(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.zeros(3))
+    tensor = np.array([[2, 1e-13, 0], [1e-13, 3, 0], [0, 0, 4]])
+    found = Solid(1.0, np.zeros(3), tensor).seen_from(quarter).inertia
+    assert (found[0, 2], found[0, 1]) == (0.0, 0.0)
+    np.testing.assert_allclose(found, [[4, 0, 0], [0, 3, -1e-13], [0, -1e-13, 2]], rtol=1e-9)
 
 
 def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:

@@ -141,6 +141,28 @@ def test_a_free_body_is_found_from_any_pose(tmp_path: Path) -> None:
     np.testing.assert_allclose(fit.q[known], q[known], atol=1e-8)
 
 
+def test_quaternions_keep_their_sign_from_frame_to_frame(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Two signs are one attitude: each frame has the one that is nearer to the frame before, and the first one stays.
+
+    A recording's spline, and its derivatives, would otherwise pass through no attitude at all.
+    """
+    path = tmp_path / "marked.yaml"
+    path.write_text(FREE, "utf-8")
+    kernels = load(path, extent=FITTED)
+    K, n, first = 60, len(kernels.manifest.positions), kernels.manifest.quaternions[0]
+    angle = np.linspace(0, 9, K)
+    smooth = rng.standard_normal((K, n))
+    smooth[:, first : first + 4] = np.c_[np.sin(angle / 2), 0 * angle, 0.1 * np.sin(angle / 2), np.cos(angle / 2)]
+    signs = np.where(rng.random(K) < 0.5, -1.0, 1.0)
+    mixed = smooth.copy()
+    mixed[:, first : first + 4] *= signs[:, None]
+    none = np.zeros((K, 0))
+    fitter = Fitter(kernels, Targets(np.arange(float(K)), (), np.zeros((K, 0, 3)), np.zeros(0), (), none, np.zeros(0)))
+    found = fitter.settle_signs(mixed.copy())
+    smooth[:, first : first + 4] *= signs[0]
+    np.testing.assert_array_equal(found, smooth)
+
+
 def test_closed_loops_stay_closed(rng: np.random.Generator) -> None:
     """At the optimum, the cost has no slope along motions that the loops permit."""
     kernels = load(MODELS / "five_bar.yaml", extent=FITTED)
