@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +15,11 @@ import mbsrun
 from mbsrun import cli
 from mbsrun.appearance import complete_manifest
 from mbsrun.commands.animated import read_motion
+from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.solution import read_solution
+from mbsrun.ocp.solution import Solution, read_solution
+from mbsrun.ocp.solve import solve
+from mbsrun.ocp.statement import read_problem
 from mbsrun.recordings import read_recording
 from mbsrun.skeleton import place
 
@@ -279,3 +284,109 @@ def test_centres_and_masses_follow_run_time_parameters(tmp_path: Path) -> None:
     none = complete_manifest(plant.with_parameters(m=0.0)).appearance
     assert none is not None
     assert none.masses == ()
+
+
+# --- closed loops and controllers ----------------------------------------------------------------------------------
+
+SPRING = """\
+name: spring
+gravity: [0, 0, 0]
+parameters:
+  m: {value: 2, kind: runtime}
+  k: {value: 1, kind: differentiated}
+bodies:
+  - {name: puck, joint: {name: x, type: prismatic, axis: x, stiffness: k}, mass: m}
+"""
+SWING = """\
+model: spring.yaml
+parameters: {m: 4}
+unknowns: {k: {guess: 1, range: [0.5, 9]}}
+horizon: 1
+intervals: 20
+scheme: radau
+degree: 2
+start: {pose: {x: 0.5}}
+cost:
+  inputs: 1
+  running: [{expression: (q_x - 0.5*cos(t))**2, weight: 100}]
+  terminal: [{expression: (k - 3)**2, weight: 1e-3}]
+"""
+RATE = "duration: 0.25\nrate: 20\n"
+
+
+@pytest.fixture(scope="module")
+def swinging(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a problem that chooses the stiffness of a spring and gives a mass, and its controller."""
+    folder = tmp_path_factory.mktemp("swinging")
+    for name, text in (("spring.yaml", SPRING), ("swing.ocp.yaml", SWING), ("swing.track.yaml", RATE)):
+        (folder / name).write_text(text, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("CFLAGS", "-O0")
+        patch.setattr("sys.argv", ["mbsrun", "controller", "swing.ocp.yaml", "-o", "controller"])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    assert end.value.code == 0
+    return folder
+
+
+def read_rows(file: Path) -> list[dict[str, float]]:
+    with file.open(encoding="utf-8") as stream:
+        return [{key: float(x) for key, x in row.items() if key != "status"} for row in csv.DictReader(stream)]
+
+
+@pytest.mark.parametrize("options", [[], ["--controller", "controller"]])
+def test_the_plant_of_a_loop_has_the_numbers_of_the_problem(
+    swinging: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    """x'' = (u - k x) / m with the mass that the problem gives, and the stiffness that it found."""
+    run = make_run(swinging, monkeypatch, capsys)
+    monkeypatch.setattr("mbsrun.tracking.record.save", lambda *_: None)  # pictures take seconds
+    problem, plant = read_problem(swinging / "swing.ocp.yaml", load_on_demand)
+    solution = solve(problem, plant)
+    assert isinstance(solution, Solution)
+    (k,), m = solution.trajectory.unknowns, 4.0
+    code, told, errors = run("track", "swing.ocp.yaml", "--settings", "swing.track.yaml", *options, "-o", "track")
+    assert (code, f"k = {k:.5g}" in told) == (0, True), told + errors
+    assert "another version" not in errors
+    found = json.loads((swinging / "track" / "summary.json").read_text("utf-8"))["parameters"]
+    assert found == {"m": 4.0, "k": pytest.approx(k, rel=1e-6)}
+    rows, w, h = read_rows(swinging / "track" / "track.csv"), np.sqrt(k / m), 0.05
+    for before, after in itertools.pairwise(rows):
+        middle = before["u[x]"] / k
+        x = middle + (before["q[x]"] - middle) * np.cos(w * h) + before["qd[x]"] / w * np.sin(w * h)
+        assert after["q[x]"] == pytest.approx(x, abs=1e-8)
+
+
+def test_a_controller_has_the_numbers_of_the_problem(swinging: Path) -> None:
+    """Its optimum is the one of `mbsrun solve`, with the parameters and the numbers among its data."""
+    problem, plant = read_problem(swinging / "swing.ocp.yaml", load_on_demand)
+    solution = solve(problem, plant)
+    assert isinstance(solution, Solution)
+    controller = mbsrun.controller(swinging / "controller")
+    assert controller.solve().cost == pytest.approx(solution.cost.total, rel=1e-6)
+    assert (controller.data["parameters"][0], controller.data["theta"][0]) == (
+        4.0,
+        pytest.approx(solution.trajectory.unknowns[0], rel=1e-6),
+    )
+    assert controller.manifest.numbers == {"k": pytest.approx(controller.data["theta"][0])}
+
+
+def test_loops_stay_closed_with_the_lengths_found(turned: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the reduced form a controller measures the velocities alone that the loops leave free."""
+    monkeypatch.setenv("CFLAGS", "-O0")
+    monkeypatch.setattr("mbsrun.tracking.record.save", lambda *_: None)  # pictures take seconds
+    (length,) = read_solution(turned / "turn" / "solution.json").trajectory.unknowns
+    (turned / "turn.track.yaml").write_text("duration: 0.25\nrate: 32\n", "utf-8")
+    code, told, errors = run("controller", "turn.ocp.yaml", "-o", "controller")
+    assert (code, "of 4 states and 1 inputs" in told) == (0, True), told + errors
+    motions = []
+    for options in ([], ["--controller", "controller"]):
+        code, told, errors = run("track", "turn.ocp.yaml", "--settings", "turn.track.yaml", *options, "-o", "loop")
+        assert (code, "another version" in errors) == (0, False), told + errors
+        rows = read_rows(turned / "loop" / "track.csv")
+        motor, pin, swing = (np.array([row[f"q[{name}]"] for row in rows]) for name in ("motor", "pin", "swing"))
+        coupler = 0.1 * np.exp(1j * motor) + 0.28 * np.exp(1j * (motor + pin))
+        assert coupler == pytest.approx(0.3 + length * np.exp(1j * swing), abs=1e-6)  # found twice, to 1e-8 of terms
+        motions.append(motor)
+    assert motions[0] == pytest.approx(motions[1], abs=1e-6)

@@ -109,6 +109,8 @@ def _print_summary(made: Made, out: Path) -> None:
         "memory": f"{manifest.memory.double} bytes, in single precision {manifest.memory.single}",
         "data": ", ".join(f"{field.name} ({field.size})" for field in manifest.data),
     }
+    if manifest.numbers:
+        rows["numbers"] = ", ".join(f"{name} = {x:.7g}" for name, x in manifest.numbers.items())
     for name, value in rows.items():
         click.echo(f"{name:<12}{value}")
     say(f"wrote {out}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,16 +29,19 @@ from mbsrun.controllers.making import hash_problem
 from mbsrun.controllers.writing import BARRIER
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.ocp.checks import MAX_THREADS
+from mbsrun.ocp.design import equip
+from mbsrun.ocp.fixing import fix_numbers
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.phases.placing import name_lines
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.statement import read_problem
 from mbsrun.simulation.methods import METHODS
 from mbsrun.tracking.analysis import Margin
 from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits, remembers
 from mbsrun.tracking.controller import Controller
 from mbsrun.tracking.loop import NoPlanError, Sample, Track, track
-from mbsrun.tracking.mechanisms import load_simulated
+from mbsrun.tracking.mechanisms import build_plant, load_simulated
 from mbsrun.tracking.plant import Plant
 from mbsrun.tracking.record import FILES, Report, report_track, write_track
 from mbsrun.tracking.solving import SolvingController
@@ -176,12 +180,19 @@ def track_command(
         changes = statement.changes
         other = models[0] if changes.model is None else (settings or file).parent / changes.model
         true = load_simulated(other, is_released=changes.is_released)
+        numbers = None if folder is None else load_controller(folder).manifest.numbers
+        fixed = fix_numbers(problem, model, given=numbers)
+        if isinstance(fixed, Failure):
+            say(f"{file}: no numbers of the mechanism are found: {fixed.finding}; {fixed.remedy}")
+            context.exit(NOT_SOLVED)
+        asked, problem, model = problem, fixed.problem, fixed.plant
+        true = build_plant(true, problem, fixed.numbers, is_other=changes.model is not None)
         trial, parameters = statement.trial(problem, true.manifest, true.parameters)
         true = true.with_parameters(**parameters)
-        predicting = load_simulated(models[0]) if trial.delay and trial.predicts else None
+        predicting = equip(load_simulated(models[0]), problem) if trial.delay and trial.predicts else None
         controller: Controller = SolvingController(problem, model, trial.period, trial.horizon)
         if folder is not None:
-            controller = _load_controller(folder, file, problem, trial, statement, stepping)
+            controller = _load_controller(folder, file, asked, trial, statement, stepping)
     try:
         found = _run(trial, problem, Plant(true, trial, problem), controller, predicting)
     except NoPlanError as error:
@@ -191,7 +202,7 @@ def track_command(
     with MESSAGES.status("drawing"):
         report = report_track(found, problem, true)
         write_track(report, true, out)
-    _print_report(report)
+    _print_report(report, fixed.numbers)
     say(f"wrote {list_written(out, FILES)}")
     for warning in _list_warnings(report):
         say(f"warning: {warning}")
@@ -256,13 +267,14 @@ def _run(trial: Trial, problem: Problem, plant: Plant, controller: Controller, m
         return track(trial, problem.bounds, plant, controller, model, show)
 
 
-def _print_report(report: Report) -> None:
+def _print_report(report: Report, numbers: Mapping[str, float]) -> None:
     found, trial = report.track, report.track.trial
     statuses = ", ".join(f"{count} {status}" for status, count in report.statuses[:LISTED])
     iterations = [sample.decision.iterations for sample in found.samples]
     times = report.times
     rows = {
         "problem": trial.name,
+        **({"numbers": _list_numbers(numbers)} if numbers else {}),
         "reached": f"{found.t[-1]:.6g} s of {trial.duration:.6g} s, {len(found.samples)} samples "
         f"of {1e3 * trial.period:.6g} ms",
         "controller": statuses,
@@ -283,6 +295,11 @@ def _print_report(report: Report) -> None:
         click.echo("least margins to bounds and constraints")
     for margin in sorted(report.margins, key=lambda margin: margin.least)[:LISTED]:
         click.echo(f"  {margin.least:>10.3g} at {margin.time:.3f} s  {margin.name}")
+
+
+def _list_numbers(numbers: Mapping[str, float]) -> str:
+    found = ", ".join(f"{name} = {value:.7g}" for name, value in numbers.items())
+    return f"{found}: found from the start, and kept"
 
 
 def _describe_margin(margin: Margin) -> str:

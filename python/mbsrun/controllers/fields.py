@@ -14,6 +14,7 @@ import numpy as np
 
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
+from mbsrun.external import Mechanism
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.problem import (
     Bounds,
@@ -84,14 +85,14 @@ class Sources:
         return next(field for field in self.fields if field.name == name)
 
 
-def find_sources(problem: Problem, transcription: Transcription, tables: StageProgram, manifest: Manifest) -> Sources:
+def find_sources(problem: Problem, transcription: Transcription, tables: StageProgram, kernels: Mechanism) -> Sources:
     """Collect the data of a problem, and find where they go."""
-    marks = _Marks()
+    marks, manifest = _Marks(), kernels.manifest
     marked = _mark(problem, transcription, manifest, marks)
     lower, upper = transcription.variable_bounds(marked)
     least, most = transcription.constraint_bounds(marked)
     p = transcription.parameters(marked)
-    _add_model(tables, manifest, marks)
+    _add_model(tables, kernels, marks)
     program = transcription.program
     everywhere = [
         _spread(bounds, program.kept, program.variables, other) for bounds, other in ((lower, -np.inf), (upper, np.inf))
@@ -285,17 +286,17 @@ def _mark_histories(problem: Problem, u: Sequence[tuple[str, str]], marks: _Mark
     return tuple(replace(delay, commands=taken[delay.index]) for delay in problem.delays)
 
 
-def _add_model(tables: StageProgram, manifest: Manifest, marks: _Marks) -> None:
-    """Add the model's parameters that kernels read, and the numbers of stages."""
+def _add_model(tables: StageProgram, kernels: Mechanism, marks: _Marks) -> None:
+    """Add the model's parameters that kernels read, at their present values, and the numbers of stages."""
+    manifest, present = kernels.manifest, kernels.parameters
     arguments = {(kernel.name, a.name): a for kernel in manifest.kernels for a in kernel.inputs}
     roles = {arguments[part.kernel, part.name].role for part in tables.given}
     if roles & {Role.SETUP, Role.PARAMETER}:
-        entries = [Entry(p.name, "", p.value) for p in manifest.parameters]
+        entries = [Entry(p.name, "", present[p.name]) for p in manifest.parameters]
         marks.add(MASSES, "run-time parameters of the model", entries)
     if Role.DESIGN in roles:
-        marks.add(
-            DESIGN, "differentiated parameters of the model", [Entry(p.name, "", p.value) for p in manifest.design]
-        )
+        entries = [Entry(p.name, "", present[p.name]) for p in manifest.design]
+        marks.add(DESIGN, "differentiated parameters of the model", entries)
     if tables.numbers.size:
         meaning = "numbers of the stages, stage by stage: relative times that expressions read"
         marks.add(NUMBERS, meaning, [Entry("", "", float(x)) for x in tables.numbers.ravel()])

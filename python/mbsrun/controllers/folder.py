@@ -68,6 +68,7 @@ class Manifest(_Part):
     states: tuple[Quantity, ...]
     inputs: tuple[Quantity, ...]
     data: tuple[Data, ...]
+    numbers: dict[str, float] = {}  # of the mechanism, which the problem chose; parameters or theta have them too
     delays: tuple[int, ...] = ()  # intervals until each input acts that is given now; empty: all act at once
     predicts: bool
     cost: float  # of the optimum that the check expects

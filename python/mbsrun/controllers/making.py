@@ -38,11 +38,14 @@ from mbsrun.models import Extent, find_folder, is_model
 from mbsrun.ocp import schemes
 from mbsrun.ocp.backends import numpy as functions
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.design import equip
+from mbsrun.ocp.fixing import fix_numbers
 from mbsrun.ocp.functions import Array, Formula, KernelResult
 from mbsrun.ocp.guess import Pose, adapt, make_guess
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.scales import find_scales
+from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import Solver, settle
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.calls import name_called
@@ -88,6 +91,11 @@ def make(
         raise ProblemError(problem.name, [(refusal.key, refusal.finding, refusal.remedy) for refusal in refusals])
     if emulated:
         bare.find_tools()
+    problem_hash = hash_problem(problem)
+    fixed = fix_numbers(problem, plant, guess)
+    if isinstance(fixed, Failure):
+        raise UnsolvedError(f"no numbers of the mechanism are found: {fixed.finding}; {fixed.remedy}")
+    problem, plant, guess = fixed.problem, fixed.plant, fixed.guess
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
@@ -97,6 +105,7 @@ def make(
     start = complete(start, problem, plant)
     transcription = Solver(problem, plant).transcription
     place, kernels = gather_kernels(transcription.program, plant, model)
+    kernels = equip(kernels, problem)
     tables = build(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
@@ -106,11 +115,12 @@ def make(
         name=choose_name(problem.name, kernels.manifest.prefix, prefix),
         version=kernels.manifest.generator.split()[-1],
         problem=problem,
-        problem_hash=hash_problem(problem),
+        problem_hash=problem_hash,
+        numbers=fixed.numbers,
         manifest=kernels.manifest,
         transcription=transcription,
         tables=tables,
-        sources=find_sources(problem, transcription, tables, kernels.manifest),
+        sources=find_sources(problem, transcription, tables, kernels),
         scales=scales,
         guess=placed,
         plan=placed,
@@ -247,6 +257,7 @@ def describe(
         states=tuple(states),
         inputs=tuple(folders.Quantity(name=c.name, unit=c.force_unit) for c in actuated),
         data=tuple(data),
+        numbers=dict(design.numbers),
         delays=list_delays(design.problem),
         predicts=bool(design.prediction),
         cost=figures.cost,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from mbsgen.documents import Data, Document, Place
 from mbsgen.errors import Fault
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.fixing import list_numbers
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.rewriting import INPUT
 from mbsrun.quantities import SIGNAL
@@ -57,6 +58,12 @@ def _has_own_controls(problem: Problem) -> bool:
 
 def _has_slacks(problem: Problem) -> bool:
     return any(part.softens for part in problem.controls) or any(part.softens for part in problem.unknowns)
+
+
+def _has_unknowns(problem: Problem, manifest: Manifest) -> bool:
+    """Return whether numbers stay unknown, beside the ones of the mechanism, which are found once."""
+    found = list_numbers(problem, manifest)
+    return any(not (part.softens or part.largest or part.name in found) for part in problem.unknowns)
 
 
 _RULES = (
@@ -121,12 +128,6 @@ _RULES = (
         lambda problem: any(part.largest for part in problem.unknowns),
     ),
     _rule(
-        ("unknowns",),
-        "a controller chooses inputs alone, and the problem has unknowns",
-        "solve it by `mbsrun solve`, and write the values found into the model or the constants",
-        lambda problem: any(not part.softens and not part.largest for part in problem.unknowns),
-    ),
-    _rule(
         ("functions",),
         "a controller is C, and the problem has expressions of CasADi",
         "write them as text",
@@ -138,6 +139,10 @@ _RULES = (
 def find_refusals(problem: Problem, manifest: Manifest) -> list[Refusal]:
     """List all parts of a problem that a controller cannot have."""
     found = [rule.refusal for rule in _RULES if rule.is_broken(problem)]
+    if _has_unknowns(problem, manifest):
+        finding = "a controller chooses inputs alone, and the problem has unknowns that are no parameters of the model"
+        remedy = "solve it by `mbsrun solve`, and write the values found into the constants"
+        found.append(Refusal(("unknowns",), finding, remedy))
     return [*found, *_find_open_wrenches(problem, manifest)]
 
 

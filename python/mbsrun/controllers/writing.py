@@ -47,6 +47,7 @@ class Design:
     version: str
     problem: Problem
     problem_hash: str
+    numbers: Mapping[str, float]  # of the mechanism, which the problem chose
     manifest: Manifest  # of the kernels
     transcription: Transcription
     tables: StageProgram

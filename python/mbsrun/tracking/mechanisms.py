@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism, load, load_on_demand
 from mbsrun.models import INTEGRATED, Extent
+from mbsrun.ocp.design import equip
+from mbsrun.ocp.problem import Problem
 
 SIMULATED = ("exp2", "impl", "energy", "power", "frames")  # as the simulation needs them, without loops
 
@@ -18,6 +21,17 @@ def load_simulated(model: Path, *, is_released: bool = False) -> Mechanism:
     other numbers have their paths, such as `link7.mass`. Raises InputError with every fault of the model.
     """
     return load(model, extent=_choose(load_on_demand(model).manifest, is_released=is_released))
+
+
+def build_plant(plant: Mechanism, problem: Problem, numbers: Mapping[str, float], *, is_other: bool) -> Mechanism:
+    """Return the true mechanism with the numbers of a problem: with all of its parameters, or the ones that were found.
+
+    The file of another model has the other numbers itself.
+    """
+    if not is_other:
+        return equip(plant, problem)
+    known = {name: value for name, value in numbers.items() if name in plant.parameters}
+    return plant.with_parameters(**known)
 
 
 def _choose(manifest: Manifest, *, is_released: bool) -> Extent:
