@@ -13,6 +13,7 @@ from mbsrun.ocp.checks import Finding, ProblemError
 from mbsrun.ocp.problem import Problem
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import Column, Recording
+from mbsrun.results import list_results
 
 
 def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recording:
@@ -21,7 +22,8 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     Quantities that follow from a motion, such as positions of sensors, are left out. Raises ProblemError with every
     fault.
     """
-    known, columns = list_quantities(manifest, problem.added), _name_columns(problem, manifest)
+    columns = _name_columns(problem, manifest)
+    known = [*list_quantities(manifest, problem.added), *list_results(manifest)]
     given = {str(name): values[name] for name in values}
     if "t" not in given and not isinstance(values, Mapping):
         given["t"] = values.index  # of a frame
@@ -29,7 +31,7 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     arrays = {}
     for name, numbers in given.items():
         if name not in known:
-            meant = nearest(name, list(known))
+            meant = nearest(name, known)
             findings.append((f"guess.{name}", "unknown name", f"did you mean {meant}?" if meant else "leave it out"))
             continue
         try:

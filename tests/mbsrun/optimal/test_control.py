@@ -141,6 +141,8 @@ def test_a_solution_is_read_back(swing: OptimalControl, solved: Solved, tmp_path
     again = swing.load(tmp_path / "s.json")
     assert again.cost == solved.cost
     assert np.array_equal(again["u_cart"], solved["u_cart"])
+    numbers = {name: solved[name] for name in (*(x for x in solved.names if x[0] != "v"), "kinetic", "t")}
+    assert swing.solve(guess=numbers, check=False).is_solved  # what follows from the motion is left out
     other = mbsrun.problem(MODELS / "pendulum.yaml", horizon=1)
     with pytest.raises(InputError, match="give a solution for this mechanism"):
         other.solve(guess=tmp_path / "s.json")
@@ -156,6 +158,8 @@ def test_a_frame_has_a_column_for_each_name(solved: Solved, monkeypatch: pytest.
     assert name == "t"
     assert np.array_equal(times, solved.t)
     assert list(columns) == [name for name in solved.names if name != "t"]
+    more, _ = solved.to_frame("kinetic", "reaction_z_*")
+    assert [name for name in more if name not in columns] == ["kinetic", "reaction_z_cart", "reaction_z_pole"]
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingPackageError, match=r"pandas is not installed; run .*: pip install '\.\[notebook\]'"):
         solved.to_frame()
