@@ -375,6 +375,11 @@ class Manifest(_Entry):
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {k: x for k, x in write(self).items() if k != "formulas" or x}
 
+    def __repr__(self) -> str:
+        """Return the model and the numbers of its parts."""
+        parts = f"{len(self.coordinates)} joints, {len(self.frames)} frames, {len(self.kernels)} kernels"
+        return f"Manifest({self.model}: {parts})"
+
     def kernel(self, name: str) -> Kernel:
         """Return a kernel by name; KeyError lists the kernels."""
         for kernel in self.kernels:

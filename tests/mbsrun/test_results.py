@@ -16,6 +16,7 @@ from mbsrun.external import Mechanism
 from mbsrun.models import Extent
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.result import Solved, Unsolved
+from mbsrun.recordings import Recording
 from mbsrun.results import UnknownNameError
 from mbsrun.simulation import Motion, Settings, control, simulate
 from mbsrun.simulation.drive import hold
@@ -153,6 +154,7 @@ def test_objects_show_themselves_in_a_line(lift: Solved, turning: Motion) -> Non
     failure = stopped.failure
     assert repr(failure) == f"Failure({problem.name}: {failure.run.status}: {failure.finding}; {failure.remedy})"
     shown = [problem.value, lift.solution, lift.trajectory, lift.plant, turning, turning.kernels]
+    shown += [lift.plant.manifest, Recording("lift.csv", lift.t, (), np.zeros((lift.t.size, 0)))]
     for each in shown:
         assert len(repr(each)) < 400
         assert "\n" not in repr(each)

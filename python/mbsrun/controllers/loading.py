@@ -120,6 +120,10 @@ class Controller:
         self._clock = self._ffi.callback("double(void *)", lambda _: time.perf_counter())
         self.data = MappingProxyType(self._view())
 
+    def __repr__(self) -> str:
+        """Return the controller's name, its plan and its data."""
+        return f"Controller({self._name}: {self.manifest.intervals} intervals; data {', '.join(self.data)})"
+
     @property
     def bytes(self) -> int:
         """Count the bytes of memory that the controller uses."""

@@ -88,7 +88,7 @@ class Excitation:
     G: Array  # (o, e): outputs that move with them by themselves
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Linearisation:
     """Linear equations about an equilibrium, for d freedoms, m inputs, o outputs."""
 
@@ -103,6 +103,12 @@ class Linearisation:
     F: Array  # (d, m)
     G: Array  # (o, 2 d)
     excitation: Excitation
+
+    def __repr__(self) -> str:
+        """Return the names of freedoms, inputs and outputs."""
+        parts = {"freedoms": self.freedoms, "inputs": self.inputs, "outputs": self.outputs}
+        told = (f"{kind} {', '.join(names)}" for kind, names in parts.items() if names)
+        return f"Linearisation({'; '.join(told)})"
 
     @cached_property
     def A(self) -> Array:

@@ -140,12 +140,16 @@ class Margin:
         return self.violation <= self.tolerated
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Margins:
     """The bounds and constraints of the path along a re-simulated motion, between the points of the grid too."""
 
     each: tuple[Margin, ...]
     intervals: tuple[float, ...]  # the largest violation of each interval over the tolerated one; 0: none
+
+    def __repr__(self) -> str:
+        """Return how many there are, and the worst one."""
+        return f"Margins({len(self.each)} bounds and constraints; the worst: {self.worst})"
 
     @property
     def worst(self) -> Margin | None:

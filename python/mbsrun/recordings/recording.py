@@ -44,7 +44,7 @@ class Column:
     unit: str = ""  # empty: the file states none
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """K samples of C columns; times increase."""
 
@@ -53,6 +53,13 @@ class Recording:
     columns: tuple[Column, ...]
     values: Array  # (K, C); NaN in gaps
     in_degrees: bool | None = False  # of angles among columns without a unit; None: the file leaves it open
+
+    def __repr__(self) -> str:
+        """Return the file, the times and the number of columns."""
+        times = (
+            f"{len(self.times)} times from {self.times[0]:g} to {self.times[-1]:g} s" if len(self.times) else "empty"
+        )
+        return f"Recording({self.file}: {times}, {len(self.columns)} columns)"
 
     @property
     def names(self) -> tuple[str, ...]:

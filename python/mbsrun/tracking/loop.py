@@ -61,7 +61,7 @@ class Sample:
     is_moved: bool  # the measured state was beyond a bound, and the controller got a state within it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Track:
     """The samples of a loop, and the true motion at K times."""
 
@@ -76,6 +76,11 @@ class Track:
     drift: float  # J: the largest drift of the energy in a period
     lossy: int  # periods whose drift is larger than it should be
     halt: Halt | None
+
+    def __repr__(self) -> str:
+        """Return the length of the loop, and how it ended."""
+        end = "complete" if self.halt is None else f"incomplete: {self.halt}"
+        return f"Track({self.t[-1]:.6g} s, {len(self.samples)} samples, {self.failures} without a new plan, {end})"
 
     @property
     def failures(self) -> int:
