@@ -48,8 +48,9 @@ def test_a_scale_is_a_power_of_two_near_the_size(largest: float, limits: list[fl
     assert round_scale(largest, np.array(limits)) == scale
 
 
+@pytest.mark.parametrize("method", ["mbs", "ipopt"])
 @pytest.mark.parametrize("unit", ["1", "1e7", "1e-7"])
-def test_a_lander_in_any_unit_burns_as_much(tmp_path: Path, unit: str) -> None:
+def test_a_lander_in_any_unit_burns_as_much(tmp_path: Path, unit: str, method: str) -> None:
     """A landing from 10 m at -2 m/s under 1.5 m/s^2, at least thrust: full thrust after a fall, in any unit.
 
     Fall for s, thrust of 3 m/s^2 for b: 2 + 1.5 s = 1.5 b, and 10 = 2 s + 0.75 s^2 + 0.75 b^2; the cost is 3 b,
@@ -57,7 +58,7 @@ def test_a_lander_in_any_unit_burns_as_much(tmp_path: Path, unit: str) -> None:
     """
     (tmp_path / "lander.ocp.yaml").write_text(LANDER.replace("UNIT", unit), "utf-8")
     problem, plant = read_problem(tmp_path / "lander.ocp.yaml", load_on_demand, NO_MECHANISM)
-    solution = solve(problem, plant)
+    solution = solve(problem.with_solver(method), plant)
     assert isinstance(solution, Solution), solution.finding
     s = max(np.roots([1.5, 4.0, 4 / 3 - 10]).real)
     assert solution.cost.total == pytest.approx(3 * (s + 4 / 3), rel=2e-3)

@@ -7,14 +7,17 @@ programming", Mathematical Programming 106 (2006). See `linear` for the linear s
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
-from mbsrun.ocp.methods.method import Method, Order, Solver
+from mbsrun.ocp.methods.method import Answer, Method, Order, Solver, Start
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Choice, Option, Settings
 
 if TYPE_CHECKING:
     import casadi as ca
+
+    from mbsrun.ocp.methods.nlpsol import Differentiated
 
 LINEAR_SOLVER = "linear_solver"  # by default MUMPS, if one of MUMPS's options is given; else the project's
 
@@ -71,10 +74,25 @@ QUIET: Settings = {"print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
 
 
 def make_ipopt(order: Order) -> Solver:
-    """Make IPOPT for a program."""
-    from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make  # loads CasADi
+    """Make IPOPT for a program: in scaled variables and rows, where a start has usual sizes other than 1."""
+    from mbsrun.ocp.methods.scaling import ScaledFunctions, scale_rows, scale_start, unscale  # loads CasADi
 
     functions = order.program.casadi
+    plain, scaled = _make(order, functions), cache(lambda: _make(order, ScaledFunctions(functions)))
+
+    def solve(start: Start) -> Answer:
+        if start.scales is None or (start.scales == 1).all():
+            return plain(start)
+        rows = scale_rows(functions, start, start.scales)
+        return unscale(scaled()(scale_start(start, start.scales, rows)), start.scales, rows)
+
+    return solve
+
+
+def _make(order: Order, functions: Differentiated) -> Solver:
+    """Make IPOPT for functions of a program."""
+    from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
+
     given = {"tol": order.tolerance, "max_iter": order.max_iterations, "obj_scaling_factor": order.scaling}
     settings: dict[str, Any] = {
         **UNDIFFERENTIATED,
@@ -84,7 +102,7 @@ def make_ipopt(order: Order) -> Solver:
     }
     if order.options.get("hessian_approximation") != "limited-memory":
         settings["hess_lag"] = functions.hessian
-    return make("ipopt", order, settings)
+    return make("ipopt", functions, settings)
 
 
 def pair(jacobian: ca.Function) -> ca.Function:

@@ -3,21 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 
-from mbsrun.ocp.backends.casadi import Functions
-from mbsrun.ocp.methods.method import Answer, Iterate, Order, Solver, Start
+from mbsrun.ocp.methods.method import Answer, Iterate, Solver, Start
 from mbsrun.ocp.status import SOLVED
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
 UNDIFFERENTIATED: Mapping[str, bool] = {"calc_lam_p": False, "no_nlp_grad": True}
 
 
-def make(name: str, order: Order, settings: Mapping[str, Any], *, scale: float = 1.0) -> Solver:
+class Differentiated(Protocol):
+    """The part of a program's functions that a solver takes; see `backends.casadi.Functions`."""
+
+    @property
+    def variables(self) -> int:
+        """Count the entries of x."""
+
+    @property
+    def constraints(self) -> int:
+        """Count the entries of g."""
+
+    @property
+    def parameters(self) -> int:
+        """Count the entries of p."""
+
+    @property
+    def objective(self) -> ca.Function:
+        """(x, p) -> f."""
+
+    @property
+    def constraint(self) -> ca.Function:
+        """(x, p) -> g."""
+
+    @property
+    def gradient(self) -> ca.Function:
+        """(x, p) -> f, its gradient."""
+
+    @property
+    def jacobian(self) -> ca.Function:
+        """(x, p) -> the Jacobian of g."""
+
+    @property
+    def hessian(self) -> ca.Function:
+        """(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g."""
+
+
+def make(name: str, functions: Differentiated, settings: Mapping[str, Any], *, scale: float = 1.0) -> Solver:
     """Make a solver of CasADi's; it sees, and reports, the cost times `scale`."""
-    functions = order.program.casadi
     x, p = ca.MX.sym("x", functions.variables), ca.MX.sym("p", functions.parameters)
     nlp: dict[str, Any] = {"x": x, "p": p, "f": scale * functions.objective(x, p), "g": functions.constraint(x, p)}
     callback = _Callback(functions, scale)
@@ -62,7 +96,7 @@ def _read(statistics: Mapping[str, Any], answer: Mapping[str, ca.DM], scale: flo
 class _Callback(ca.Callback):
     """Shows a watch every iterate."""
 
-    def __init__(self, functions: Functions, scale: float) -> None:
+    def __init__(self, functions: Differentiated, scale: float) -> None:
         """Make it for a program, of which the solver sees the cost times `scale`."""
         super().__init__()
         variables, constraints = functions.variables, functions.constraints

@@ -47,7 +47,7 @@ def make_sqp(order: Order) -> Solver:
         "print_status": False,
         **order.options,
     }
-    return make("sqpmethod", order, settings, scale=scale)
+    return make("sqpmethod", functions, settings, scale=scale)
 
 
 SQP = Method("sequential quadratic programming", SQP_OPTIONS, make_sqp)
