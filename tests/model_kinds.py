@@ -184,7 +184,12 @@ KINDS: dict[str, Kind] = {
         """,
         start="{x: 0.5}",
         columns={"bob.qx": 0, "bob.qy": 0, "bob.qz": 0, "bob.qw": 1, "x": 0.5},
-        refused=QUATERNIONS | CONSTRAINED | {"solve --form": "the reduced form takes all or none"},
+        refused=CONSTRAINED
+        | {
+            "--method symplectic-euler": "takes no quaternions",
+            "inverse": FREEDOMS,
+            "solve --form": "the reduced form takes all or none",
+        },
     ),
     "driven_loop": Kind(
         """\

@@ -18,7 +18,9 @@ from mbsrun.simulation import record as simulation
 from mbsrun.simulation.methods import METHODS
 from tests.model_kinds import KINDS, Kind, write_model, write_problem
 
-pytestmark = pytest.mark.filterwarnings("error::UserWarning", "error::RuntimeWarning")  # a user would see them
+pytestmark = pytest.mark.filterwarnings(  # a user would see the ones of libraries
+    "error::UserWarning", "error::RuntimeWarning", "default::mbsgen.model.reader.ModelWarning"
+)
 
 Run = Callable[..., tuple[object, str]]
 DRAWN = {  # functions that draw, by their modules; their last argument is a path
