@@ -24,6 +24,7 @@ from mbsrun.commands.recorded import (
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism, load
 from mbsrun.models import INTEGRATED
+from mbsrun.quantities import Quantity, find_unit
 from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
@@ -176,8 +177,19 @@ def _summarise(found: Recalled, mechanism: Mechanism, forces: dict[str, Array]) 
 def _plot(forces: Forces, manifest: Manifest, named: dict[str, Array], path: Path) -> None:
     """Plot coordinates and forces over time, interrupted where times were left out."""
     coordinates = {name: forces.q[:, i] for i, name in enumerate(manifest.positions)}
-    panels = [Panel("q [rad, m]", coordinates, {}), Panel("forces [N m, N]", named, {})]
+    units = [find_unit(Quantity("q", i), manifest) for i in range(len(manifest.positions))]
+    own = {f"{kind}[{c.name}]": c.force_unit for c in manifest.coordinates for kind in ("u", "tau", "rest")}
+    panels = _split("q", coordinates, dict(zip(manifest.positions, units, strict=True)))
+    panels += _split("forces", named, own)
     plot_panels(forces.t, panels, f"{manifest.model}: inverse dynamics", path)
+
+
+def _split(title: str, lines: dict[str, Array], units: dict[str, str]) -> list[Panel]:
+    """Return a panel for each unit."""
+    return [
+        Panel(f"{title} [{unit}]" if unit else title, {x: y for x, y in lines.items() if units[x] == unit}, {})
+        for unit in dict.fromkeys(units[name] for name in lines)
+    ]
 
 
 def _print_summary(found: Recalled, forces: dict[str, Array]) -> None:

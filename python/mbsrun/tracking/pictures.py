@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +11,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from mbsgen.manifest import Manifest
 from mbsgen.style import BAD, PALETTE, save_plot, styled
+from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
 from mbsrun.external import Mechanism
 from mbsrun.ocp.problem import Problem, Range
+from mbsrun.quantities import Quantity, find_unit, list_quantities
 from mbsrun.tracking.analysis import TAIL, Margin, Measured, Times, follow_references, read_quantities
 from mbsrun.tracking.loop import Track
 
 Array = NDArray[np.float64]
 
 COLORS = PALETTE
-NAMED = 12  # lines that a legend still names
 BINS = 40
 LONGEST = 32  # characters of a name in a legend
 
@@ -29,35 +31,85 @@ LONGEST = 32  # characters of a name in a legend
 def draw_track(
     track: Track, problem: Problem, measured: Sequence[Measured], margins: Sequence[Margin], plant: Mechanism
 ) -> Figure:
-    """Plot coordinates, velocities, inputs, references, margins to constraints and measures over time."""
-    constrained = [margin for margin in margins if not margin.is_bound]
-    manifest, references = plant.manifest, follow_references(track)
-    rows = 3 + bool(references) + bool(constrained) + bool(measured)
-    figure = Figure(figsize=(8, 2.6 * rows), layout="constrained")
-    axes = list(figure.subplots(rows, 1, sharex=True))
-    velocities = [c.name for c in manifest.coordinates]
-    _plot(axes[0], track.t, track.q, manifest.positions, "$q$")
-    _plot(axes[1], track.t, track.qd, velocities, r"$\dot{q}$")
-    _plot_inputs(axes[2], track, problem.bounds.u, [velocities[i] for i in manifest.actuated])
-    if references:
-        values = np.stack(read_quantities(list(references), track, plant), axis=1)
-        _plot(axes[3], track.t, values, list(references), "reference (dashed)")
-        for k, reference in enumerate(references.values()):
-            axes[3].plot(track.t, reference, "--", color=COLORS[k % len(COLORS)], linewidth=1)
-    if constrained:
-        lines = np.stack([margin.values for margin in constrained], axis=1)
-        below = axes[3 + bool(references)]
-        _plot(below, track.t, lines, [margin.name for margin in constrained], "margin to constraints")
-        below.axhline(0, color="black", linewidth=0.7, linestyle="--")
-    if measured:
-        _plot_measures(axes[-1], measured)
+    """Plot coordinates, velocities, inputs, references, margins to constraints and measures, a panel for each unit."""
+    curves = [
+        *_list_motion(track, problem.bounds.u, plant.manifest),
+        *_list_references(track, plant),
+        *_list_margins(track, margins),
+        *_list_measures(measured),
+    ]
+    figure, _ = draw_curves(curves, (float(track.t[0]), float(track.t[-1]) or 1.0))
     for kick in track.trial.kicks:
-        for each in axes:
+        for each in figure.axes:
             each.axvline(kick.time, color="0.6", linewidth=0.8, linestyle=":")
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(track.t[0], track.t[-1] or 1.0)
-    figure.suptitle(_plain(track.trial.name) + ("" if track.halt is None else ": incomplete"))
+    figure.suptitle(plain(_shorten(track.trial.name)) + ("" if track.halt is None else ": incomplete"))
     return figure
+
+
+def _list_motion(track: Track, bounds: Sequence[Range], manifest: Manifest) -> Iterator[Curve]:
+    """Yield coordinates, velocities, and inputs that were asked for, in steps, with their bounds."""
+    for title, kind, symbol, names, values in (
+        ("coordinates", "q", "q", manifest.positions, track.q),
+        ("velocities", "qd", r"\dot{q}", [c.name for c in manifest.coordinates], track.qd),
+    ):
+        for i, (name, column) in enumerate(zip(names, values.T, strict=True)):
+            panel = Panel(title, symbol, find_unit(Quantity(kind, i), manifest))
+            yield Curve(panel, _shorten(name), plot(track.t, column, color=COLORS[i % len(COLORS)], linewidth=1.2))
+    edges = np.array([*(sample.time for sample in track.samples), track.t[-1]])
+    if edges[-1] <= edges[-2]:  # it ended at a sample
+        edges[-1] = edges[-2] + track.trial.period
+    for i, (k, limits) in enumerate(zip(manifest.actuated, bounds, strict=True)):
+        joint, given = manifest.coordinates[k], np.array([sample.u[i] for sample in track.samples])
+        panel = Panel("inputs (bounds dashed)", "u", joint.force_unit)
+        yield Curve(panel, _shorten(joint.name), _draw_steps(edges, given, limits, COLORS[i % len(COLORS)]))
+
+
+def _draw_steps(edges: Array, values: Array, limits: Range, color: str) -> Callable[[Axes, str], None]:
+    def draw(axes: Axes, label: str) -> None:
+        axes.stairs(values, edges, baseline=None, color=color, linewidth=1.2, label=plain(label))
+        for limit in filter(np.isfinite, limits):
+            axes.axhline(limit, color=color, linewidth=0.7, linestyle="--")
+
+    return draw
+
+
+def _list_references(track: Track, plant: Mechanism) -> Iterator[Curve]:
+    """Yield quantities that follow a reference, each with it."""
+    references, known = follow_references(track), list_quantities(plant.manifest)
+    if not references:
+        return
+    for k, (name, values) in enumerate(zip(references, read_quantities(list(references), track, plant), strict=True)):
+        panel = Panel("references (dashed)", unit=find_unit(known[name], plant.manifest))
+        yield Curve(panel, _shorten(name), _draw_pair(track.t, values, references[name], COLORS[k % len(COLORS)]))
+
+
+def _draw_pair(t: Array, values: Array, reference: Array, color: str) -> Callable[[Axes, str], None]:
+    def draw(axes: Axes, label: str) -> None:
+        axes.plot(t, values, color=color, label=plain(label), linewidth=1.2)
+        axes.plot(t, reference, color=color, linewidth=1, linestyle="--")
+
+    return draw
+
+
+def _list_margins(track: Track, margins: Sequence[Margin]) -> Iterator[Curve]:
+    """Yield the margins to constraints; nothing states their units."""
+    for k, margin in enumerate(margin for margin in margins if not margin.is_bound):
+        drawn = plot(track.t, margin.values, color=COLORS[k % len(COLORS)], linewidth=1.2)
+        yield Curve(Panel("margins to constraints"), _shorten(margin.name), drawn)
+
+
+def _list_measures(measured: Sequence[Measured]) -> Iterator[Curve]:
+    for k, x in enumerate(measured):
+        yield Curve(Panel("measures (limits dashed)"), _shorten(x.name), _draw_measure(x, COLORS[k % len(COLORS)]))
+
+
+def _draw_measure(x: Measured, color: str) -> Callable[[Axes, str], None]:
+    def draw(axes: Axes, label: str) -> None:
+        axes.plot(x.t, x.values, color=color, label=plain(label), linewidth=1.2)
+        if x.most is not None:
+            axes.axhline(x.most, color=color, linewidth=0.7, linestyle="--")
+
+    return draw
 
 
 @styled
@@ -86,43 +138,6 @@ def save(figure: Figure, path: Path) -> None:
     save_plot(figure, path)
 
 
-def _plot(axes: Axes, t: Array, values: Array, names: Sequence[str], label: str) -> None:
-    for i, (name, column) in enumerate(zip(names, values.T, strict=True)):
-        axes.plot(t, column, color=COLORS[i % len(COLORS)], label=_plain(name), linewidth=1.2)
-    _finish(axes, label, len(names))
-
-
-def _plot_inputs(axes: Axes, track: Track, bounds: Sequence[Range], names: Sequence[str]) -> None:
-    """Plot the inputs that were asked for, in steps, and their bounds."""
-    edges = np.array([*(sample.time for sample in track.samples), track.t[-1]])
-    if edges[-1] <= edges[-2]:  # it ended at a sample
-        edges[-1] = edges[-2] + track.trial.period
-    for i, (name, limits) in enumerate(zip(names, bounds, strict=True)):
-        color = COLORS[i % len(COLORS)]
-        values = [sample.u[i] for sample in track.samples]
-        axes.stairs(values, edges, baseline=None, color=color, linewidth=1.2, label=_plain(name))
-        for limit in filter(np.isfinite, limits):
-            axes.axhline(limit, color=color, linewidth=0.7, linestyle="--")
-    _finish(axes, "inputs (bounds dashed)", len(names))
-
-
-def _plot_measures(axes: Axes, measured: Sequence[Measured]) -> None:
-    for i, x in enumerate(measured):
-        color = COLORS[i % len(COLORS)]
-        axes.plot(x.t, x.values, color=color, label=_plain(x.name), linewidth=1.2)
-        if x.most is not None:
-            axes.axhline(x.most, color=color, linewidth=0.7, linestyle="--")
-    _finish(axes, "measures (limits dashed)", len(measured))
-
-
-def _finish(axes: Axes, label: str, lines: int) -> None:
-    axes.set_ylabel(label)
-    axes.grid(alpha=0.3)
-    if lines <= NAMED:
-        axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
-
-
-def _plain(name: str) -> str:
-    """Shorten a name of the user's; keep it from being read as a formula, or as an instruction to leave it out."""
-    name = name if len(name) <= LONGEST else f"{name[: LONGEST - 3]}..."
-    return "\u200b" + name.replace("$", r"\$") if name.startswith("_") else name.replace("$", r"\$")
+def _shorten(name: str) -> str:
+    """Shorten a name of the user's."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 3]}..."
