@@ -154,6 +154,7 @@ def test_steps_in_c_are_the_ones_in_python(
     assert other.is_complete
     assert np.abs(first.q - other.q).max() < 1e-11
     assert np.abs(first.qd - other.qd).max() < 1e-9
+    assert first.effort.iterations == other.effort.iterations, "of Newton's method, with the same slopes"
     assert first.energy is not None
     assert other.energy is not None
     assert np.abs(first.energy.drift - other.energy.drift).max() < 1e-8
