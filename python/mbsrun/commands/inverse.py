@@ -91,6 +91,11 @@ def inverse_command(
     if forces.spare:
         click.echo(f"{forces.spare} forces more than freedoms: the ones of least norm")
     say(f"wrote {out}")
+    if jump := forces.find_jump(manifest):
+        say(
+            f"warning: {jump[1]} jumps at t = {jump[0]:.6g} s, away from its velocity: rows are too far apart, or the "
+            "motion changes between two ways to assemble the loops; take a shorter --output-step"
+        )
 
 
 def _read_motions(motions: Sequence[str], manifest: Manifest) -> dict[int, Expression]:

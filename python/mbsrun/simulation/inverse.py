@@ -5,6 +5,9 @@
 Phi is the residual without inputs, S and D choose the actuated and the driven joints. With a basis Z of the motions
 that loops admit, J Z = 0, the forces solve Z^T (S u + D tau) = Z^T Phi: the ones of least norm, where there are more of
 them than freedoms; what they cannot balance is returned, where there are fewer. The rest gives the multipliers lam.
+
+Loops are closed near the pose that the poses before lead to. So a mechanism stays on its branch where branches meet, as
+a parallelogram does where its links are in line.
 """
 
 from __future__ import annotations
@@ -17,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from mbsgen.errors import MbsError
-from mbsgen.manifest import TIME
-from mbsrun.closure import RANK, Closure
+from mbsgen.manifest import TIME, Manifest
+from mbsrun.closure import FARTHEST, RANK, Closure, OpenError
 from mbsrun.kernel import ArgumentError, Kernels
 from mbsrun.quantities import Added, list_quantities
-from mbsrun.quaternions import neutral
+from mbsrun.quaternions import neutral, normalise
 from mbsrun.results import Numbers
 from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.course import Course, stand
@@ -29,11 +32,18 @@ from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 
 Array = NDArray[np.float64]
+PREDICTING = 3  # poses that the next one is extrapolated from
+LEAST, ROUNDED = 3, 1e-9  # rows that show a jump; a jump that counts [rad, m]
+OFF = 0.5  # the largest distance of a closed pose from its prediction, relative to the step
+JUMP = 0.25  # of a step, relative to its time and the speed: what the mean of both velocities leaves
+
 Report = Callable[[int, int], None]  # takes the number of finished times, and of all
 
 
 class FreeError(MbsError):
     """A motion that the given joints do not determine."""
+
+    remedy = "give the motion of more joints"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +61,19 @@ class Forces:
     spare: int  # entries of u and tau beyond the freedoms: they have the least norm
     w: Array  # (K, nw): components of open wrenches, and other numbers that forces read
 
+    def find_jump(self, manifest: Manifest) -> tuple[float, str] | None:
+        """Return the first time, and the joint, at which places jump away from their velocities; None: nowhere."""
+        for i, joint in enumerate(manifest.coordinates):
+            if joint.name not in manifest.positions or len(self.t) < LEAST:
+                continue
+            q, qd, h = self.q[:, manifest.positions.index(joint.name)], self.qd[:, i], np.diff(self.t)
+            left = np.abs(np.diff(q) - h * (qd[:-1] + qd[1:]) / 2)
+            fast = h * np.maximum(np.abs(qd[:-1]), np.abs(qd[1:]))
+            jumps = np.flatnonzero(left > np.maximum(JUMP * fast, ROUNDED))
+            if jumps.size:
+                return float(self.t[jumps[0] + 1]), joint.name
+        return None
+
     @property
     def unbalanced(self) -> Array:
         """Return the largest generalised force that is missing, (K,)."""
@@ -61,15 +84,25 @@ def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array
     """Compute the forces for the motion `course` of some joints, by their entries of qd, at increasing times.
 
     The first pose is reached from the manifest's. Raises OpenError where loops cannot be closed, and FreeError where
-    the joints do not determine the others.
+    the joints do not determine the others; both with the time and the joints.
     """
     manifest = kernels.manifest
     check_kernels(kernels)
     places = [manifest.positions.index(manifest.coordinates[i].name) for i in joints]
     pose = np.array(manifest.pose) if manifest.pose else neutral(manifest)
-    states = []
-    for state in zip(*course.states(times), strict=True):
-        states.append(_follow(kernels, joints, places, pose, *state))
+    states: list[tuple[Array, Array, Array]] = []
+    for k, (y, yd, ydd) in enumerate(zip(*course.states(times), strict=True)):
+        ahead = _predict(times[: k + 1], [q for q, _, _ in states[-PREDICTING:]], kernels)
+        try:
+            states.append(_follow(kernels, joints, places, pose, ahead, y, yd, ydd))
+        except OpenError as error:
+            finding = f"{error.finding} at {_describe(manifest, joints, times[k], y)}"
+            raise OpenError(error.loop, finding, error.remedy) from None
+        except FreeError as error:
+            if not states:
+                raise
+            finding = f"at {_describe(manifest, joints, times[k], y)}, ways to go on meet, as at a change point"
+            raise FreeError(f"{finding}; take an --output-step whose rows pass it by, or {error.remedy}") from None
         pose = states[-1][0]
     q, qd, qdd = (np.array(x) for x in zip(*states, strict=True))
     if unknown := [name for name in manifest.signals if name != TIME]:
@@ -78,6 +111,21 @@ def invert(kernels: Kernels, joints: Sequence[int], course: Course, times: Array
     if manifest.reads_time:
         w[:, -1] = times
     return balance(kernels, times, q, qd, qdd, w)
+
+
+def _predict(times: Array, poses: Sequence[Array], kernels: Kernels) -> Array | None:
+    """Return the pose at the last of some times, extrapolated from the poses before; None where there are too few."""
+    if len(poses) < 2:
+        return None
+    before, t = times[-1 - len(poses) : -1], times[-1]
+    weights = [np.prod([(t - other) / (own - other) for other in before if other != own]) for own in before]
+    return normalise(np.tensordot(weights, np.array(poses), axes=1), kernels.manifest)
+
+
+def _describe(manifest: Manifest, joints: Sequence[int], time: float, y: Array) -> str:
+    """Describe a time with the places of the given joints."""
+    given = [f"{manifest.coordinates[i].name} = {value:.6g}" for i, value in zip(joints, y.tolist(), strict=True)]
+    return ", ".join([f"t = {time:.6g} s", *given])
 
 
 def check_kernels(kernels: Kernels) -> None:
@@ -105,9 +153,16 @@ def balance(
 
 
 def _follow(
-    kernels: Kernels, joints: Sequence[int], places: Sequence[int], pose: Array, y: Array, yd: Array, ydd: Array
+    kernels: Kernels,
+    joints: Sequence[int],
+    places: Sequence[int],
+    pose: Array,
+    ahead: Array | None,
+    y: Array,
+    yd: Array,
+    ydd: Array,
 ) -> tuple[Array, Array, Array]:
-    """Return q, qd and qdd of all joints."""
+    """Return q, qd and qdd of all joints, from the pose before, or near the one that is expected."""
     manifest = kernels.manifest
     n = len(manifest.coordinates)
     free = [i for i in range(n) if i not in joints]
@@ -116,7 +171,8 @@ def _follow(
     J = np.zeros((0, n))
     if manifest.loops:
         closure = Closure(kernels)
-        pose = closure.move(pose, places, y)
+        near = None if ahead is None else _close_near(closure, ahead, pose, places, y)
+        pose = closure.move(pose, places, y) if near is None else near
         qd = complete_velocities(closure, pose, qd, joints)
         qdd = closure.complete_accelerations(pose, qd, joints, ydd)
         J = closure.jacobian(pose)
@@ -127,8 +183,17 @@ def _follow(
     if left:
         names = ", ".join(manifest.coordinates[i].name for i in joints)
         count = "1 freedom is" if left == 1 else f"{left} freedoms are"
-        raise FreeError(f"{count} left when {names or 'nothing'} moves; give the motion of more joints")
+        raise FreeError(f"{count} left when {names or 'nothing'} moves; {FreeError.remedy}")
     return pose, qd, qdd
+
+
+def _close_near(closure: Closure, ahead: Array, before: Array, places: Sequence[int], y: Array) -> Array | None:
+    """Return the closed pose near an expected one; None where there is none."""
+    expected = ahead.copy()
+    expected[list(places)] = y
+    step = float(np.abs(expected - before).max())
+    found = closure.close(expected, places, FARTHEST * (1 + np.abs(expected).max()))
+    return found if closure.is_closed(found) and np.abs(found - expected).max() <= OFF * step else None
 
 
 def _balance(

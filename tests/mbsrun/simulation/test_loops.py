@@ -489,6 +489,37 @@ def test_spare_actuators_share_the_force(parallelogram: Mechanism) -> None:
     assert np.abs(residual["Phi"]).max() < 1e-11
 
 
+TURN = follow([parse("1 + 3*t")], ["q1"], {})
+
+
+@pytest.mark.parametrize("rows", [41, 401, 4001])
+def test_a_parallelogram_stays_one_through_its_change_points(parallelogram: Mechanism, rows: int) -> None:
+    """Where its links are in line, it could go on as a crossed four-bar: two whole turns pass four such points."""
+    times = np.linspace(0, 4, rows)
+    forces = invert(parallelogram, [0], TURN, times)
+    q = 1 + 3 * times
+    np.testing.assert_allclose(forces.q, np.outer(q, [1, -1, 1]), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(forces.qd, np.full((rows, 3), [3.0, -3, 3]), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(forces.u, np.outer(WEIGHT * np.sin(q), [1, -1, 1]) / 3, rtol=0, atol=1e-5)
+    assert forces.find_jump(parallelogram.manifest) is None
+
+
+def test_a_change_of_branches_is_found(parallelogram: Mechanism) -> None:
+    """One joint turns back within a row, and its velocity does not say so."""
+    times = np.linspace(0, 1, 101)
+    forces = invert(parallelogram, [0], TURN, times)
+    q, qd = forces.q.copy(), forces.qd.copy()
+    q[60:, 2], qd[60:, 2] = 2 * q[59, 2] - q[60:, 2], -1.5
+    assert replace(forces, q=q, qd=qd).find_jump(parallelogram.manifest) == (pytest.approx(0.6), "q3")
+
+
+def test_faults_of_a_motion_name_time_and_place(parallelogram: Mechanism, pendulum: Mechanism) -> None:
+    with pytest.raises(FreeError, match=r"at t = 1 s, q1 = 1\.5708, ways to go on meet, as at a change point; take an"):
+        invert(parallelogram, [0], follow([parse("pi*t/2")], ["q1"], {}), np.linspace(0, 2, 21))
+    with pytest.raises(OpenError, match=r"it stays open by .* at t = 1 s, z = -2; give other coordinates"):
+        invert(pendulum, [1], follow([parse("-0.5 - 1.5*t")], ["z"], {}), np.linspace(0, 1, 2))
+
+
 def test_a_driven_joint_needs_the_pendulums_force(driven: Mechanism) -> None:
     """Its two other joints are actuated, and share the work."""
     forces = invert(driven, [0], COURSE, TIMES)
