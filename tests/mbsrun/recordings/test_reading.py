@@ -106,6 +106,8 @@ BAD = {
     "all at once": ("a.csv", "t,y,y\n0,one,3\n1,2\n2,two,3\n", ["a.csv:1", "a.csv:2", "a.csv:3", "a.csv:4"]),
     "no TRC": ("a.trc", CSV, ["a.trc:1: found", "PathFileType"]),
     "short header": ("a.trc", "PathFileType\t4\n", ["a.trc:2: the header ends here"]),
+    "header of four lines": ("a.trc", "\n".join(TRC.split("\n")[:4]), ["a.trc:4: the header ends here"]),
+    "no rows": ("a.trc", "\n".join(TRC.split("\n")[:5]), ["NumFrames", "0 rows of numbers follow"]),
     "no unit": ("a.trc", TRC.replace("Units", "Unit"), ["a.trc:2: Units: it is missing"]),
     "inches": ("a.trc", TRC.replace("\tmm\t", "\tin\t"), ['a.trc:3: Units: found "in"', "m, cm or mm"]),
     "keys and values": ("a.trc", TRC.replace("\t100\t1\t2\n", "\t100\t1\n"), ["a.trc:3: found 7 values for 8 keys"]),
