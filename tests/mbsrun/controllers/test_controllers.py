@@ -437,12 +437,14 @@ REFUSED: Mapping[str, tuple[Callable[[Problem], Problem], str]] = {
         "controls: a controller chooses the inputs of the model alone",
     ),
     "delays": (
-        lambda problem: replace(problem, delays=(Delay("input", 0, 0.1),)),
-        "inputs.delay: a controller begins anew at every sample",
+        lambda problem: replace(problem, delays=(Delay("input", 0, 0.125, None),)),
+        "inputs.history: a controller remembers the inputs that it gave, and these are free",
     ),
     "rates": (
-        lambda problem: replace(problem, bounds=replace(problem.bounds, rates=((-1.0, 1.0),))),
-        "bounds.input_rates: a controller begins anew at every sample",
+        lambda problem: replace(
+            problem, bounds=replace(problem.bounds, rates=((-1.0, 1.0),)), horizon_range=(0.5, 2.0)
+        ),
+        "bounds.input_rates: a controller remembers the inputs that it gave a period before",
     ),
     "unknowns": (
         lambda problem: replace(problem, unknowns=(Unknown("place"),)),
