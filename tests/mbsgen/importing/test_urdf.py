@@ -312,7 +312,7 @@ def test_names_that_a_model_cannot_have_are_changed_and_told(tmp_path: Path) -> 
     ],
 )
 def test_inertias_that_no_body_has(tmp_path: Path, value: float, warned: bool, refused: bool) -> None:
-    """0.02 + 0.03 bounds the third moment: a rounded digit is let pass, slightly more is told, far more refused."""
+    """0.02 + 0.03 bounds the third moment: a rounded digit passes, slightly more gets a notice, far more is a fault."""
     tensor = f'<mass value="1"/><inertia ixx="0.02" iyy="0.03" izz="{value}"/>'
     inner = link("a") + f'<link name="b"><inertial>{tensor}</inertial></link>' + joint("j", "revolute", "a", "b", LIMIT)
     path = write(tmp_path, inner)
