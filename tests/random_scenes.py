@@ -73,6 +73,9 @@ def random_model(seed: int, size: int) -> Model:
     )
 
 
+OF_ELEMENTS = ("distances", "lengths", "tensions", "contact_forces")  # that few models have
+
+
 def random_scene(model: Model, seed: int) -> Scene:
     """Draw a scene: some joints locked, some sensors and wrenches, perhaps no gravity or no motion, few functions."""
     rng = np.random.default_rng(seed + 10_000)
@@ -82,7 +85,7 @@ def random_scene(model: Model, seed: int) -> Scene:
     places: tuple[Expression, ...] = (Number(0.0), Number(0.7), parse("-pi/2"), parse("k/2"))
     locked = tuple((str(name), places[rng.integers(4)]) for name in rng.choice(joints, count, replace=False))
     dynamics = ("impl", "semi", "semi_res", "exp1", "exp2")
-    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition", "rates", "distances")]
+    others = [name for name in FUNCTIONS if name not in (*dynamics, "condition", "rates", *OF_ELEMENTS)]
     return Scene(
         functions=(str(rng.choice(dynamics)), str(rng.choice(dynamics)), str(rng.choice(others))),
         locked=locked,

@@ -211,7 +211,10 @@ cost: {inputs: 1, running: [{expression: s, weight: 3}, {expression: s**2, weigh
     assert most > 0.1
     assert summarise(found)["slack of qd_x "].startswith(f"{most:.6g}, the most from ")
     figure = make_trajectories(found, mass().manifest)
-    assert "slack of qd_x" in [line.get_text() for axes in figure.legends for line in axes.get_texts()]
+    legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None]
+    shown = [axes.get_title(loc="left") + axes.get_title() for axes in figure.axes]
+    shown += [line.get_text() for legend in (*figure.legends, *legends) for line in legend.get_texts()]
+    assert "slack of qd_x" in shown
 
 
 def test_a_high_price_is_exact(read: Callable[[str], Problem]) -> None:

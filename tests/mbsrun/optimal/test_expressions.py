@@ -194,7 +194,7 @@ def test_symbols_have_names(swing: OptimalControl) -> None:
     assert [x.name() for x in ca.symvar(s.position("mass"))] == ["x_mass", "y_mass", "z_mass"]
     assert [x.name() for x in ca.symvar(s.velocity("mass"))] == ["vx_mass", "vy_mass", "vz_mass"]
     assert s.u.shape == (1, 1)
-    assert len(s) == len(list(s)) == 16
+    assert len(s) == len(list(s)) == 28
     with pytest.raises(UnknownNameError, match=r'the problem has no quantity "q_pol"; did you mean q_pole\?'):
         s["q_pol"]
     assert not hasattr(s, "q_pol")
