@@ -33,7 +33,7 @@ from mbsrun.ocp.program import Matrix
 
 SAME = 1e-6  # what the cost may still fall by, over what its gradient alone would let it fall
 LOOSE = 100.0  # the same over the solver's tolerance, where that is looser
-PRODUCT = 0.1  # of a distance and a multiplier, over the tolerance, as interior points leave it
+PRODUCT = 1.0  # of a distance and a multiplier, over the tolerance: the largest that methods call 0
 VANISHING = 100.0  # the largest entry of a gradient that is no measure, over the tolerance
 ROUNDS = 4  # of least squares
 LEAST = 1e-12  # a distance, over the size of the region, below which a variable is taken to stay
