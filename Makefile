@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -42,6 +42,10 @@ durations: $(VENV)/installed-dev
 	$(BIN)/python -m tests.durations build/durations.jsonl
 	$(PYTEST) -m quick --dist loadfile --measure build/durations.quick.jsonl || test $$? -eq 1
 	$(BIN)/python -m tests.durations build/durations.quick.jsonl
+
+# Runs every command on every kind of model: a quarter of an hour. `make rest` takes a sixth of the kinds.
+table: $(VENV)/installed-dev
+	WHOLE_TABLE=1 $(PYTEST) tests/test_commands.py --dist worksteal
 
 # Runs the shipped closed loops: some minutes. Each ends with exit code 0 if its measures stay below their limits.
 track: $(VENV)/installed
