@@ -10,11 +10,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class Store(Generic[Point]):
 
     def find_or_measure(self, facts: Sequence[object], measure: Callable[[], Sequence[Point]]) -> list[Point]:
         """Return the points of the bundle that depends on `facts`; measure and keep a bundle that is missing."""
-        key = hashlib.sha256(repr(tuple(facts)).encode()).hexdigest()[:40]
+        key = hashlib.sha256(_spell(tuple(facts)).encode()).hexdigest()[:40]
         if key not in self._bundles:
             points = list(measure())
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -59,3 +60,15 @@ class Store(Generic[Point]):
                 except (ValueError, TypeError, KeyError, ValidationError):
                     continue
         return bundles
+
+
+def _spell(fact: object) -> str:
+    """Write a fact in full; the text of an object for readers may leave parts out."""
+    if is_dataclass(fact) and not isinstance(fact, type):
+        parts = (f"{part.name}={_spell(getattr(fact, part.name))}" for part in fields(fact))
+        return f"{type(fact).__name__}({', '.join(parts)})"
+    if isinstance(fact, tuple | list):
+        return f"({', '.join(map(_spell, fact))})"
+    if isinstance(fact, Mapping):
+        return f"{{{', '.join(f'{_spell(key)}: {_spell(value)}' for key, value in fact.items())}}}"
+    return f"{fact.dtype}{fact.shape}{fact.tolist()}" if isinstance(fact, np.ndarray) else repr(fact)
