@@ -22,6 +22,7 @@ from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.recordings import read_recording
 from mbsrun.skeleton import place
+from tests.mbsrun.carousel import CAROUSEL
 
 Run = Callable[..., tuple[object, str, str]]
 
@@ -182,15 +183,6 @@ def test_a_simulation_takes_the_wrenches_and_signals_of_a_solution(
     assert (code, "it has 5 components of open wrenches and signals, and the model 2" in err) == (2, True)
 
 
-CAROUSEL = """\
-name: carousel
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: table, joint: {name: q1, type: revolute, axis: z, actuated: false}, mass: 2, inertia: [0.2, 0, 0.2]}
-  - {name: arm, parent: table, joint: {name: q2, type: revolute, axis: y, position: [0.3, 0, 0]}, mass: 1,
-     com: [0.2, 0, 0]}
-driven: [q1]
-"""
 ROUND = """\
 model: carousel.yaml
 constants: {rate: 3}

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from mbsrun.commands.console import say
 from mbsrun.ocp.phases.placing import name_place
+from mbsrun.ocp.solution import SOLUTION
 
 if TYPE_CHECKING:
     from mbsrun.ocp.phases.solution import PhasedFailure
     from mbsrun.ocp.solution import Failure
-
-SOLUTION = "solution.json"
 
 
 def print_failure(failure: Failure | PhasedFailure, file: Path, out: Path) -> None:

@@ -22,7 +22,7 @@ from mbsrun.commands.console import (
     output_folder,
     say,
 )
-from mbsrun.commands.failures import SOLUTION, print_failure
+from mbsrun.commands.failures import print_failure
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
 from mbsrun.ocp.integrators import INTEGRATORS
@@ -34,7 +34,16 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Failure, Round, Solution, write_solution
+from mbsrun.ocp.solution import (
+    DISTRIBUTION,
+    MECHANISM,
+    SOLUTION,
+    TRAJECTORIES,
+    Failure,
+    Round,
+    Solution,
+    write_solution,
+)
 from mbsrun.ocp.solve import Progress, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.summary import list_shortcomings, summarise, write_line
@@ -44,10 +53,7 @@ from mbsrun.ocp.trajectory import Trajectory
 if TYPE_CHECKING:
     from mbsrun.ocp.multistart import Wish
 
-TRAJECTORIES = "trajectories.png"
-MECHANISM = "mechanism.png"
 ANIMATION = "animation.html"
-DISTRIBUTION = "starts.png"  # of a search from many starts
 MESH = "mesh.png"  # of a refinement
 TABLE = "solution.csv"
 PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanism

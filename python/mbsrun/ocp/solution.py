@@ -21,6 +21,8 @@ from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import OPTIONAL, Array, Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
+SOLUTION, TRAJECTORIES, MECHANISM = "solution.json", "trajectories.png", "mechanism.png"  # files of a folder
+DISTRIBUTION = "starts.png"  # of a search from many starts
 
 
 @dataclass(frozen=True)

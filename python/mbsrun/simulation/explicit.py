@@ -22,7 +22,7 @@ from scipy import integrate as scipy_integrate
 from mbsrun.closure import GAP
 from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.course import Course, place_driven
+from mbsrun.simulation.course import Course, is_constrained, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix
 from mbsrun.simulation.formulation import Formulation
@@ -221,7 +221,7 @@ class _Plant:
         self.ffi, self.lib = load_functions(_CDEF, "mbs_explicit.c", "mbs_least.c")
         self.plant, self.manner = self.ffi.new("mbs_explicit *"), self.ffi.new("mbs_manner *")
         self.length = self.ffi.new("double *")  # of the next step
-        self.is_tree = not (self.manifest.loops or self.manifest.driven)
+        self.is_tree = not is_constrained(self.manifest)
         self.is_dense = bool(pair.E) or not self.is_tree  # states within steps are asked for
         self.memory = self._lay_plant()
         self.feed = _Feed(dynamics.course, self.memory.arrays)

@@ -39,6 +39,7 @@ from mbsrun.simulation import (
 from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.drive import Drive, control, express, hold
 from mbsrun.simulation.inverse import FreeError, invert
+from tests.mbsrun.carousel import CAROUSEL
 
 A01 = """
 name: cartesian_pendulum
@@ -344,17 +345,6 @@ def test_inputs_follow_the_state_and_the_time(parallelogram: Mechanism) -> None:
             Settings(0.5, output_step=0.1, **settings),  # type: ignore[arg-type]
         )
         assert motion.q[-1, 0] == pytest.approx(0.2 + 0.5 * 0.5 + 1 - np.cos(0.5), abs=1e-6)
-
-
-CAROUSEL = """
-name: carousel
-gravity: [0, 0, -9.81]
-bodies:
-  - {name: table, joint: {name: q1, type: revolute, axis: z, actuated: false}, mass: 2, inertia: [0.2, 0, 0.2]}
-  - {name: arm, parent: table, joint: {name: q2, type: revolute, axis: y, position: [0.3, 0, 0]}, mass: 1,
-     com: [0.2, 0, 0]}
-driven: [q1]
-"""
 
 
 @pytest.mark.parametrize("keeping", EXPLICIT)

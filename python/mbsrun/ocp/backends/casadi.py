@@ -24,7 +24,7 @@ from mbsrun.ocp.program import Block, Matrix, Program
 from mbsrun.ocp.status import NoNumbersError
 
 
-class Functions(Protocol):
+class Differentiated(Protocol):
     """The functions that a solver of CasADi's takes, with exact derivatives, and their sizes."""
 
     @property
@@ -38,10 +38,6 @@ class Functions(Protocol):
     @property
     def parameters(self) -> int:
         """Count the entries of p."""
-
-    @property
-    def terms(self) -> ca.Function:
-        """(x, p) -> c: the terms of the cost, without their weights."""
 
     @property
     def objective(self) -> ca.Function:
@@ -62,6 +58,14 @@ class Functions(Protocol):
     @property
     def hessian(self) -> ca.Function:
         """(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g, as `nlpsol` takes it."""
+
+
+class Functions(Differentiated, Protocol):
+    """The same, with the parts of the cost and all variables."""
+
+    @property
+    def terms(self) -> ca.Function:
+        """(x, p) -> c: the terms of the cost, without their weights."""
 
     def complete(self, x: Array) -> Array:
         """Return all variables of the program. Raises ValueError where inner equations have no solution."""

@@ -17,7 +17,7 @@ from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount
 if TYPE_CHECKING:
     import casadi as ca
 
-    from mbsrun.ocp.methods.nlpsol import Differentiated
+    from mbsrun.ocp.backends.casadi import Differentiated
 
 LINEAR_SOLVER = "linear_solver"  # by default MUMPS, if one of MUMPS's options is given; else the project's
 

@@ -3,51 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 
+from mbsrun.ocp.backends.casadi import Differentiated
 from mbsrun.ocp.methods.method import Answer, Iterate, Solver, Start
 from mbsrun.ocp.status import SOLVED
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
 UNDIFFERENTIATED: Mapping[str, bool] = {"calc_lam_p": False, "no_nlp_grad": True}
-
-
-class Differentiated(Protocol):
-    """The part of a program's functions that a solver takes; see `backends.casadi.Functions`."""
-
-    @property
-    def variables(self) -> int:
-        """Count the entries of x."""
-
-    @property
-    def constraints(self) -> int:
-        """Count the entries of g."""
-
-    @property
-    def parameters(self) -> int:
-        """Count the entries of p."""
-
-    @property
-    def objective(self) -> ca.Function:
-        """(x, p) -> f."""
-
-    @property
-    def constraint(self) -> ca.Function:
-        """(x, p) -> g."""
-
-    @property
-    def gradient(self) -> ca.Function:
-        """(x, p) -> f, its gradient."""
-
-    @property
-    def jacobian(self) -> ca.Function:
-        """(x, p) -> the Jacobian of g."""
-
-    @property
-    def hessian(self) -> ca.Function:
-        """(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g."""
 
 
 def make(name: str, functions: Differentiated, settings: Mapping[str, Any], *, scale: float = 1.0) -> Solver:

@@ -12,9 +12,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from mbsrun.ocp.backends.casadi import Differentiated
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.methods.method import Answer, Start
-from mbsrun.ocp.methods.nlpsol import Differentiated
 
 
 class ScaledFunctions:

@@ -10,13 +10,8 @@ from mbsrun.ocp.phases.pictures import make_phased_mechanism, make_phased_trajec
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
 from mbsrun.ocp.pictures import plot_mesh, plot_starts, save
-from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solution import DISTRIBUTION, MECHANISM, SOLUTION, TRAJECTORIES, Solution
 from mbsrun.ocp.table import measure, write_table
-
-SOLUTION = "solution.json"
-TRAJECTORIES = "trajectories.png"
-MECHANISM = "mechanism.png"
-DISTRIBUTION = "starts.png"  # of a search from many starts
 
 
 def write_files(solution: PhasedSolution, plants: Plants, folder: Path, columns: Sequence[str] = ()) -> tuple[str, ...]:
