@@ -37,6 +37,7 @@ typedef struct {
     casadi_int row_of_step;
     casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose; */
     casadi_real least_pivot; /* the least of these in a step */
+    casadi_real gap;   /* the largest |h| before the last closing */
     casadi_real volume; /* the logarithm of the dependent joints' determinant */
     int is_ready;      /* J is decomposed, or dependent joints are chosen */
 } mbs_run;
@@ -83,7 +84,7 @@ static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_rea
 {
     mbs_run r;
     casadi_int i, k;
-    r.p = p, r.how = how, r.out = out, r.inputs = r.courses = 0, r.row_of_step = 0, r.is_ready = 0, r.last = r.least_pivot = 1, r.free = 0;
+    r.p = p, r.how = how, r.out = out, r.gap = 0, r.inputs = r.courses = 0, r.row_of_step = 0, r.is_ready = 0, r.last = r.least_pivot = 1, r.free = 0;
     r.moves = integers, r.depends = r.moves + p->n, r.best = r.depends + p->e, r.row = r.best + p->n, r.least.column = r.row + p->e;
     r.J = reals, r.B = r.J + p->e * p->n, r.M = r.B + p->e * p->n, r.least.factor = r.M + p->n * p->n;
     r.least.size = r.least.factor + p->e, r.least.y = r.least.size + 2 * p->e, r.x = r.least.y + p->n;
@@ -96,7 +97,7 @@ static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_rea
             r.moves[r.free++] = i;
     out->evaluations = out->rejected = out->switches = out->steps = 0;
     out->status = out->loop = 0;
-    out->pivot = 1;
+    out->pivot = 1, out->gap = 0;
     return r;
 }
 
@@ -304,6 +305,7 @@ static int close_coordinates(mbs_run *r, casadi_real *way)
         status = call(p->closure);
         if (status)
             return status;
+        r->gap = i ? r->gap : measure(p->e, p->h);
         correct(r, p->h);
         change = measure(p->n, r->x);
         size = change / (1 + measure(p->nq, p->q));
@@ -547,6 +549,7 @@ static int finish(mbs_run *r, casadi_real t, casadi_real h, casadi_real *y)
         return fail(r, MBS_BRANCHED, p->hd);
     }
     take(r, y);
+    r->out->gap = p->e && r->gap > r->out->gap ? r->gap : r->out->gap;
     return 0;
 }
 

@@ -82,6 +82,7 @@ typedef struct {
 typedef struct {
     casadi_int evaluations, rejected, switches, steps;
     casadi_real pivot; /* the smallest pivot of J met, as a part of the largest: small near a singular pose */
+    casadi_real gap;   /* the largest |h| that a step left before its loops were closed */
     int status, loop;  /* of status MBS_OPEN to MBS_DEPENDENT: the number of the loop, from 1 */
 } mbs_outcome;
 

@@ -122,7 +122,7 @@ MBSRUN = Package(
         "ocp.statement ocp.guess ocp.record ocp.state_guess",
         "ocp.solution ocp.starts ocp.mirror",
         "ocp.assembly ocp.judging ocp.margins ocp.singularities",
-        "ocp.solve ocp.table ocp.recorded ocp.study",
+        "ocp.solve ocp.table ocp.recorded ocp.study ocp.stepping",
         "ocp.certificate ocp.resimulation ocp.sensitivity",
         "ocp.refinement ocp.attempts",
         "ocp.trials",

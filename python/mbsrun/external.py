@@ -55,6 +55,10 @@ class Mechanism(Kernels):
             return super().attempt(name, sparse=sparse, **inputs)
         return more.attempt(name, sparse=sparse, **inputs)
 
+    def find_holder(self, name: str) -> Kernels:
+        """Return the kernels of one folder, with a kernel among them."""
+        return super().find_holder(name) if (more := self._find_more(name)) is None else more
+
     def describe(self, name: str) -> Kernel:
         """Describe a kernel, as `Kernels.describe` does."""
         more = self._find_more(name)
@@ -200,6 +204,10 @@ class OnDemand:
         other._start = self._start.with_parameters(**parameters)
         other._mechanisms = {}
         return other
+
+    def find_holder(self, name: str) -> Kernels:
+        """Return the kernels of one folder, with a kernel among them."""
+        return self._find(name)
 
     def describe(self, name: str) -> Kernel:
         """Describe a kernel, as `Kernels.describe` does."""

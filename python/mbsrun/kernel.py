@@ -108,6 +108,11 @@ class Kernels:
         """
         return self._binder.compile([self._binder.describe(name) for name in names])
 
+    def find_holder(self, name: str) -> Kernels:
+        """Return the kernels of one folder, with a kernel among them: these."""
+        self.describe(name)
+        return self
+
     def describe(self, name: str) -> Kernel:
         """Return the manifest's description of a kernel. Raises ArgumentError with the names of the kernels."""
         return self._binder.describe(name)

@@ -23,13 +23,13 @@ contact start at rest and do not accelerate; how far they creep is the slip.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853, DenseOutput
 
 from mbsgen.errors import MbsError
 from mbsrun.closure import CLOSED, find_closure, has_loops
@@ -44,7 +44,16 @@ from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
 from mbsrun.ocp.trajectory import Trajectory, lagrange
 from mbsrun.ocp.values import GivenValues, Values
+from mbsrun.ocp.stepping import Span, Stepper
 from mbsrun.quaternions import find_rates
+from mbsrun.simulation.course import Course as Motions
+from mbsrun.simulation.course import stand
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.memory import Source
+from mbsrun.simulation.motion import HaltError
+
+if TYPE_CHECKING:
+    from scipy.integrate import DenseOutput
 
 Array = NDArray[np.float64]
 
@@ -56,21 +65,21 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
     """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
     plant = equip(plant, solution.problem, trajectory.unknowns)
-    steps = solution.problem.grid.lengths(float(trajectory.t[-1]))
     states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
     course, held = Course(solution.problem, trajectory, plant), find_held(solution.problem, plant.manifest)
-    allowance, defects, last, unfinished = Allowance(limits), None, None, ""
+    defects, last, unfinished, gap = None, None, "", 0.0
     reached: Array | None = None
     (N, d), nq = trajectory.point_t.shape, trajectory.q.shape[1]
     every = np.concatenate((trajectory.q, trajectory.point_q.reshape(N * d, nq)))
-    gaps: list[float] | None = [] if has_loops(plant.manifest) else None
-    watch, taken, margins = Watch(solution.problem, plant), list[Step](), None
+    watch, margins, replay = Watch(solution.problem, plant), None, _Replay(plant, course, held, limits)
     try:
-        ends = integrate(plant, states[:-1], course.inputs(), steps, allowance, held=held, taken=taken)
-        margins = None if ends is None else watch.measure(Reader(plant, course, held, taken, watch.kinds))
-        defects = None if ends is None else np.abs(ends - states[1:]).max(axis=1)
-        reached = _integrate_all(plant, states[:1], course, steps, allowance, gaps, held)
-        last = None if reached is None else reached[-1:]
+        apart = replay.go_apart(states[:-1])
+        margins = None if apart is None else watch.measure(Reader(plant, course, held, apart.read, watch.kinds))
+        defects = None if apart is None else np.abs(apart.ends - states[1:]).max(axis=1)
+        through = replay.go_through(states[0])
+        if through is not None:
+            reached, gap = through
+            last = reached[-1:]
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -82,11 +91,11 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
             is_accurate=not unfinished
             and defects is not None
             and bool(defects.max() <= solution.problem.asked_accuracy)
-            and max(gaps or [0.0]) <= CLOSED,
+            and gap <= CLOSED,
             unfinished=unfinished,
             defects=() if defects is None else tuple(defects.tolist()),
             margins=margins,
-            closure=max(gaps) if gaps else None,
+            closure=gap if reached is not None and has_loops(plant.manifest) else None,
             slip=measure_slip(solution.problem, plant, every),
             slip_along=None if reached is None else measure_slip(solution.problem, plant, reached[:, :nq]),
         ),
@@ -192,28 +201,121 @@ class Course:
         self.guide = Guide.of(problem, plant.manifest) if plant.manifest.driven else None
         self.rates = Values([state.rate for state in problem.every_state], problem, plant)
 
+    def piece(self, k: int) -> Piece:
+        """Return the inputs of an interval; given ones may follow the state."""
+        trajectory, whole, own = self.trajectory, slice(k, k + 1), self.inputs(k)
+        start, length = float(trajectory.t[k]), float(self.lengths[k])
+        kinds = ((trajectory.u[whole], trajectory.point_u), (trajectory.point_w[k, :1], trajectory.point_w))
+        is_constant = not (trajectory.point_u.size or trajectory.point_w.size)
+
+        def evaluate(times: Array) -> Array:
+            basis = lagrange(self.nodes, (times - start) / length)
+            parts = [basis @ points[k] if points.size else np.tile(values, (len(times), 1)) for values, points in kinds]
+            return np.hstack(parts)
+
+        def follow(times: Array, q: Array, qd: Array) -> Array:
+            parts = own.read(times[:, None] - start, q, qd, np.zeros((len(q), 0)))
+            return np.hstack((parts["u"], parts["w"]))
+
+        law = None if self.given.is_empty else follow
+        return Piece(start, float(trajectory.t[k + 1]), evaluate, is_constant and law is None, law)
+
+    def motions(self) -> Motions:
+        """Return the motions of driven joints."""
+        guide, trajectory = self.guide, self.trajectory
+        if guide is None:
+            return stand(())
+        return Motions(lambda t: guide.read(t, float(trajectory.t[-1]), trajectory.unknowns), False)
+
     def inputs(self, *intervals: int) -> Inputs:
         """Return the inputs of some intervals, or of all."""
         return _Piece(self, np.array(intervals or range(len(self.trajectory.u)), dtype=np.int64))
 
 
-def _integrate_all(
-    plant: Plant,
-    state: Array,
-    course: Course,
-    steps: Array,
-    allowance: Allowance,
-    gaps: list[float] | None,
-    held: Held | None,
-) -> Array | None:
-    """Integrate one motion, (1, nq + n + ns), through all intervals: its states at their ends, (N + 1, nq + n + ns)."""
-    reached = [state]
-    for k, step in enumerate(steps):
-        last = integrate(plant, reached[-1], course.inputs(k), float(step), allowance, gaps, held)
-        if last is None:
-            return None
-        reached.append(last)
-    return np.concatenate(reached)
+@dataclass(frozen=True)
+class _Apart:
+    """The motions of all intervals, each from its start."""
+
+    ends: Array  # (N, size)
+    read: Callable[[Indices, Array], Array]  # the states (B, size) at fractions (B,) of intervals (B,)
+
+
+class _Replay:
+    """The motions under the inputs of a solution: by C where it can follow them, else with the equations as a whole.
+
+    C factorises the mass matrix; contacts, further states and a singular matrix, of links without mass in a loop, are
+    left to `integrate`.
+    """
+
+    def __init__(self, plant: Plant, course: Course, held: Held | None, limits: Limits) -> None:
+        self._plant, self._course, self._held, self._allowance = plant, course, held, Allowance(limits)
+        self._lengths = course.lengths
+        is_plain = held is None and plant.manifest.coordinates and not course.trajectory.states.size
+        self._stepper = Stepper(plant, course.motions(), TOLERANCE) if is_plain and isinstance(plant, Source) else None
+
+    def go_apart(self, states: Array) -> _Apart | None:
+        """Integrate from the start of every interval, (N, size), to its end; None where that fails."""
+        if self._stepper is not None:
+            try:
+                return self._go_apart_in_c(self._stepper, states)
+            except HaltError:
+                self._stepper = None
+        taken, inputs = list[Step](), self._course.inputs()
+        ends = integrate(self._plant, states, inputs, self._lengths, self._allowance, held=self._held, taken=taken)
+        return None if ends is None else _Apart(ends, lambda intervals, x: _read_steps(taken, intervals, x))
+
+    def _go_apart_in_c(self, stepper: Stepper, states: Array) -> _Apart:
+        """Count the steps of the interval with the most, as if all were integrated at once."""
+        spans, most = list[Span](), 0
+        for k, state in enumerate(self._close(self._course.inputs(), states)):
+            own = copy(self._allowance)
+            spans.append(stepper.follow(self._course.piece(k), state, own))
+            most = max(most, self._allowance.steps - own.steps)
+        self._allowance.note(most)
+        return _Apart(np.array([span.end for span in spans]), lambda intervals, x: self._read_spans(spans, intervals, x))
+
+    def _go_through_in_c(self, stepper: Stepper, state: Array) -> tuple[Array, float]:
+        reached, gap = [self._close(self._course.inputs(0), state[None])[0]], 0.0
+        for k in range(len(self._lengths)):
+            span = stepper.follow(self._course.piece(k), reached[-1], self._allowance)
+            reached.append(span.end)
+            gap = max(gap, span.gap)
+        return np.array([state, *reached[1:]]), gap
+
+    def _close(self, inputs: Inputs, states: Array) -> Array:
+        """Return the nearest states (B, nq + n) with closed loops, and with driven joints where they start."""
+        manifest, closure = self._plant.manifest, find_closure(self._plant)
+        q, qd = inputs.place(np.zeros((len(states), 1)), *np.split(states, [len(manifest.positions)], axis=1))
+        if closure is not None:
+            q, qd = closure.project(q, qd, manifest.driven)
+        return np.concatenate((q, qd), axis=1)
+
+    def _read_spans(self, spans: Sequence[Span], intervals: Indices, fractions: Array) -> Array:
+        times = self._course.trajectory.t[intervals] + fractions * self._lengths[intervals]
+        found = np.empty((len(intervals), len(spans[0].end)))
+        for k in np.unique(intervals).tolist():
+            chosen = intervals == k
+            found[chosen] = spans[k].read(times[chosen])
+        return found
+
+    def go_through(self, state: Array) -> tuple[Array, float] | None:
+        """Integrate one motion, (size,), through all intervals; None where that fails.
+
+        Returns its states at their ends, (N + 1, size), and the largest gap that a step left in a loop.
+        """
+        if self._stepper is not None:
+            try:
+                return self._go_through_in_c(self._stepper, state)
+            except HaltError:
+                self._stepper = None
+        reached, gaps = [state[None]], list[float]()
+        for k, length in enumerate(self._lengths.tolist()):
+            inputs = self._course.inputs(k)
+            last = integrate(self._plant, reached[-1], inputs, length, self._allowance, gaps, self._held)
+            if last is None:
+                return None
+            reached.append(last)
+        return np.concatenate(reached), max(gaps, default=0.0)
 
 
 def integrate(
@@ -232,6 +334,8 @@ def integrate(
     allowance is used up. Loops are closed after every step; the largest gap that each step leaves is added to `gaps`.
     Every step is added to `taken`.
     """
+    from scipy.integrate import DOP853  # takes long to load, and most solutions do without
+
     durations = np.broadcast_to(np.asarray(duration, dtype=np.float64), len(states))
     longest = float(durations.max())
     pace = (durations / longest)[:, None]  # shorter ones are integrated in slower time, so that all end together
@@ -303,13 +407,13 @@ class Reader:
     plant: Plant
     course: Course
     held: Held | None
-    steps: Sequence[Step]
+    states: Callable[[Indices, Array], Array]  # (B, size), at fractions (B,) of intervals (B,)
     kinds: frozenset[str]  # that are read
 
     def __call__(self, intervals: Indices, fractions: Array) -> dict[str, Array]:
         """Return the parts of the motion at fractions (B,) of intervals (B,)."""
         nq, n = self.course.trajectory.q.shape[1], self.course.trajectory.qd.shape[1]
-        q, qd, states = np.split(self._read(intervals, fractions), [nq, nq + n], axis=1)
+        q, qd, states = np.split(self.states(intervals, fractions), [nq, nq + n], axis=1)
         times = fractions * self.course.lengths[intervals]
         parts = self.course.inputs(*intervals.tolist()).read(times[:, None], q, qd, states)
         if not self.kinds & {"qdd", "tau", "w"}:
@@ -317,15 +421,15 @@ class Reader:
         qdd, forces = _balance(self.plant, parts["q"], parts["qd"], parts, self.held)
         return parts | {"qdd": qdd} | forces
 
-    def _read(self, intervals: Indices, fractions: Array) -> Array:
-        """Return the states (B, size)."""
-        last = len(self.steps) - 1
-        which = np.searchsorted([step.end for step in self.steps], fractions).clip(max=last)
-        found = np.zeros((len(fractions), self.steps[0].shape[1]))
-        for i in np.unique(which).tolist():
-            chosen = which == i
-            found[chosen] = self.steps[i].read(intervals[chosen], fractions[chosen])
-        return found
+
+def _read_steps(steps: Sequence[Step], motions: Indices, fractions: Array) -> Array:
+    """Return the states (B, size) of some motions, each at a fraction of its duration."""
+    which = np.searchsorted([step.end for step in steps], fractions).clip(max=len(steps) - 1)
+    found = np.zeros((len(fractions), steps[0].shape[1]))
+    for i in np.unique(which).tolist():
+        chosen = which == i
+        found[chosen] = steps[i].read(motions[chosen], fractions[chosen])
+    return found
 
 
 def accelerations(plant: Plant, q: Array, qd: Array, u: Array, w: Array | None = None) -> Array:

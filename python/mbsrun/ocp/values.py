@@ -79,6 +79,11 @@ class GivenValues:
         for i, value in place_unknown(problem, plant.manifest).items():
             self._w[i] = value
 
+    @property
+    def is_empty(self) -> bool:
+        """Return whether no expression gives an input."""
+        return not self._levels
+
     def __call__(self, parts: Parts) -> dict[str, Array]:
         """Return the parts with given components put into u and w; unknown components keep w, or their guess."""
         found, B = dict(parts), len(parts["t"])

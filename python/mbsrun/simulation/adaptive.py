@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import integrate as scipy_integrate
 
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
@@ -27,12 +26,11 @@ Array = NDArray[np.float64]
 STEPS = 128  # yielded at a time
 
 
-Stepper = Any  # a class of scipy.integrate
-LSODA, RADAU, BDF = scipy_integrate.LSODA, scipy_integrate.Radau, scipy_integrate.BDF
+LSODA, RADAU, BDF = "LSODA", "Radau", "BDF"  # classes of scipy.integrate
 
 
 def integrate(
-    stepper: Stepper,
+    stepper: str,
     dynamics: Dynamics,
     piece: Piece,
     q: Array,
@@ -87,7 +85,7 @@ def find_stability(dynamics: Dynamics, q: Array, qd: Array, v: Array) -> tuple[f
     return max(0.0, float(-values[fastest].real)), dynamics.kernels.manifest.coordinates[joint].name
 
 
-def _make_solver(stepper: Stepper, dynamics: Dynamics, piece: Piece, state: Array, settings: Settings) -> Any:
+def _make_solver(stepper: str, dynamics: Dynamics, piece: Piece, state: Array, settings: Settings) -> Any:
     n = dynamics.places
     held = piece.at(piece.start) if piece.is_constant else None
 
@@ -102,7 +100,9 @@ def _make_solver(stepper: Stepper, dynamics: Dynamics, piece: Piece, state: Arra
     options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
     if piece.law is None:  # else by differences, feedback and all
         options["jac"] = jacobian
-    return stepper(rate, piece.start, state, piece.end, **options)
+    from scipy import integrate as scipy_integrate  # takes long to load, and few motions need it
+
+    return getattr(scipy_integrate, stepper)(rate, piece.start, state, piece.end, **options)
 
 
 def _step(solver: Any, dynamics: Dynamics) -> None:

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BarycentricInterpolator
 
 from mbsgen.errors import MbsError
 from mbsgen.expressions import Algebra, Expression, Program, names
@@ -182,6 +181,8 @@ def hold_steps(times: ArrayLike, values: ArrayLike) -> Drive:
 def follow_polynomials(times: ArrayLike, nodes: ArrayLike, values: ArrayLike) -> Drive:
     """Follow, from times[k] to times[k + 1], the polynomial through values[k] (d, m) at nodes[k] (d,)."""
     knots, at, given = (np.asarray(x, dtype=np.float64) for x in (times, nodes, values))
+    from scipy.interpolate import BarycentricInterpolator  # takes long to load, and few motions need it
+
     pieces = [
         Piece(float(a), float(b), BarycentricInterpolator(x, y), False)
         for a, b, x, y in zip(knots, knots[1:], at, given, strict=False)

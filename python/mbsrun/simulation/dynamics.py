@@ -24,6 +24,7 @@ from mbsgen.roles import Order, Role, name_derivative, name_kernel
 from mbsrun.kernel import KernelError, Kernels
 from mbsrun.simulation.course import Course, stand
 from mbsrun.simulation.formulation import Evaluated, Formulation
+from mbsrun.simulation.memory import Source
 from mbsrun.simulation.motion import Effort
 
 Array = NDArray[np.float64]
@@ -40,15 +41,14 @@ class SingularError(MbsError):
 
 
 @dataclass(frozen=True)
-class Dynamics:
-    """A model's equations of motion in one formulation; it counts its calls."""
+class Equations:
+    """A model's equations of motion in one formulation, as loops in C take them."""
 
-    kernels: Kernels
+    kernels: Source
     formulation: Formulation
     course: Course = field(default_factory=lambda: stand(()))  # the motion of driven joints
     effort: Effort = field(default_factory=Effort)
     kept: dict[str, Any] = field(default_factory=dict)  # objects that an integrator makes once, and uses again
-    _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
 
     @cached_property
     def size(self) -> int:
@@ -64,6 +64,14 @@ class Dynamics:
     def forces_count(self) -> int:
         """Count the entries of u; the entries of w follow them."""
         return len(self.kernels.manifest.actuated)
+
+
+@dataclass(frozen=True)
+class Dynamics(Equations):
+    """The same, to be evaluated; it counts its calls."""
+
+    kernels: Kernels
+    _taken: dict[str, frozenset[str]] = field(default_factory=dict)  # by kernel: the inputs that it takes
 
     def rates(self, q: Array, qd: Array) -> Array:
         """Compute the time derivatives of q, in its shape."""

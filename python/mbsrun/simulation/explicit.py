@@ -12,23 +12,24 @@ Hairer, Norsett, Wanner, "Solving ordinary differential equations I", chapter II
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import integrate as scipy_integrate
 
 from mbsrun.closure import GAP
 from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.course import Course, is_constrained, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
-from mbsrun.simulation.dynamics import Dynamics, find_mass_matrix
+from mbsrun.simulation.dynamics import Dynamics, Equations, find_mass_matrix
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.memory import Memory, load_functions
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Keeping, Settings
 from mbsrun.simulation.steps import count_steps, describe_singularity, place_steps
+from mbsrun.simulation.tableaus import DOP853, EULER, RK4, RK45, Pair, Tableau
+
+__all__ = ["DOP853", "EULER", "KEEPS", "RK4", "RK45", "Pair", "Tableau", "integrate", "march"]
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ typedef struct {
 } mbs_manner;
 typedef struct {
     long long evaluations, rejected, switches, steps;
-    double pivot;
+    double pivot, gap;
     int status, loop;
 } mbs_outcome;
 long long mbs_explicit_reals(const mbs_explicit *plant, long long stages);
@@ -80,55 +81,6 @@ void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, long
 """
 
 
-@dataclass(frozen=True)
-class Tableau:
-    """Coefficients of an explicit Runge-Kutta method."""
-
-    A: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-
-    @property
-    def c(self) -> Array:
-        """Return the times of the stages within a step."""
-        return np.asarray(np.array(self.A).sum(axis=1))
-
-
-_EULER = Tableau(((0.0,),), (1.0,))
-_RK4 = Tableau(
-    ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
-    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-)
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A Runge-Kutta method with estimates of its error: none for steps of a fixed length."""
-
-    tableau: Tableau
-    E: tuple[tuple[float, ...], ...] = ()  # a row for each estimate
-    order: int = 0  # of the first estimate, plus 1
-
-
-def _rows(*arrays: Any) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(map(float, row)) for row in arrays)
-
-
-def _pair_rk45() -> Pair:
-    """SciPy's estimate takes the rates at the end of the step too: a seventh stage of weight 0."""
-    method = scipy_integrate.RK45
-    A = np.zeros((7, 7))
-    A[:6, :5], A[6, :6] = method.A, method.B
-    return Pair(Tableau(_rows(*A), (*map(float, method.B), 0.0)), _rows(method.E), 5)
-
-
-def _pair_dop853() -> Pair:
-    method = scipy_integrate.DOP853
-    stages = len(method.B)
-    tableau = Tableau(_rows(*method.A[:stages, :stages]), tuple(map(float, method.B)))
-    return Pair(tableau, _rows(method.E5[:stages], method.E3[:stages]), 8)
-
-
-EULER, RK4, RK45, DOP853 = Pair(_EULER), Pair(_RK4), _pair_rk45(), _pair_dop853()
 KEEPS = tuple(KEEPING)
 
 
@@ -145,21 +97,28 @@ def integrate(
 
     Raises HaltError where a kernel fails, a loop cannot be kept closed, or the allowance is used up.
     """
-    if "plant" not in dynamics.kept:
-        dynamics.kept["plant"] = _Plant(dynamics, pair, settings)
-    return _march(dynamics.kept["plant"], piece, np.concatenate((q, qd)), settings, allowance)
+    time, steps = piece.start, march(pair, dynamics, piece, np.concatenate((q, qd)), settings, allowance)
+    try:
+        for chunk in steps:
+            time = float(chunk.t[-1])
+            yield chunk
+    except LimitError as error:
+        raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
 
 
-def _march(plant: _Plant, piece: Piece, state: Array, settings: Settings, allowance: Allowance) -> Iterator[Chunk]:
+def march(
+    pair: Pair, equations: Equations, piece: Piece, state: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
+    """Go through a piece likewise; raise LimitError where the allowance is used up."""
+    if "plant" not in equations.kept:
+        equations.kept["plant"] = _Plant(equations, pair, settings)
+    plant: _Plant = equations.kept["plant"]
     plant.open(piece)
     count = 0 if plant.manner.estimates else count_steps(piece, settings.step)
     time, first = piece.start, 0
     while time < piece.end:
         steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else FREE_STEPS)
-        try:
-            allowance.spend()
-        except LimitError as error:
-            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
+        allowance.spend()
         times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
         length = (piece.end - piece.start) / count if count else None
         done, halt, states = plant.run(piece, state, times, steps, length)
@@ -216,7 +175,7 @@ class _Feed:
 class _Plant:
     """A model as the C functions take it, with the memory that they use."""
 
-    def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+    def __init__(self, dynamics: Equations, pair: Pair, settings: Settings) -> None:
         self.dynamics, self.manifest = dynamics, dynamics.kernels.manifest
         self.ffi, self.lib = load_functions(_CDEF, "mbs_explicit.c", "mbs_least.c")
         self.plant, self.manner = self.ffi.new("mbs_explicit *"), self.ffi.new("mbs_manner *")
@@ -272,7 +231,7 @@ class _Plant:
             evaluated = Formulation.SEMI.evaluated
         assert evaluated.mass is not None, "a residual comes with a mass matrix"
         self._lay_call(memory, p.residual, evaluated.function, {"Phi": "r"})
-        M = find_mass_matrix(self.manifest.kernel(evaluated.mass))
+        M = find_mass_matrix(memory.describe(evaluated.mass))
         self._lay_call(memory, p.mass, evaluated.mass, {M.name: "M"}, p.M)
 
     def _lay_call(self, memory: Memory, call: Any, name: str, results: dict[str, str], matrix: Any = None) -> None:
@@ -325,6 +284,7 @@ class _Plant:
         effort.evaluations += outcome.evaluations
         effort.switches += outcome.switches
         effort.pivot = min(effort.pivot, outcome.pivot)
+        effort.gap = max(effort.gap, outcome.gap)
         return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
 
     def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
@@ -379,7 +339,7 @@ _FINDINGS = {
 }
 
 
-def describe_status(dynamics: Dynamics, status: int, loop: int, time: float, qd: Array) -> Halt:
+def describe_status(dynamics: Equations, status: int, loop: int, time: float, qd: Array) -> Halt:
     """Describe a status of the C functions, returned in the step after `time`; qd: the last velocities."""
     manifest = dynamics.kernels.manifest
     names = [c.name for c in manifest.coordinates]

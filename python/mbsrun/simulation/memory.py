@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import cffi
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
-from mbsgen.manifest import Argument
+from mbsgen.manifest import Argument, Kernel, Manifest
 from mbsrun.binding import Entry, bind
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
@@ -19,18 +19,31 @@ from mbsrun.library import compile_library, find_compiler, once_per_compiler
 Array = NDArray[np.float64]
 
 
+@runtime_checkable
+class Source(Protocol):
+    """Kernels of one model, perhaps from several folders."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Describe the model."""
+
+    def find_holder(self, name: str) -> Kernels:
+        """Return the loaded kernels among which one is."""
+
+
 class Memory:
     """Arrays by name, which C functions have pointers to: q, qd and the rest of the inputs, and results."""
 
-    def __init__(self, ffi: Any, kernels: Kernels, arrays: Mapping[str, Array]) -> None:
+    def __init__(self, ffi: Any, kernels: Source, arrays: Mapping[str, Array]) -> None:
         """Take arrays of inputs under their kernels' names; `u` and `w` are parts of the array `v`."""
         self.ffi, self.kernels = ffi, kernels
-        self.arrays = {**arrays, **kernels.filled}
+        self.arrays = {**arrays}
         self.inputs = {name: self.pointer(name) for name in self.arrays}
         if "v" in self.arrays:
             forces = len(kernels.manifest.actuated)
             self.inputs |= {"u": self.inputs["v"], "w": self.inputs["v"] + forces}
         self._kept: list[Any] = []  # objects that C has pointers to
+        self._filled: dict[str, dict[str, Any]] = {}  # by kernel: the inputs that come from parameters
 
     def add(self, name: str, size: int) -> Any:
         """Make an array, and return a pointer to it."""
@@ -48,14 +61,22 @@ class Memory:
 
     def bind(self, name: str) -> Entry:
         """Compile a kernel and find its arguments."""
-        entry: Entry = self.keep(bind(self.kernels.compile(name), self.kernels.manifest.kernel(name)))
+        holder = self.kernels.find_holder(name)
+        entry: Entry = self.keep(bind(holder.compile(name), holder.describe(name)))
+        filled = self.keep(holder.filled)
+        self._filled[name] = {key: self.ffi.cast("double *", x.ctypes.data) for key, x in filled.items()}
         return entry
+
+    def describe(self, name: str) -> Kernel:
+        """Describe a kernel."""
+        return self.kernels.find_holder(name).describe(name)
 
     def lay(self, entry: Entry, results: Mapping[str, str]) -> tuple[Any, Any, Any]:
         """Return a kernel's function and its lists of arguments; `results` names the array of each result."""
         arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
+        inputs = self.inputs | self._filled[entry.kernel.name]
         for port in entry.inputs:
-            arg[port.position] = self.inputs[port.argument.name]
+            arg[port.position] = inputs[port.argument.name]
         for port in entry.outputs:
             if port.argument.name in results:
                 res[port.position] = self.pointer(results[port.argument.name])

@@ -34,7 +34,7 @@ def _explicit(order: int, title: str, pair: explicit.Pair, stability: float) -> 
     return Method(family, order, title, integrate, settings, stability, closed=integrate, keeps=explicit.KEEPS)
 
 
-def _implicit_adaptive(order: int | None, title: str, stepper: adaptive.Stepper) -> Method:
+def _implicit_adaptive(order: int | None, title: str, stepper: str) -> Method:
     return Method(Family.ADAPTIVE, order, title, partial(adaptive.integrate, stepper), _TOLERANCES)
 
 

@@ -82,6 +82,7 @@ class Effort:
     iterations: int = 0  # of Newton's method
     switches: int = 0  # of dependent coordinates
     pivot: float = 1.0  # of the loops' Jacobian, the smallest relative to the largest: small near a singular pose
+    gap: float = 0.0  # of loops, the largest that an explicit step left before they were closed
     seconds: float = 0.0  # of processor time
 
 
