@@ -21,7 +21,7 @@ FILE_NAME = "manifest.json"
 
 
 class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
 
 _RARE = ("matrix", "unit", "row_axis", "col_axis", "of", "by")

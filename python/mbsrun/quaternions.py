@@ -168,6 +168,24 @@ def _raise(vector: Array) -> Array:
     return np.concatenate((np.sinc(half / np.pi) * vector / 2, np.cos(half)), axis=-1)
 
 
+def find_quaternions(R: Array) -> Array:
+    """Return the quaternions x, y, z, w of rotations (..., 3, 3), by their largest entry.
+
+    The scalar w is not negative; where it is 0, the first of x, y, z that is not 0 is positive.
+    """
+    trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
+    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    products = np.empty((*R.shape[:-2], 4, 4))  # 4 q q^T
+    products[..., :3, :3] = R + R.swapaxes(-2, -1) + (1 - trace) * np.eye(3)
+    products[..., :3, 3] = products[..., 3, :3] = skew
+    products[..., 3, 3] = 1 + trace[..., 0, 0]
+    largest = np.diagonal(products, axis1=-2, axis2=-1).argmax(axis=-1)[..., None, None]
+    q = np.take_along_axis(products, largest, axis=-2)[..., 0, :]
+    signed = np.roll(q, 1, axis=-1)
+    first = np.take_along_axis(signed, (signed != 0).argmax(axis=-1)[..., None], axis=-1)
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True) * np.where(first < 0, -1.0, 1.0))
+
+
 def _pure(vector: Array) -> Array:
     """Return the quaternions of scalar 0."""
     return np.concatenate((vector, np.zeros_like(vector[..., :1])), axis=-1)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from mbsgen.manifest import Manifest
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Representation
@@ -94,3 +96,58 @@ def test_the_page_on_problem_files_opens_with_one(requires: Callable[[str], str]
     (tmp_path / "page.ocp.yaml").write_text(page.split("```yaml\n")[1].split("```")[0], "utf-8")
     problem, plant = read_problem(tmp_path / "page.ocp.yaml", lambda path: load_on_demand(MODELS / path.name))
     assert optimum(problem, plant).cost.total == pytest.approx(58.8, rel=0.01)
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """The kernels of a plant, without the face that C functions need."""
+
+    plant: Plant
+
+    @property
+    def manifest(self) -> Manifest:
+        return self.plant.manifest
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        return self.plant.parameters
+
+    def __call__(self, name: str, **inputs: Any) -> dict[str, Any]:
+        return self.plant(name, **inputs)
+
+
+@pytest.mark.parametrize("name", ["cart_pole_balance", "five_bar_reach", "satellite_turn", "planar_arm_fastest"])
+def test_two_integrators_see_the_same_defects(read: Callable[[str], tuple[Problem, Plant]], name: str) -> None:
+    """Steps in C, by intervals, and SciPy's, of all at once: a tree, a loop, quaternions, a free horizon.
+
+    Both keep 1e-13 a step, of numbers up to 10, in some ten steps an interval. Over the horizon an unstable plant
+    multiplies errors as it does the defect.
+    """
+    problem, plant = read(name)
+    solution = optimum(problem, plant)
+    one = resimulate(solution, plant).resimulation
+    other = resimulate(solution, cast("Plant", Elsewhere(plant))).resimulation
+    assert one is not None
+    assert other is not None
+    assert one.defects == pytest.approx(other.defects, abs=1e-11)
+    assert one.defect is not None
+    assert one.open_loop_error == pytest.approx(other.open_loop_error, rel=1e-4, abs=1e-11)
+    assert one.margins is not None
+    assert other.margins is not None
+    pairs = zip(one.margins.each, other.margins.each, strict=True)
+    assert all(a.value == pytest.approx(b.value, abs=1e-9) for a, b in pairs)
+    assert (one.closure is None) is (other.closure is None)
+
+
+def test_a_motion_that_c_cannot_follow_has_no_accuracy(read: Callable[[str], tuple[Problem, Plant]]) -> None:
+    """Inputs that are no numbers, or overflow: neither integrator ends, and no number is given."""
+    problem, plant = read("cart_pole_balance")
+    solution = optimum(problem, plant)
+    for value in (np.nan, 1e200):
+        u, points = (np.full_like(x, value) for x in (solution.trajectory.u, solution.trajectory.point_u))
+        broken = replace(solution, trajectory=replace(solution.trajectory, u=u, point_u=points))
+        check = resimulate(broken, plant).resimulation
+        assert check is not None
+        assert check.defect is None
+        assert check.open_loop_error is None
+        assert not check.is_accurate

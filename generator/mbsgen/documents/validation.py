@@ -29,7 +29,7 @@ Shape = TypeVar("Shape", bound=BaseModel)
 class Section(BaseModel):
     """Base of the schemas of files: nothing is converted, unknown keys are refused, and values do not change later."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class WrongValueError(ValueError):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from mbsgen.manifest import TIME, Manifest, Point
 from mbsgen.style import PALETTE
@@ -191,18 +190,30 @@ def _place(motion: Motion, times: Array) -> Skeleton:
 def _interpolate(part: Part, times: Array) -> Array:
     if len(part.t) == 1:
         return np.repeat(part.q, len(times), axis=0)
-    if part.rates is None:
-        return np.asarray(make_interp_spline(part.t, part.q, k=1)(times))
-    return np.asarray(CubicHermiteSpline(part.t, part.q, part.rates)(times))
+    s, (a, b, c, d) = _fit(part, times)
+    return np.asarray(d + c * s + b * (s * s) + a * (s * s * s))
 
 
 def _differentiate(part: Part, times: Array) -> Array:
     """Return the time derivatives of the coordinates."""
     if len(part.t) == 1:
         return np.zeros((len(times), part.q.shape[1])) if part.rates is None else part.rates[[0] * len(times)]
+    s, (a, b, c, _) = _fit(part, times)
+    return np.asarray(c + 2 * b * s + 3 * a * (s * s))
+
+
+def _fit(part: Part, times: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Return the times since the beginning of their steps, (K, 1), and the coefficients there, from the cube on.
+
+    The coordinates are Hermite's cubic polynomials through values and rates, or lines through values.
+    """
+    k = np.searchsorted(part.t, times, side="right").clip(1, len(part.t) - 1) - 1
+    length, begin = (part.t[k + 1] - part.t[k])[:, None], part.q[k]
+    slope, s = (part.q[k + 1] - begin) / length, (times - part.t[k])[:, None]
     if part.rates is None:
-        return np.asarray(make_interp_spline(part.t, part.q, k=1).derivative()(times))
-    return np.asarray(CubicHermiteSpline(part.t, part.q, part.rates).derivative()(times))
+        return s, (np.zeros_like(slope), np.zeros_like(slope), slope, begin)
+    first, bend = part.rates[k], (part.rates[k] + part.rates[k + 1] - 2 * slope) / length
+    return s, (bend / length, (slope - first) / length - bend, first, begin)
 
 
 def _track(skeleton: Skeleton, arrows: tuple[Arrow, ...], shown: tuple[float, float] | None) -> Track:

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mbsgen import resources
 from mbsrun.animation.film import Actor, Arrow, Film, Mesh, Solid, Track
+from mbsrun.quaternions import find_quaternions
 
 Array = NDArray[np.float64]
 
@@ -103,8 +103,7 @@ def _describe_arrow(arrow: Arrow) -> dict[str, Any]:
 
 def _find_quaternions(R: Array) -> Array:
     """Turn rotations (K, F, 3, 3) into quaternions x, y, z, w (K, F, 4), scaled to the range of 16 bits."""
-    quaternions = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True)
-    return np.asarray(np.rint(quaternions * 32767).reshape(*R.shape[:2], 4))
+    return np.asarray(np.rint(find_quaternions(R) * 32767))
 
 
 def _encode(values: NDArray[Any], number: str) -> str:

@@ -10,7 +10,6 @@ from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest, Shape
@@ -126,6 +125,8 @@ def _read_visual(
     origin, material, shape = visual.find("origin"), visual.find("material"), visual.find("geometry/*")
     if origin is not None:
         at = _numbers(origin.get("xyz", "0 0 0"), 3)
+        from scipy.spatial.transform import Rotation  # here, and late: it takes long to load
+
         axes = Rotation.from_euler("xyz", _numbers(origin.get("rpy", "0 0 0"), 3)).as_matrix()
     color = None if material is None else _read_color(material) or colors.get(material.get("name"))
     if shape is None:

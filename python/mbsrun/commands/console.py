@@ -8,22 +8,21 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.style import FORMATS, in_format, picture_format
 from mbsrun.ocp.problem import Problem, find_conflicts
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
 NOT_SOLVED = 1  # exit codes; 0 is a solution as accurate as the problem asks for
 UNCUT = 200  # characters in a line where nobody sees a terminal's width
-
-MESSAGES = Console(stderr=True)
 
 F = TypeVar("F", bound=Callable[..., object])
 Report = Callable[[str, int, int], None]  # takes the current step, the number of finished steps and of all
@@ -144,12 +143,49 @@ def print_table(table: Table) -> None:
 
 def open_console() -> Console:
     """Return stdout as wide as the terminal; lines are long where there is none."""
+    from rich.console import Console  # here and below: it takes a while to load, and most commands do without
+
     return Console(highlight=False, width=None if sys.stdout.isatty() else UNCUT)
+
+
+@functools.cache
+def open_messages() -> Console:
+    """Return stderr."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+class Status(Protocol):
+    """A line that shows what is being done."""
+
+    def update(self, text: str, /) -> None:
+        """Show another text."""
+
+
+class _NoStatus:
+    """A line where nobody sees it."""
+
+    def update(self, text: str, /) -> None:
+        """Show nothing."""
+
+
+@contextmanager
+def show_status(text: str) -> Iterator[Status]:
+    """Show what is being done on stderr, if that is a terminal."""
+    if sys.stderr.isatty():
+        with open_messages().status(text) as status:
+            yield status
+    else:
+        yield _NoStatus()
 
 
 @contextmanager
 def show_progress() -> Iterator[Report]:
     """Show the current step and the remaining time on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("beginning", total=None)

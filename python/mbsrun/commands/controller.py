@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mbsgen.documents import read_document, refuse
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, keep_grid, output_folder, say
+from mbsrun.commands.console import NOT_SOLVED, keep_grid, output_folder, say, show_status
 from mbsrun.controllers.making import Made, UnsolvedError, describe_name, make
 from mbsrun.controllers.refusals import find_refusals, locate
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
@@ -89,7 +89,7 @@ def controller_command(
         other = file.parent / problem.guess.solution
     guess = None if other is None else find_guess(other, problem, plant)
     try:
-        with MESSAGES.status("making the controller"):
+        with show_status("making the controller"):
             made = make(problem, plant, models[-1], guess, prefix=prefix, emulated=emulated)
     except UnsolvedError as error:
         say(f"{file}: {error}")

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from mbsrun.commands.columns import check_columns
-from mbsrun.commands.console import MESSAGES, NOT_SOLVED, list_written, say
+from mbsrun.commands.console import NOT_SOLVED, list_written, say, show_status
 from mbsrun.commands.failures import print_failure
 from mbsrun.commands.searching import print_starts, show_search
 from mbsrun.external import load_on_demand
@@ -70,7 +70,7 @@ def solve_file(
     if isinstance(outcome, PhasedFailure):
         print_failure(outcome, file, out)
         return NOT_SOLVED
-    with MESSAGES.status("integrating again") as status:
+    with show_status("integrating again") as status:
         outcome = resimulate_phases(outcome, plants)
         if any(phase.problem.refine is not None for phase in problem.phases):
             outcome = refine_phases(outcome, plants, lambda name, round_: status.update(_describe(name, round_)))
@@ -103,7 +103,7 @@ def _describe(name: str, last: Round) -> str:
 
 
 def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess) -> PhasedSolution | PhasedFailure:
-    with MESSAGES.status("making the program") as status:
+    with show_status("making the program") as status:
 
         def show(progress: Progress) -> None:
             status.update(

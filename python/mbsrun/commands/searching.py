@@ -11,7 +11,7 @@ from rich import box
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mbsrun.commands.console import MESSAGES, print_table
+from mbsrun.commands.console import open_messages, print_table
 from mbsrun.ocp.multistart import Watch
 from mbsrun.ocp.solution import Starts
 from mbsrun.ocp.starts import describe_turns
@@ -23,7 +23,7 @@ SHOWN = 10  # minima that are printed
 def show_search(count: int) -> Iterator[Watch]:
     """Show how many starts ended, and the lowest cost; yield the function that takes the outcomes."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=MESSAGES, transient=True) as bar:
+    with Progress(*columns, console=open_messages(), transient=True) as bar:
         task = bar.add_task("solving", total=count)
 
         def show(starts: Starts) -> None:

@@ -16,12 +16,12 @@ from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.columns import more_columns
 from mbsrun.commands.console import (
-    MESSAGES,
     NOT_SOLVED,
     NameType,
     choose_format,
     list_written,
     say,
+    show_status,
 )
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
@@ -213,7 +213,7 @@ def simulate_command(
         say(f"note: {note}")
     out = out or Path(f"{model.stem}.simulation")
     Numbers(mechanism, list_quantities(mechanism.manifest, Added()), {}).select(columns)
-    with MESSAGES.status("integrating") as status:
+    with show_status("integrating") as status:
 
         def show(time: float) -> None:
             status.update(f"integrating: t = {time:.4g} of {statement.settings.duration:.4g} s")

@@ -11,7 +11,6 @@ import click
 
 from mbsrun.commands.columns import check_columns, more_columns
 from mbsrun.commands.console import (
-    MESSAGES,
     NOT_SOLVED,
     NameType,
     NumberType,
@@ -21,6 +20,7 @@ from mbsrun.commands.console import (
     list_written,
     output_folder,
     say,
+    show_status,
 )
 from mbsrun.commands.failures import print_failure
 from mbsrun.external import load_on_demand
@@ -230,7 +230,7 @@ def solve_command(
     if isinstance(outcome, Failure):
         print_failure(outcome, file, out)
         context.exit(NOT_SOLVED)
-    with MESSAGES.status("integrating again") as status:
+    with show_status("integrating again") as status:
         outcome = resimulate(outcome, plant)
         if problem.refine is not None:
             from mbsrun.ocp.refinement import refine
@@ -348,7 +348,7 @@ def _choose_way(
 
 def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution | Failure:
     """Solve from one guess, and show the iterations."""
-    with MESSAGES.status("making the program") as status:
+    with show_status("making the program") as status:
 
         def show(progress: Progress) -> None:
             status.update(

@@ -15,7 +15,6 @@ from rich.table import Table
 
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import (
-    MESSAGES,
     NOT_SOLVED,
     NumberType,
     check_conflicts,
@@ -23,6 +22,7 @@ from mbsrun.commands.console import (
     keep_grid,
     print_table,
     say,
+    show_status,
 )
 from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
@@ -161,7 +161,7 @@ def sweep_command(
     is_through = True
     about = (identify(study, plant.manifest), describe(study, plant.manifest))
     with open_record(out or Path(f"{problem.name}.sweep"), *about) as record:
-        with MESSAGES.status("making the program") as status:
+        with show_status("making the program") as status:
             executor = LocalExecutor(plant, describe_environment())
             try:
                 Search(study, executor, record, lambda attempt, _: status.update(_tell(attempt)), 60 * minutes).run(

@@ -15,14 +15,15 @@ from mbsgen.documents import Data, refuse
 from mbsgen.errors import Fault
 from mbsgen.manifest import FILE_NAME
 from mbsrun.commands.console import (
-    MESSAGES,
     NOT_SOLVED,
     NameType,
     choose_format,
     keep_grid,
     list_written,
+    open_messages,
     output_folder,
     say,
+    show_status,
 )
 from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
@@ -176,7 +177,7 @@ def track_command(
         problem = problem.with_solver(solver)
     if threads is not None:
         problem = replace(problem, solver=replace(problem.solver, threads=threads))
-    with MESSAGES.status("generating and compiling"):
+    with show_status("generating and compiling"):
         changes = statement.changes
         other = models[0] if changes.model is None else (settings or file).parent / changes.model
         true = load_simulated(other, is_released=changes.is_released)
@@ -199,7 +200,7 @@ def track_command(
         say(str(error))
         context.exit(NOT_SOLVED)
     out = out or Path(f"{problem.name}.track")
-    with MESSAGES.status("drawing"):
+    with show_status("drawing"):
         report = report_track(found, problem, true)
         write_track(report, true, out)
     _print_report(report, fixed.numbers)
@@ -257,7 +258,7 @@ def _collect_options(given: dict[str, Any]) -> dict[str, Data]:
 def _run(trial: Trial, problem: Problem, plant: Plant, controller: Controller, model: Mechanism | None) -> Track:
     """Run the loop, and show how far it is."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[time]}"), TimeRemainingColumn())
-    with ProgressBar(*columns, console=MESSAGES, transient=True) as bar:
+    with ProgressBar(*columns, console=open_messages(), transient=True) as bar:
         task = bar.add_task("planning from the start", total=trial.samples, time="")
 
         def show(sample: Sample) -> None:

@@ -20,8 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import nnls
-from scipy.sparse.linalg import splu
 
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.problem import Problem
@@ -76,6 +74,9 @@ def certify(point: Point, hessian: Callable[[Array, Array], Matrix]) -> Certific
 
 def find_multipliers(point: Point) -> tuple[Array, Array]:
     """Return the multipliers lam and z >= 0 that leave the least of the first-order conditions."""
+    from scipy.optimize import nnls  # here, and late: it takes long to load
+    from scipy.sparse.linalg import splu
+
     size, rows = point.gradient.size, point.equations.shape[0]
     bordered = [[sparse.eye_array(size), point.equations.T], [point.equations, -SHIFT * sparse.eye_array(rows)]]
     known = np.zeros((size + rows, 1 + point.bounds.shape[0]))
@@ -89,6 +90,8 @@ def find_multipliers(point: Point) -> tuple[Array, Array]:
 
 def is_convex_on(hessian: Matrix, equations: Matrix) -> bool:
     """Return whether d' H d > 0 for all d with A d = 0, except d = 0; False where the factorisation needs pivots."""
+    from scipy.sparse.linalg import splu  # here, and late: it takes long to load
+
     penalised = Matrix(hessian + PENALTY * (equations.T @ equations))
     try:
         factors = splu(penalised, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

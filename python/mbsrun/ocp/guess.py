@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.contacts import list_held
@@ -372,6 +371,8 @@ class _Kinematics:
             return np.asarray((ahead - behind).T / (2 * STEP))
 
         if self.free.any():
+            from scipy.optimize import least_squares  # here, and late: it takes long to load
+
             bounds = (self.lower[self.free], self.upper[self.free])
             found = least_squares(
                 residual, q[self.free], jacobian, bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100

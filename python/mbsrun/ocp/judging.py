@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.backends.prepared import Prepared
@@ -109,6 +108,8 @@ def _is_convex(program: Prepared, outcome: Outcome) -> bool:
 
 def _is_semidefinite(H: Matrix, largest: float) -> bool:
     """Return whether no pivot of a symmetric matrix is negative; blocks that do not touch are taken apart."""
+    from scipy.sparse.csgraph import connected_components  # here, and late: it takes long to load
+
     _, labels = connected_components(H, directed=False)
     order = np.argsort(labels, kind="stable")
     sorted_labels = labels[order]

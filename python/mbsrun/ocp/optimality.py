@@ -25,8 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse.linalg import splu
 
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.program import Matrix
@@ -181,6 +179,8 @@ def _improve(point: Point) -> Iterator[float]:
 
     Weights are the nearer distance, and then the distance in the direction that lowers the cost.
     """
+    from scipy.sparse.linalg import splu  # here, and late: it takes long to load
+
     ranged = np.flatnonzero(point.row_below + point.row_above > 0)
     rows, count = point.J.shape[0], ranged.size
     slacks = sparse.csc_array((-np.ones(count), (ranged, np.arange(count))), shape=(rows, count))
@@ -208,6 +208,8 @@ def _improve(point: Point) -> Iterator[float]:
 
 def _solve(point: Point) -> float | None:
     """Return chi by linear programming; None where that does not end in time."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # here, and late: it takes long to load
+
     size = float(np.abs(point.c).max(initial=0.0)) or 1.0  # HiGHS takes small costs for none
     found = milp(
         point.c / size,

@@ -42,9 +42,9 @@ from mbsrun.ocp.margins import Watch
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.solution import Resimulation, Solution
+from mbsrun.ocp.stepping import Span, Stepper
 from mbsrun.ocp.trajectory import Trajectory, lagrange
 from mbsrun.ocp.values import GivenValues, Values
-from mbsrun.ocp.stepping import Span, Stepper
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.course import Course as Motions
 from mbsrun.simulation.course import stand
@@ -272,7 +272,9 @@ class _Replay:
             spans.append(stepper.follow(self._course.piece(k), state, own))
             most = max(most, self._allowance.steps - own.steps)
         self._allowance.note(most)
-        return _Apart(np.array([span.end for span in spans]), lambda intervals, x: self._read_spans(spans, intervals, x))
+        return _Apart(
+            np.array([span.end for span in spans]), lambda intervals, x: self._read_spans(spans, intervals, x)
+        )
 
     def _go_through_in_c(self, stepper: Stepper, state: Array) -> tuple[Array, float]:
         reached, gap = [self._close(self._course.inputs(0), state[None])[0]], 0.0
@@ -370,7 +372,7 @@ def integrate(
                 if allowance is not None:
                     allowance.spend()
                 solver.step()
-                if taken is not None and solver.t > solver.t_old:
+                if taken is not None and solver.t_old is not None and solver.t > solver.t_old:
                     taken.append(Step(solver.t / longest, solver.dense_output(), longest, states.shape))
                 if closure is not None and gaps is not None:
                     gaps.append(closure.measure(solver.y.reshape(states.shape)[:, :places]))

@@ -15,11 +15,46 @@ from enum import Enum
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
-from scipy.special import roots_jacobi
 
 Array = NDArray[np.float64]
 
 DEGREES = range(1, 10)
+
+_RADAU = (  # by degree: the roots in (0, 1) of Jacobi's polynomials with exponents 1 and 0, on [0, 1]
+    (),
+    (0.33333333333333337,),
+    (0.15505102572168217, 0.6449489742783179),
+    (0.08858795951270393, 0.40946686444073477, 0.787659461760847),
+    (0.057104196114517725, 0.2768430136381238, 0.5835904323689168, 0.8602401356562195),
+    (0.03980985705146872, 0.1980134178736082, 0.43797481024738616, 0.6954642733536361, 0.9014649142011736),
+    (
+        0.02931642715978494,
+        0.1480785996684843,
+        0.3369846902811543,
+        0.5586715187715502,
+        0.7692338620300545,
+        0.926945671319741,
+    ),
+    (
+        0.0224793864387125,
+        0.11467905316090415,
+        0.2657898227845895,
+        0.45284637366944464,
+        0.6473752828868303,
+        0.8197593082631076,
+        0.9437374394630779,
+    ),
+    (
+        0.017779915147363434,
+        0.09132360789979399,
+        0.21430847939563075,
+        0.3719321645832723,
+        0.5451866848034267,
+        0.7131752428555694,
+        0.8556337429578544,
+        0.9553660447100302,
+    ),
+)
 
 
 class Family(Enum):
@@ -90,8 +125,7 @@ def _find_legendre_points(degree: int) -> Array:
 
 
 def _find_radau_points(degree: int) -> Array:
-    inner = roots_jacobi(degree - 1, 1, 0)[0] if degree > 1 else np.empty(0)
-    return np.concatenate(((inner + 1) / 2, [1.0]))
+    return np.array([*_RADAU[degree - 1], 1.0])
 
 
 POINTS: Mapping[Family, Callable[[int], Array]] = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -305,12 +306,15 @@ class _File:
     solution: Solution
 
 
-_FILE: TypeAdapter[_File] = TypeAdapter(_File)
+@cache
+def _adapter() -> TypeAdapter[_File]:
+    """Return what reads and writes files, built at its first use: that takes long."""
+    return TypeAdapter(_File)
 
 
 def write_solution(solution: Solution, path: Path) -> None:
     """Write a solution to a file, one line for each of its parts."""
-    parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
+    parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     trajectory = {k: x for k, x in parts.pop("trajectory").items() if k not in OPTIONAL or _has_numbers(x)}
     if not solution.equations:
         del parts["equations"], parts["multipliers"]
@@ -333,7 +337,7 @@ def _has_numbers(values: list[Any]) -> bool:
 def read_solution(path: Path) -> Solution:
     """Read a solution back. Raises InputError for a file that is not one."""
     try:
-        return _FILE.validate_json(path.read_bytes()).solution
+        return _adapter().validate_json(path.read_bytes()).solution
     except OSError as error:
         raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
     except ValidationError as error:

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from mbsrun.ocp.driving import find_point_forces, follow
 from mbsrun.ocp.plant import Plant
@@ -161,6 +160,8 @@ def _integrate(
         parts |= {"u": motion.u[[interval]], "controls": motion.controls[[interval]]}
         parts |= {"t": np.full((1, 1), time), "T": np.full((1, 1), motion.t[-1]), "unknowns": unknowns}
         return np.asarray(rates(given(parts))[0])
+
+    from scipy.integrate import solve_ivp  # here, and late: it takes long to load
 
     begin = values[0, integrated]
     try:

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import null_space, qr
 
 from mbsrun.closure import find_closure
 from mbsrun.ocp.checks import ProblemError
@@ -42,6 +41,8 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
     held, end, manifest = find_held(problem, plant.manifest), problem.end, plant.manifest
     if held is None:
         return problem
+    from scipy.linalg import null_space  # here, and late: it takes long to load
+
     independent = manifest.independent or range(len(manifest.coordinates))
     speeds = dict(end.velocities) | (dict.fromkeys(independent, 0.0) if end.velocity_zero else {})
     changes = dict(end.accelerations) | (dict.fromkeys(independent, 0.0) if end.acceleration_zero else {})
@@ -79,6 +80,8 @@ def free_targets(problem: Problem, plant: Plant, q: Array) -> Problem:
     given = [(k, axis) for k, (_, target) in enumerate(end.sensors) for axis in range(3) if target[axis] is not None]
     if not manifest.driven or problem.horizon_range is not None or problem.unknowns or not given:
         return problem
+    from scipy.linalg import null_space  # here, and late: it takes long to load
+
     n, closure = len(manifest.coordinates), find_closure(plant)
     rows = np.eye(n)[list(manifest.driven)]
     free = null_space(rows if closure is None else np.concatenate((rows, closure.jacobian(q))), rcond=RANK)
@@ -111,6 +114,8 @@ def _choose(free: Array, given: Sequence[int]) -> list[int]:
     """Choose entries that are independent of each other, in the order in which they are given."""
     if not given or not free.shape[1]:
         return []
+    from scipy.linalg import qr  # here, and late: it takes long to load
+
     _, R, order = qr(free[list(given)].T, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(R))
     chosen = {given[i] for i in order[: int((sizes > RANK).sum())]}

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.program import Matrix
@@ -59,6 +58,8 @@ def _find_step(x: Array, residual: Array, J: Matrix, bounds: Bounds) -> Array:
     scales = np.maximum(1.0, np.abs(x))
     held = np.minimum(x - bounds[0], bounds[1] - x) < AT_BOUND * scales
     held |= np.diff(J.indptr) > MANY
+    from scipy.sparse.linalg import splu  # here, and late: it takes long to load
+
     scaled = sparse.csr_array(J @ sparse.diags_array(np.where(held, 0.0, scales)))
     normal = sparse.csc_array(scaled @ scaled.T)
     damping = DAMPING * normal.diagonal().max(initial=0.0) * sparse.eye_array(residual.size)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -142,12 +143,15 @@ class _File:
     solution: PhasedSolution
 
 
-_FILE: TypeAdapter[_File] = TypeAdapter(_File)
+@cache
+def _adapter() -> TypeAdapter[_File]:
+    """Return what reads and writes files, built at its first use: that takes long."""
+    return TypeAdapter(_File)
 
 
 def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
     """Write a solution to a file, one line for each of its parts."""
-    parts = _FILE.dump_python(_File(FORMAT, solution), mode="json")["solution"]
+    parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     phases = parts.pop("phases")
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     inner = [
@@ -164,7 +168,7 @@ def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
 def read_phased_solution(path: Path) -> PhasedSolution:
     """Read a solution back. Raises InputError for a file that is not one."""
     try:
-        return _FILE.validate_json(path.read_bytes()).solution
+        return _adapter().validate_json(path.read_bytes()).solution
     except OSError as error:
         raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
     except ValidationError as error:
