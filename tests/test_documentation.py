@@ -33,6 +33,7 @@ FEWER = {
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
 TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES), "docs/rust.md": ("cargo",)}  # skipped without them
+LIBRARIES = {"docs/learning.md": ("jax",)}  # skipped without them
 SHELL = ("bash", "-euo", "pipefail", "-c")
 SEPARATE = "README.md"  # its commands are started as a user starts them, each in a new process
 
@@ -60,6 +61,8 @@ def test_what_a_document_says_to_type_works(
     """Blocks run, print the lines that the document quotes after them, and write the files that it shows."""
     for tool in TOOLS.get(name(document), ()):
         requires(tool)
+    for library in LIBRARIES.get(name(document), ()):
+        pytest.importorskip(library)
     checkout = tmp_path / "checkout"
     unwanted = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist")
     shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(*unwanted), symlinks=True)

@@ -113,6 +113,10 @@ class Kernels:
         self.describe(name)
         return self
 
+    def bind(self, name: str) -> tuple[Entry, Any]:
+        """Return a kernel that is bound to its C function, and the library of `mbs_batch`, which calls it often."""
+        return self._binder.bind(name), self._binder.batch
+
     def describe(self, name: str) -> Kernel:
         """Return the manifest's description of a kernel. Raises ArgumentError with the names of the kernels."""
         return self._binder.describe(name)
@@ -305,7 +309,7 @@ class _Binder:
         return compile_library(self.folder, self.manifest.prefix, sources, self._compiler)
 
     @cached_property
-    def batch(self) -> object:
+    def batch(self) -> Any:
         """The loop over the states of a batch."""
         return load_batch(compile_library(resources.folder("csrc"), "mbs_batch", ["mbs_batch.c"], self._compiler))
 

@@ -1,0 +1,237 @@
+"""Kernels inside JAX: values of the NumPy face, and derivatives that differences and other transformations confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbsgen.targets.contract import Family
+from mbsrun import Mechanism, load
+from mbsrun.kernel import ArgumentError
+from mbsrun.models import Extent
+from tests.mbsgen.targets.guarded import guarded_tape
+from tests.sample import PARAMETERS, family, write_sample
+
+jax = pytest.importorskip("jax")
+jnp = jax.numpy
+jax.config.update("jax_enable_x64", True)
+check_grads = pytest.importorskip("jax.test_util").check_grads
+
+import mbsrun.jax  # noqa: E402
+
+MODELS = Path(__file__).parents[2] / "models"
+# A tree, a tree with differentiated and run-time parameters, a quaternion, and a closed loop.
+CASES = {"cart_pole": "exp1", "design/lifting_arm": "exp1", "satellite": "impl", "four_bar": "exp1"}
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """The sample with run-time parameters; one of its results is a sparse matrix."""
+    return load(write_sample(tmp_path_factory.mktemp("sample")))
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """A function that fails where y0 is 0, at joint 2, and where y0 y1 is small beside y2, at joint 3."""
+    return load(write_sample(tmp_path_factory.mktemp("guarded"), "guarded", (family(guarded_tape()),)))
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> tuple[Mechanism, str]:
+    name = CASES[request.param]
+    return load(MODELS / f"{request.param}.yaml", extent=Extent((name,))), name
+
+
+def draw(kernels: Mechanism, name: str, seed: int, *batch: int) -> dict[str, np.ndarray]:
+    """Draw a state away from poses at which joints or loops are singular."""
+    rng = np.random.default_rng(seed)
+    inputs = [a for a in kernels.describe(name).inputs if a.nnz and a.name != "h"]
+    return {a.name: 0.6 + 0.2 * rng.standard_normal((*batch, a.rows)) for a in inputs}
+
+
+def as_function(face: Any, name: str, inputs: dict[str, Any]) -> Callable[..., list[Any]]:
+    return lambda *arrays: list(face(name, **dict(zip(inputs, arrays, strict=True))).values())
+
+
+def test_values_are_those_of_numpy(case: tuple[Mechanism, str]) -> None:
+    """Bit by bit, alone and in a batch, compiled or not."""
+    kernels, name = case
+    for batch in ((), (7,)):
+        inputs = draw(kernels, name, 1, *batch)
+        face, expected = mbsrun.jax.load(kernels), kernels(name, **inputs)
+        for found in (face(name, **inputs), jax.jit(lambda x, face=face: face(name, **x))(inputs)):
+            assert found.keys() == expected.keys()
+            assert all(np.array_equal(found[key], expected[key]) for key in expected)
+
+
+def test_first_and_second_derivatives_are_those_of_differences(case: tuple[Mechanism, str]) -> None:
+    """In all inputs at once, theta included, in every order of forward and reverse mode."""
+    kernels, name = case
+    inputs = draw(kernels, name, 2)
+    function = as_function(mbsrun.jax.load(kernels), name, inputs)
+    check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2, modes=["fwd", "rev"])
+
+
+def test_derivatives_of_a_sparse_result_with_parameters(sample: Mechanism) -> None:
+    inputs = draw(sample, "impl", 3)
+    for face in (mbsrun.jax.load(sample), mbsrun.jax.load(sample).with_parameters(length=0.9)):
+        function = as_function(face, "impl", inputs)
+        assert function(*inputs.values())[1].shape == (2, 2)
+        check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2)
+
+
+def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
+    """Also with a batch inside and outside of the derivative, and with arguments that all its states share."""
+    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 4, 5)
+    x, y, z = (jnp.asarray(inputs[name]) for name in "xyz")
+
+    def energy(x: Any, y: Any, z: Any) -> Any:
+        results = face.impl(x=x, y=y, z=z)
+        return jnp.sum(jnp.sin(results["f"])) + jnp.sum(results["g"] ** 2)
+
+    both = (0, 1)
+    ways = [
+        jax.hessian(energy, both),
+        jax.jacrev(jax.grad(energy, both), both),
+        jax.jacfwd(jax.jacfwd(energy, both), both),
+    ]
+    expected = jax.vmap(ways[0])(x, y, z)
+    whole = jax.hessian(lambda x: energy(x, y, z))(x)  # of all states: its blocks off the diagonal are 0
+    np.testing.assert_allclose(np.einsum("aibj->abij", whole)[range(5), range(5)], expected[0][0], rtol=1e-11)
+    for way in ways[1:]:
+        for a, b in zip(jax.tree.leaves(jax.jit(jax.vmap(way))(x, y, z)), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11)
+    shared = jax.grad(lambda y: jnp.sum(jax.vmap(energy, (0, None, 0))(x, y, z)))(y[0])
+    single = sum(jax.grad(energy, 1)(x[i], y[0], z[i]) for i in range(5))
+    np.testing.assert_allclose(shared, single, rtol=1e-12)
+
+
+def test_batches_of_batches_are_one_call(sample: Mechanism) -> None:
+    """Nested vmap, along any axis, over some of the inputs: one call in the compiled program."""
+    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 5, 4)
+    y = np.random.default_rng(6).uniform(0.5, 1.0, (2, 3))
+    nested = jax.vmap(
+        jax.vmap(lambda x, y, z: face.impl(x=x, y=y, z=z)["f"], (0, None, 0)), (None, 1, None), out_axes=1
+    )
+    found = nested(inputs["x"], y, inputs["z"])
+    assert found.shape == (4, 3, 3)
+    for i, j in np.ndindex(4, 3):
+        expected = sample.impl(x=inputs["x"][i], y=y[:, j], z=inputs["z"][i])["f"]
+        assert np.array_equal(found[i, j], expected)
+    text = jax.jit(nested).lower(inputs["x"], y, inputs["z"]).as_text()
+    assert text.count("custom_call @mbs_jax") == 1
+
+
+def test_a_loop_carries_states(sample: Mechanism) -> None:
+    """Scan and its gradient; the reference is the same loop, written out."""
+    face, y, z = mbsrun.jax.load(sample), np.array([0.7, 1.1]), np.zeros(1)
+
+    def step(x: Any) -> Any:
+        return x + 0.1 * face.impl(x=x, y=y, z=z)["f"]
+
+    def scanned(x: Any) -> Any:
+        return jnp.sum(jax.lax.scan(lambda x, _: (step(x), None), x, None, length=4)[0] ** 2)
+
+    def written(x: Any) -> Any:
+        return jnp.sum(step(step(step(step(x)))) ** 2)
+
+    x = jnp.array([0.4, 0.9, 1.3])
+    for way in (lambda f: f, jax.grad, jax.hessian):
+        np.testing.assert_allclose(jax.jit(way(scanned))(x), way(written)(x), rtol=1e-12)
+
+
+def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -> None:
+    """In values and derivatives, beside states that succeed."""
+    face = mbsrun.jax.load(guarded)
+    x, y = np.ones((3, 2)), np.array([[2.0, 1.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1e-30, 1.0]])
+    results, status = jax.jit(lambda x, y: face.attempt("impl", x=x, y=y))(x, y)
+    assert status.tolist() == [0, 2, 3]
+    assert np.array_equal(results["f"][0], [0.5, 0.5])
+    assert np.isnan(results["f"][1:]).all()
+    gradient = jax.grad(lambda x, y: jnp.sum(face.impl(x=x, y=y)["f"]))(x, y)
+    hessian = jax.vmap(jax.hessian(lambda y, x: jnp.sum(face.impl(x=x, y=y)["f"])))(y, x)
+    assert np.array_equal(gradient[0], [0.5, 0.5])
+    assert np.isnan(gradient[1:]).all()
+    assert np.isfinite(hessian[0]).all()
+    assert np.isnan(hessian[1:, :2, :2]).all()  # f does not depend on y2, which scales a guard alone
+
+
+def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
+    """`p` gives each state its own; the reference is the NumPy face with these parameters."""
+    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 7, 2)
+    p = np.array([[0.7, 2.5], [1.2, 0.3]])
+    found, status = face.attempt("impl", **inputs, p=p)
+    assert status.tolist() == [0, 0]
+    for i in range(2):
+        kernels = sample.with_parameters(**dict(zip(PARAMETERS, p[i], strict=True)))
+        assert np.array_equal(found["f"][i], kernels.impl(**{k: x[i] for k, x in inputs.items()})["f"])
+    assert np.array_equal(face.p, list(PARAMETERS.values()))
+
+
+def test_kernels_can_be_loaded_twice(sample: Mechanism) -> None:
+    """Two faces of the same folder are the same function to JAX, and nothing is compiled again."""
+    first, second = (mbsrun.jax.load(sample.folder) for _ in range(2))
+    assert first._find("impl") == second._find("impl")
+    assert hash(first._find("impl")) == hash(second._find("impl"))
+
+
+X, Y, Z = np.ones(3), np.ones(2), np.ones(1)
+MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
+    "shape": (lambda f: f.impl(x=np.ones(4), y=Y, z=Z), r"impl: x: shape (4,) given, (3,) or (batch, 3) expected"),
+    "all at once": (lambda f: f.impl(x=np.ones(4), y=Y, q=X), r"impl: q: there is no such input"),
+    "missing": (lambda f: f.impl(x=X, y=Y), "impl: z: missing, shape (1,)"),
+    "python float": (lambda f: jax.jit(lambda x: f.impl(x=x, y=Y, z=Z))(0.5), "impl: x: shape () given"),
+    "single precision": (
+        lambda f: f.impl(x=jnp.ones(3, jnp.float32), y=Y, z=Z),
+        "impl: x: float32 given, float64 expected; convert it by astype(jnp.float64)",
+    ),
+    "text": (lambda f: f.impl(x="abc", y=Y, z=Z), "impl: x: not an array of real numbers"),
+    "batches": (lambda f: f.impl(x=np.ones((2, 3)), y=np.ones((3, 2)), z=Z), "batches of shapes (2,), (3,)"),
+    "a derivative": (lambda f: f("jac_impl", x=X, y=Y, z=Z), "jac_impl is a derivative; call impl"),
+    "unknown": (lambda f: f("exp7"), "has no kernel 'exp7'"),
+    "both": (lambda f: f.impl(x=X, y=Y, z=Z, p=X[:2], h=X[:2]), "p and h are given"),
+    "by p": (
+        lambda f: jax.grad(lambda p: f.impl(x=X, y=Y, z=Z, p=p)["f"].sum())(jnp.ones(2)),
+        "no derivatives by run-time parameters (p); declare the parameter `kind: differentiated`",
+    ),
+    "third": (
+        lambda f: jax.grad(lambda x: jax.hessian(lambda x: f.impl(x=x, y=Y, z=Z)["f"].sum())(x).sum())(jnp.ones(3)),
+        "impl: a third derivative is taken",
+    ),
+    "traced parameter": (
+        lambda f: jax.grad(lambda m: f.with_parameters(length=m).impl(x=X, y=Y, z=Z)["f"].sum())(1.0),
+        "length: with_parameters takes plain numbers; give arrays of JAX as the input theta or p",
+    ),
+}
+
+
+@pytest.mark.parametrize(("misuse", "message"), MISUSES.values(), ids=MISUSES.keys())
+def test_misuse_has_one_clear_sentence(sample: Mechanism, misuse: Callable[[Any], object], message: str) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        misuse(mbsrun.jax.load(sample))
+    assert message in str(caught.value)
+
+
+def test_single_precision_by_default_is_refused(sample: Mechanism) -> None:
+    face = mbsrun.jax.load(sample)
+    with jax.enable_x64(False), pytest.raises(ArgumentError, match="jax_enable_x64"):
+        face.impl(x=X, y=Y, z=Z)
+
+
+def test_derivatives_that_are_not_generated_are_named(tmp_path: Path) -> None:
+    face = mbsrun.jax.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
+    with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):
+        jax.grad(lambda x: face.impl(x=x, y=X)["f"].sum())(jnp.ones(2))
+
+
+def test_functions_describe_themselves(sample: Mechanism) -> None:
+    face = mbsrun.jax.load(sample)
+    assert repr(face).startswith("mbsrun.jax.Functions(sample: coordinates")
+    assert "impl" in dir(face)
+    assert "x (3,)" in str(face.impl.__doc__)
+    with pytest.raises(AttributeError, match="exp7"):
+        _ = face.exp7
