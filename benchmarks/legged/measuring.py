@@ -92,7 +92,7 @@ def _solve(problem: PhasedProblem, plants: Plants, rounds: int) -> tuple[PhasedS
     if isinstance(guess, Unreached):
         raise UnsolvedError(f"{problem.name}: no pose meets the targets of a phase")
     solver = PhasedSolver(problem, plants)
-    found = [solver.solve(guess) for _ in range(rounds)]
+    found = [solver.solve(solver.problem, guess) for _ in range(rounds)]
     first = found[0]
     if not isinstance(first, PhasedSolution):
         raise UnsolvedError(f"{problem.name}: {first.finding}")

@@ -19,8 +19,9 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.integrators import INTEGRATORS, Kind
 from mbsrun.ocp.methods import METHODS, Amount, Answer, Iterate, Method, Order, Solver, Start
 from mbsrun.ocp.problem import Form, Representation, SolverOptions
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import SOLVED
 from mbsrun.ocp.transcription import transcribe

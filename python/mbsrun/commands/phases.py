@@ -20,13 +20,13 @@ from mbsrun.ocp.phases.placing import name_guesses
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.recorded import find_phased_guess
 from mbsrun.ocp.phases.refinement import refine_phases
-from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.problem import Problem, Refinement
-from mbsrun.ocp.solution import Round
-from mbsrun.ocp.solve import Progress
+from mbsrun.ocp.runs import Progress
+from mbsrun.ocp.solution import Failure, Round
 from mbsrun.ocp.summary import write_line
 
 
@@ -67,7 +67,7 @@ def solve_file(
     if outcome is None:
         say("the time was over before the first start ended")
         return NOT_SOLVED
-    if isinstance(outcome, PhasedFailure):
+    if isinstance(outcome, Failure):
         print_failure(outcome, file, out)
         return NOT_SOLVED
     with show_status("integrating again") as status:
@@ -102,7 +102,7 @@ def _describe(name: str, last: Round) -> str:
     return f"phase {name}: {len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
-def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess) -> PhasedSolution | PhasedFailure:
+def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess) -> PhasedSolution | Failure:
     with show_status("making the program") as status:
 
         def show(progress: Progress) -> None:
@@ -113,7 +113,7 @@ def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess) 
         return solve_phases(problem, plants, show, guess)
 
 
-def _search(problem: PhasedProblem, plants: Plants, wish: Wish) -> PhasedSolution | PhasedFailure | None:
+def _search(problem: PhasedProblem, plants: Plants, wish: Wish) -> PhasedSolution | Failure | None:
     """Solve from many starts, and print the costs that they found."""
     with show_search(wish.starts) as watch:
         starts, outcome = solve_phases_from_many(problem, plants, wish, watch)

@@ -34,6 +34,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import (
     DISTRIBUTION,
     MECHANISM,
@@ -44,7 +45,7 @@ from mbsrun.ocp.solution import (
     Solution,
     write_solution,
 )
-from mbsrun.ocp.solve import Progress, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.summary import list_shortcomings, summarise, write_line
 from mbsrun.ocp.table import write_table

@@ -42,11 +42,12 @@ from mbsrun.ocp.design import equip
 from mbsrun.ocp.fixing import fix_numbers
 from mbsrun.ocp.functions import Array, Formula, KernelResult
 from mbsrun.ocp.guess import Pose, adapt, make_guess
+from mbsrun.ocp.preparation import settle
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.scales import find_scales
 from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver, settle
+from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.stages.building import build
 from mbsrun.ocp.stages.calls import name_called
 from mbsrun.ocp.stages.tables import KernelFunction, StageProgram

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from mbsrun.ocp.answers import measure_excess
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.program import Matrix
-from mbsrun.ocp.solve import Solver, measure_excess
+from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.trajectory import Trajectory
 
 NEAR = 1e-6  # distance from a bound within which the bound may have a multiplier

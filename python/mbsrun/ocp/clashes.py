@@ -163,10 +163,9 @@ def _name_states(shape: Structure) -> list[str]:
     ]
 
 
-def describe(rows: Sequence[int], transcription: Transcription, manifest: Manifest) -> str:
+def describe(rows: Sequence[int], names: Names) -> str:
     """Describe the rows that stay violated, each group once; empty where there are none."""
-    known = name_rows(transcription, manifest)
-    return _shorten([known[row] for row in rows if row in known])
+    return _shorten([names.rows[row] for row in rows if row in names.rows])
 
 
 def name_rows(transcription: Transcription, manifest: Manifest) -> dict[int, str]:

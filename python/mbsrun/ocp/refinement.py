@@ -32,11 +32,13 @@ from mbsrun.ocp.grid import divide, split
 from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.preparation import settle
 from mbsrun.ocp.problem import Form, Problem
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.ocp.solution import Failure, Resimulation, Round, Rounds, Solution
-from mbsrun.ocp.solve import Solver, Watch, choose_method, settle
+from mbsrun.ocp.solve import Solver, choose_method
 from mbsrun.ocp.trajectory import Trajectory, resample
 
 Show = Callable[[Round], None]
@@ -113,6 +115,8 @@ def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | No
         guess = make_guess(problem, plant, scheme)
         if not isinstance(guess, Pose):
             outcome = solver.solve(settle(problem, plant, guess), guess, watch)
+    if isinstance(outcome, Failure):
+        return outcome
     return replace(outcome, problem=replace(outcome.problem, solver=problem.solver))
 
 

@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.phases.problem import PhasedProblem
 from mbsrun.ocp.problem import Problem, Range
 from mbsrun.ocp.record import SAME
 from mbsrun.ocp.status import ACCEPTABLE
@@ -289,7 +290,7 @@ class Solution:
 class Failure:
     """A solve that gave no solution."""
 
-    problem: Problem
+    problem: Problem | PhasedProblem
     run: Run
     finding: str
     remedy: str

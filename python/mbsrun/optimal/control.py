@@ -24,8 +24,9 @@ from mbsrun.ocp.problem import Problem, Symbolic
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
+from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
-from mbsrun.ocp.solve import Watch, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem

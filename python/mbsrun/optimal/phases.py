@@ -27,7 +27,6 @@ from mbsrun.ocp.phases.solution import (
     Guess,
     LinkValues,
     PartialGuess,
-    PhasedFailure,
     PhasedSolution,
     read_phased_guess,
     read_phased_solution,
@@ -38,7 +37,8 @@ from mbsrun.ocp.phases.statement import state_phases
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solve import Watch
+from mbsrun.ocp.runs import Watch
+from mbsrun.ocp.solution import Failure
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
@@ -280,7 +280,7 @@ class PhasedControl:
         """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
             outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess))
-            if isinstance(outcome, PhasedFailure):
+            if isinstance(outcome, Failure):
                 return Unsolved(outcome)
             plants = equip_phases(self.value, self.plants)
             if check:

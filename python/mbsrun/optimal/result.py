@@ -16,7 +16,6 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
-from mbsrun.ocp.phases.solution import PhasedFailure
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.solution import Failure, Margin, Solution, write_solution
 from mbsrun.ocp.summary import list_shortcomings, summarise
@@ -217,7 +216,7 @@ class Solved:
 class Unsolved:
     """A solve that found no solution, and why."""
 
-    failure: Failure | PhasedFailure
+    failure: Failure | Failure
     is_solved: bool = field(default=False, init=False)
 
     @property

@@ -18,9 +18,10 @@ from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.preparation import settle
 from mbsrun.ocp.problem import Problem, Range, State
 from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver, choose_method, settle
+from mbsrun.ocp.solve import Solver, choose_method
 from mbsrun.ocp.trajectory import Trajectory, average_inputs, move_ahead
 from mbsrun.tracking.added import is_interval, list_lines
 from mbsrun.tracking.controller import Decision

@@ -41,9 +41,10 @@ from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findi
 from mbsrun.measuring.sections import read_folders
 from mbsrun.models import find_folder
 from mbsrun.ocp.methods import Answer
+from mbsrun.ocp.phases.solve import PhasedSolver
 from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.solution import Failure, Run, Solution
-from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.status import INFEASIBLE
 from tests.picture_kinds import find_kind
 
@@ -146,7 +147,7 @@ def test_an_end_at_which_a_kernel_fails_is_a_failure(
 ) -> None:
     """Accelerations at a lock have no numbers, whatever a method says; no exception leaves the solver."""
     plant = Mechanism(find_folder(write(workspace.folder, describe_lock(LOCKS["Cardan"])), optimisation.EXTENT))
-    monkeypatch.setattr(Solver, "_solver", lambda *_: lambda start: Answer(start.x, status, 3))
+    monkeypatch.setattr(PhasedSolver, "_find_method", lambda *_: lambda start: Answer(start.x, status, 3))
     found = solve(optimisation.state_locked_start(20, Representation.EXP1_O), plant)
     assert isinstance(found, Failure)
     assert found.run.status == (status if status in INFEASIBLE else "Invalid_Number_Detected")

@@ -25,13 +25,14 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.guess import make_guess
 from mbsrun.ocp.integrators import SECOND_ORDER
 from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.preparation import settle
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
 from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
-from mbsrun.ocp.solve import settle, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import JUMPED, OPEN, SOLVED
 from mbsrun.ocp.structure import structure
@@ -310,7 +311,7 @@ def test_phases_whose_reduced_form_jumps_are_no_solution(intervals: int, status:
     options = SolverOptions(max_iterations=120, method="ipopt")
     problem = replace(split(replace(_swing(intervals), loops=Loops.REDUCED)), solver=options)
     found = solve_phases(problem, Plants((rods(), rods())))
-    assert isinstance(found, PhasedFailure)
+    assert isinstance(found, Failure)
     assert found.run.status == status
     assert f"phase {phase}: " in found.finding
     assert "the independent joints x do not determine the others" in found.finding
@@ -443,7 +444,7 @@ def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
 def test_ipopt_is_asked_after_a_solve_that_leaves_loops_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here `mbs` calls every guess a solution."""
     hasty = replace(methods.METHODS["mbs"], make=lambda _: lambda start: methods.Answer(start.x, SOLVED, 1))
-    monkeypatch.setattr("mbsrun.ocp.solve.METHODS", {**methods.METHODS, "mbs": hasty})
+    monkeypatch.setattr("mbsrun.ocp.phases.solve.METHODS", {**methods.METHODS, "mbs": hasty})
     found = solve_from_open_loops(SolverOptions(method="mbs", fallback=True))
     assert isinstance(found, Solution), found.finding
     assert found.run.method == "ipopt"

@@ -17,8 +17,9 @@ from mbsrun.ocp.methods import METHODS, Amount, Answer, Order, Start
 from mbsrun.ocp.methods.nlpsol import count_iterations
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
+from mbsrun.ocp.runs import Progress, call
 from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Progress, call, solve
+from mbsrun.ocp.solve import solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import SOLVED
 from mbsrun.ocp.transcription import transcribe

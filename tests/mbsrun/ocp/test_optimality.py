@@ -19,7 +19,7 @@ from mbsrun.ocp.methods import METHODS, Answer, Method, Order, Start
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.optimality import Judgement, Point, bound, judge, linearise
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term
 from mbsrun.ocp.program import Matrix
@@ -393,7 +393,7 @@ def test_phases_fall_back_too(mass: OnDemand, monkeypatch: pytest.MonkeyPatch) -
             assert outcome.run.method == "ipopt"
             assert "mbs had no answer" in outcome.run.instead
             alone = replace(problem, solver=SolverOptions(fallback=False))
-            assert isinstance(solve_phases(alone, plants), PhasedFailure)
+            assert isinstance(solve_phases(alone, plants), Failure)
 
 
 def test_starts_of_a_search_do_not_fall_back_but_the_search_does(

@@ -13,11 +13,14 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.methods import Start
 from mbsrun.ocp.methods.ipopt import pair
+from mbsrun.ocp.phases.problem import list_one
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, SolverOptions, Term, cylindrical
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
 from mbsrun.ocp.transcription import transcribe
@@ -292,7 +295,9 @@ def test_a_stationary_guess_is_not_taken_for_an_optimum() -> None:
     )
     solver = Solver(fall, double_integrator())
     still = interpolate(fall, solver.transcription.scheme, np.zeros(1))
-    run = solver._call(fall, solver.transcription.pack(still), None, np.ones(solver.program.data.kept.size)).run
+    own, ones = solver.transcription, np.ones(solver.program.data.kept.size)
+    bounds = (*own.variable_bounds(fall), *own.constraint_bounds(fall))
+    run = solver.whole._call(list_one(fall), Start(own.pack(still), own.parameters(fall), *bounds, None, ones)).run
     assert (run.status, run.iterations) == ("Solve_Succeeded", 0)
     assert isinstance(solver.solve(fall, still), Failure)
 

@@ -15,8 +15,8 @@ import pytest
 import mbsrun
 from mbsgen.errors import InputError, MbsError
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Progress
 from mbsrun.ocp.solve import solve as solve_value
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.programs import KEPT, Programs

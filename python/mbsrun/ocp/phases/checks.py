@@ -54,10 +54,10 @@ def check_phases(problem: PhasedProblem, plants: Plants) -> None:
     findings: list[Finding] = []
     for phase, plant in zip(problem.phases, plants.phases, strict=True):
         try:
-            check_problem(phase.problem, plant.manifest, is_phase=True)
+            check_problem(phase.problem, plant.manifest, is_phase=not problem.is_single)
         except ProblemError as error:
             findings += [name_phase(phase, finding) for finding in error.findings]
-    faults = [] if findings else list(find_faults(problem, plants))
+    faults = [] if findings or problem.is_single else list(find_faults(problem, plants))
     findings += [(write_path(fault.place), fault.finding, fault.remedy) for fault in faults]
     if findings:
         raise ProblemError(problem.name, findings)
@@ -66,7 +66,7 @@ def check_phases(problem: PhasedProblem, plants: Plants) -> None:
 def name_phase(phase: Phase, finding: Finding) -> Finding:
     """Return a finding in a phase as one in the whole problem."""
     place, found, remedy = finding
-    return f"phase {phase.name}: {place}", found, remedy
+    return f"{phase.title}{place}", found, remedy
 
 
 def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:

@@ -14,10 +14,10 @@ import numpy as np
 from mbsrun.ocp.judging import wants_other
 from mbsrun.ocp.multistart import GUESS, Watch, Wish, end_at_interrupt
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import prepare_phases
 from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Start, Starts
+from mbsrun.ocp.solution import Failure, Start, Starts
 from mbsrun.ocp.starts import Kind, disturb
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -47,44 +47,45 @@ class _Draw:
 
 def solve_phases_from_many(
     problem: PhasedProblem, plants: Plants, wish: Wish, watch: Watch
-) -> tuple[Starts, PhasedSolution | PhasedFailure | None]:
+) -> tuple[Starts, PhasedSolution | Failure | None]:
     """Solve from many starts, and return the best solution, or else the first failure; None where no start ended.
 
     It passes the outcomes to `watch` after every start. At the end of the time, or at an interrupt, the finished
     starts count. Raises ProblemError with every fault of the problem.
     """
     results: list[Start] = []
-    best: PhasedSolution | PhasedFailure | None = None
+    best: PhasedSolution | Failure | None = None
     ready = prepare_phases(problem, plants)
-    if isinstance(ready, PhasedFailure):
+    if isinstance(ready, Failure):
         return Starts(wish.seed, wish.starts, (_sum_up(0, GUESS, ready),)), ready
-    solver, guess = ready
-    alone = solver.with_solver(replace(solver.problem.solver, fallback=False))
+    asked, guess = ready.problem, ready.guess
+    alone = replace(ready, problem=replace(asked, solver=replace(asked.solver, fallback=False)))
     ended, end = [False], time.monotonic() + wish.seconds
     with end_at_interrupt(lambda: ended.__setitem__(0, True)):
         for k in range(wish.starts):
             if ended[0] or time.monotonic() > end:
                 break
             draw = _Draw(KINDS[(k - 1) % len(KINDS)], (wish.seed, k))
-            found = alone.solve(draw.move(guess, solver.problem, solver.plants) if k else guess)
+            moved = draw.move(guess, asked, ready.solver.plants) if k else guess
+            found = replace(alone, guess=moved).solve()
             results.append(_sum_up(k, draw.kind if k else GUESS, found))
             if best is None or _is_lower(found, best):
                 best = found
             watch(Starts(wish.seed, wish.starts, tuple(results)))
     starts = Starts(wish.seed, wish.starts, tuple(results))
-    if isinstance(best, PhasedFailure) and wants_other(solver.problem.solver, best.run):
-        best = solver.solve(guess)
+    if isinstance(best, Failure) and wants_other(asked.solver, best.run):
+        best = ready.solve()
     if isinstance(best, PhasedSolution):
-        best = replace(best, search=starts, solver=solver.problem.solver)
+        best = replace(best.with_solver(asked.solver), search=starts)
     return starts, best
 
 
-def _is_lower(found: PhasedSolution | PhasedFailure, best: PhasedSolution | PhasedFailure) -> bool:
-    if isinstance(found, PhasedFailure):
+def _is_lower(found: PhasedSolution | Failure, best: PhasedSolution | Failure) -> bool:
+    if isinstance(found, Failure):
         return False
-    return isinstance(best, PhasedFailure) or found.cost < best.cost
+    return isinstance(best, Failure) or found.cost < best.cost
 
 
-def _sum_up(number: int, kind: str, found: PhasedSolution | PhasedFailure) -> Start:
+def _sum_up(number: int, kind: str, found: PhasedSolution | Failure) -> Start:
     run, cost = found.run, found.cost if isinstance(found, PhasedSolution) else None
     return Start(number, kind, run.status, run.iterations, run.cpu_seconds, cost, "")

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from mbsrun.ocp.answers import measure_excess
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.program import Matrix
-from mbsrun.ocp.solve import measure_excess
 
 AT_BOUND = 1e-6  # relative, and absolute below 1: nearer to a bound, a variable stays
 DAMPING = 1e-13  # of the largest diagonal entry: equations may depend on each other

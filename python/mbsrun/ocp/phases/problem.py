@@ -11,18 +11,29 @@ phase to the start of another one, or of the same one, which makes a motion peri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Contact, Problem, Range, SolverOptions, Term, Unknown
+from mbsrun.ocp.problem import Contact, Loops, Problem, Range, SolverName, SolverOptions, Term, Unknown
 
 
 @dataclass(frozen=True)
 class Phase:
     """A part of a motion: its name, and its problem, whose solver options are not used."""
 
-    name: str
+    name: str  # empty: the one phase of a problem without phases
     problem: Problem
+
+    @property
+    def title(self) -> str:
+        """Return how a finding begins that is of this phase."""
+        return f"phase {self.name}: " if self.name else ""
+
+    def with_loops(self, loops: Loops | None) -> Phase:
+        """Return the phase with a form of its loops, where it leaves that open."""
+        if loops is None or self.problem.loops is not None:
+            return self
+        return replace(self, problem=replace(self.problem, loops=loops))
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,15 @@ class PhasedProblem:
         return [phase.name for phase in self.phases].index(name)
 
     @property
+    def is_single(self) -> bool:
+        """Return whether it is a problem without phases."""
+        return len(self.phases) == 1 and not self.phases[0].name
+
+    def with_solver(self, method: SolverName) -> PhasedProblem:
+        """Return the same problem for an NLP method; another method drops the options of the former one."""
+        return replace(self, solver=self.solver.with_method(method))
+
+    @property
     def every_unknown(self) -> tuple[Unknown, ...]:
         """List the unknowns of links and phases, each name once."""
         found = {unknown.name: unknown for unknown in self.unknowns}
@@ -91,6 +111,11 @@ class PhasedProblem:
         """Return the largest weight of the costs."""
         own = (abs(w) for phase in self.phases for w in phase.problem.cost.weights)
         return max((*own, *(abs(term.weight) for link in self.links for term in link.cost)), default=0.0)
+
+
+def list_one(problem: Problem) -> PhasedProblem:
+    """Return a problem without phases as a list of one, which has no name."""
+    return PhasedProblem(problem.name, (Phase("", problem),), solver=problem.solver)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.phases.guess import Unreached, guess_phases
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.solve import PhasedSolver, resimulate_phases
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.refinement import choose_grid, find_end, record_round
+from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure, Round, Rounds, Solution
-from mbsrun.ocp.solve import Watch
 from mbsrun.ocp.trajectory import resample
 
 Show = Callable[[str, Round], None]  # the name of a phase, and its round
@@ -57,7 +57,7 @@ def refine_phases(
         if not changed:
             break
         outcome = _solve(_change(solution, courses), plants, solution, watch)
-        failed = isinstance(outcome, PhasedFailure)
+        failed = isinstance(outcome, Failure)
         if isinstance(outcome, PhasedSolution):
             solution = resimulate_phases(outcome, plants)
         for name, course, phase in zip(solution.names, courses, solution.phases, strict=True):
@@ -65,7 +65,7 @@ def refine_phases(
                 continue
             result = Failure(course.problem, outcome.run, "", "") if failed else phase
             course.rounds.append(record_round(course.change, result, course.problem))
-            if isinstance(outcome, PhasedFailure):
+            if isinstance(outcome, Failure):
                 course.finding = f"on the next grid, {outcome.finding}"
             if show is not None:
                 show(name, course.rounds[-1])
@@ -97,18 +97,17 @@ def _change(solution: PhasedSolution, courses: list[_Course]) -> PhasedProblem:
 
 def _solve(
     problem: PhasedProblem, plants: Plants, before: PhasedSolution, watch: Watch | None
-) -> PhasedSolution | PhasedFailure:
+) -> PhasedSolution | Failure:
     """Solve from a solution on other grids; where that fails, from the problem's guess."""
     motions = []
     for phase, own in zip(problem.phases, before.phases, strict=True):
         scheme, T = schemes.build(phase.problem.family, phase.problem.degree), float(own.trajectory.t[-1])
         motions.append(resample(own.trajectory, *phase.problem.grid.times(T, scheme.points)))
-    known = zip((unknown.name for unknown in before.unknowns), before.unknown_values, strict=True)
     chosen = replace(problem.solver, method=before.run.method, fallback=problem.solver.falls_back)
     near = replace(problem, solver=methods.warm(chosen))
-    outcome = PhasedSolver(near, plants).solve(Guess(tuple(motions), tuple(known)), watch)
-    if isinstance(outcome, PhasedFailure):
+    outcome = PhasedSolver(near, plants).solve(near, replace(before.guess, trajectories=tuple(motions)), watch)
+    if isinstance(outcome, Failure):
         guess = guess_phases(problem, plants)
         if not isinstance(guess, Unreached):
-            outcome = PhasedSolver(problem, plants).solve(guess, watch)
-    return replace(outcome, solver=problem.solver) if isinstance(outcome, PhasedSolution) else outcome
+            outcome = PhasedSolver(problem, plants).solve(problem, guess, watch)
+    return outcome.with_solver(problem.solver) if isinstance(outcome, PhasedSolution) else outcome

@@ -6,7 +6,7 @@ A file is JSON, as the file of a solution is, with a list of solutions, one for 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -98,24 +98,20 @@ class PhasedSolution:
         """Return whether the solver stopped short of its tolerance."""
         return self.run.status == ACCEPTABLE
 
+    @property
+    def guess(self) -> Guess:
+        """Return what it found as a guess of another solve."""
+        known = zip((unknown.name for unknown in self.unknowns), self.unknown_values, strict=True)
+        return Guess(tuple(phase.trajectory for phase in self.phases), tuple(known))
+
+    def with_solver(self, solver: SolverOptions) -> PhasedSolution:
+        """Return the solution of the same problem with other options."""
+        phases = (replace(phase, problem=replace(phase.problem, solver=solver)) for phase in self.phases)
+        return replace(self, phases=tuple(phases), solver=solver)
+
     def find(self, name: str) -> Solution:
         """Return the solution of a phase."""
         return self.phases[self.names.index(name)]
-
-
-@dataclass(frozen=True, repr=False)
-class PhasedFailure:
-    """A solve that gave no solution."""
-
-    problem: PhasedProblem
-    run: Run
-    finding: str
-    remedy: str
-    place: str = ""  # the part of the problem that is at fault, where one is known
-
-    def __repr__(self) -> str:
-        """Return the status, the finding and the remedy."""
-        return f"PhasedFailure({self.problem.name}: {self.run.status}: {self.finding}; {self.remedy})"
 
 
 @dataclass(frozen=True)
@@ -197,5 +193,4 @@ def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manif
         found.append(own.trajectory)
     if faults:
         raise InputError(faults)
-    known = zip((unknown.name for unknown in solution.unknowns), solution.unknown_values, strict=True)
-    return Guess(tuple(found), tuple(known))
+    return replace(solution.guess, trajectories=tuple(found))

@@ -52,6 +52,7 @@ class PhasedTranscription:
     links: tuple[LinkRows, ...]
     closed: tuple[Indices, ...]  # rows of each phase that would close loops, or hold contacts, as its link does
     unknowns: Indices  # variables
+    constants: tuple[str, ...]  # that links read
     defined: tuple[Defined, ...]  # variables of links that a first guess finds from others
     texts: tuple[tuple[Indices, str], ...]  # rows of links, and their descriptions
     bounds: tuple[Array, Array]  # of the variables of links
@@ -71,16 +72,15 @@ class PhasedTranscription:
         """Return the parameters of the program."""
         parts = [own.parameters(phase.problem) for own, phase in zip(self.phases, problem.phases, strict=True)]
         weights = [term.weight for link in problem.links for term in link.cost]
-        return add_parameters(self.offsets, parts, [value for _, value in problem.constants], weights)
+        constants = dict(problem.constants)
+        return add_parameters(self.offsets, parts, [constants[name] for name in self.constants], weights)
 
     def variable_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
         """Bound all variables."""
         own = [part.variable_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
-        last = [bound.copy() for bound in self.bounds]
+        lower, upper = (np.concatenate(parts) for parts in zip(*own, self.bounds, strict=True))
         shared = np.array([unknown.bounds for unknown in problem.every_unknown]).reshape(-1, 2).T
-        for bound, given in zip(last, shared, strict=True):
-            bound[self.unknowns - self.offsets[-1].variables] = given
-        lower, upper = (np.concatenate(parts) for parts in zip(*own, last, strict=True))
+        lower[self.see(self.unknowns)], upper[self.see(self.unknowns)] = shared
         return lower, upper
 
     def constraint_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
@@ -135,6 +135,8 @@ class PhasedTranscription:
 def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscription:
     """Write the program of a problem of phases. Raises ValueError where parts of a phase do not go together."""
     phases = tuple(transcribe(phase.problem, plant) for phase, plant in zip(problem.phases, plants.phases, strict=True))
+    if len(phases) == 1 and not problem.links and not problem.unknowns:
+        return _keep(phases[0])
     numbers = [plants.number(plant) for plant in plants.phases]
     terms = sum(len(link.cost) for link in problem.links)
     offsets = place_summands([phase.program for phase in phases], terms)
@@ -213,12 +215,32 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         links=tuple(links),
         closed=tuple(closed),
         unknowns=np.array(list(rows.unknowns.values()), dtype=np.int64),
+        constants=tuple(name for name, _ in problem.constants),
         defined=tuple(rows.defined),
         texts=tuple(rows.texts),
         bounds=_collect(rows.variable_bounds, rows.first_variable, rows.variables),
         row_bounds=_collect(rows.row_bounds, rows.first_row, rows.rows),
         unstaged=np.zeros(0, dtype=np.int64) if isinstance(chain, Chain) else chain,
         program=add(summands, further, chain if isinstance(chain, Chain) else None),
+    )
+
+
+def _keep(own: Transcription) -> PhasedTranscription:
+    """Return the program of one phase without links as it is."""
+    nothing = np.zeros(0, dtype=np.int64)
+    return PhasedTranscription(
+        phases=(own,),
+        offsets=place_summands([own.program]),
+        links=(),
+        closed=(nothing,),
+        unknowns=own.layout.unknowns,
+        constants=(),
+        defined=(),
+        texts=(),
+        bounds=(np.zeros(0), np.zeros(0)),
+        row_bounds=(np.zeros(0), np.zeros(0)),
+        unstaged=nothing,
+        program=own.program,
     )
 
 

@@ -17,13 +17,14 @@ from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.guess import solve_links
 from mbsrun.ocp.phases.impacts import ImpactRows
 from mbsrun.ocp.phases.problem import Impact, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Bounds, Contact, Cost, End, GuessOptions, Loops, Problem, Term
 from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.solution import Failure
 from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE
 from tests.mbsrun.peer import FREE, Peer, pose_functions
@@ -63,15 +64,13 @@ OPEN = "wrenches:\n  - {name: tip, body: ball, force: input}\n"
 
 
 @pytest.fixture
-def drop(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str, str], PhasedSolution | PhasedFailure]:
+def drop(requires: Callable[[str], str], tmp_path: Path) -> Callable[[str, str], PhasedSolution | Failure]:
     """Drop a ball that moves along x as well, onto a contact."""
     requires("cc")
     (tmp_path / "ball.yaml").write_text(BALL)
     (tmp_path / "ball_hit.yaml").write_text(BALL + OPEN)
 
-    def solve(
-        way: str, contact: str, more: str = "", terminal: str = "{expression: T}"
-    ) -> PhasedSolution | PhasedFailure:
+    def solve(way: str, contact: str, more: str = "", terminal: str = "{expression: T}") -> PhasedSolution | Failure:
         file, cost = tmp_path / "drop.ocp.yaml", f"cost: {{terminal: [{terminal}]}}"
         file.write_text(DROPPED.replace("WAY", way).replace("CONTACT", contact).replace("COST", cost) + more)
         return solve_phases(*read_phased_problem(file, load_on_demand))
@@ -112,10 +111,10 @@ def test_a_ball_slides_where_a_contact_holds_its_normal_alone(drop: Callable[[st
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[..., PhasedFailure], method: str) -> None:
+def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[..., Failure], method: str) -> None:
     """The impulse across, 0.25 N s, would be more than 0.01 times the normal one: no motion, and the link is named."""
     failure = drop("0.5", "{sensor: tip, friction: 0.01}", f"solver: {{method: {method}}}")
-    assert isinstance(failure, PhasedFailure)
+    assert isinstance(failure, Failure)
     assert "link fall to rise: friction at tip" in failure.finding
 
 

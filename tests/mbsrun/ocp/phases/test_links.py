@@ -12,12 +12,12 @@ from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.phases.refinement import refine_phases
-from mbsrun.ocp.phases.solution import Guess, PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.summary import summarise_phases
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.problem import Cost, End, Refinement, Representation, State, Term, Unknown
-from mbsrun.ocp.solution import Solution
+from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole, mechanism, push
@@ -245,7 +245,7 @@ def test_conditions_that_contradict_a_link_are_named() -> None:
     problem = split(swing_up())
     link = replace(problem.links[0], conditions=(Condition("end_q_cart - start_q_cart", (0.5, 0.5)),))
     outcome = solve_phases(replace(problem, links=(link,)), Plants((cart_pole(), cart_pole())))
-    assert isinstance(outcome, PhasedFailure)
+    assert isinstance(outcome, Failure)
     assert "link first to second: " in outcome.finding
 
 
@@ -256,7 +256,7 @@ def test_bounds_that_no_motion_through_the_phases_keeps_are_named(cart: Peer, wh
         for phase in problem.phases
     )
     outcome = solve_phases(replace(problem, phases=weak), Plants((cart, cart)), guess=Guess(cut(whole.trajectory)))
-    assert isinstance(outcome, PhasedFailure)
+    assert isinstance(outcome, Failure)
     conditions, limits = outcome.finding.split("; at their limits: ")
     assert "link first to second: pole" in conditions
     assert ": the bounds of the input cart" in limits

@@ -7,9 +7,9 @@ from dataclasses import replace
 from mbsrun.ocp.multistart import Wish
 from mbsrun.ocp.phases.multistart import solve_phases_from_many
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.summary import summarise_phases
-from mbsrun.ocp.solution import Starts
+from mbsrun.ocp.solution import Failure, Starts
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 
@@ -18,7 +18,7 @@ def _ignore(_starts: Starts) -> None:
     pass
 
 
-def _find(count: int, seed: int = 2) -> tuple[Starts, PhasedSolution | PhasedFailure | None]:
+def _find(count: int, seed: int = 2) -> tuple[Starts, PhasedSolution | Failure | None]:
     cart = cart_pole()
     return solve_phases_from_many(
         split(replace(swing_up(), intervals=10, horizon=5.0)), Plants((cart, cart)), Wish(count, seed), id
@@ -47,5 +47,5 @@ def test_a_search_ends_with_its_time_and_with_a_failure() -> None:
     tight = replace(problem.phases[0].problem.solver, max_iterations=1)
     short = PhasedProblem("short", tuple(Phase(x.name, x.problem) for x in problem.phases), problem.links, solver=tight)
     starts, outcome = solve_phases_from_many(short, Plants((cart, cart)), Wish(2), _ignore)
-    assert isinstance(outcome, PhasedFailure)
+    assert isinstance(outcome, Failure)
     assert [start.cost for start in starts.results] == [None, None]

@@ -15,7 +15,7 @@ from mbsrun.cli import cli
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.recorded import find_phased_guess
 from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution, read_phased_solution
-from mbsrun.ocp.phases.solve import prepare_phases, solve_phases
+from mbsrun.ocp.phases.solve import Ready, prepare_phases, solve_phases
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve
 from mbsrun.ocp.table import write_table
@@ -97,8 +97,8 @@ def test_a_phase_without_a_recording_is_guessed_from_the_end_of_the_one_before(
     guess = find_phased_guess(problem, Plants((cart, cart)), tmp_path)
     assert isinstance(guess, PartialGuess)
     ready = prepare_phases(problem, Plants((cart, cart)), guess)
-    assert isinstance(ready, tuple)
-    first, second = ready[1].trajectories
+    assert isinstance(ready, Ready)
+    first, second = ready.guess.trajectories
     np.testing.assert_allclose(second.q[0], first.q[-1])
     np.testing.assert_allclose(second.q[-1], (1.0, np.pi))
 

@@ -10,9 +10,10 @@ import pytest
 
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.solution import PhasedFailure, PhasedSolution
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.solution import Failure
 
 SLIDER = """
 name: slider
@@ -50,12 +51,12 @@ links:
 
 
 @pytest.fixture
-def solve(requires: Callable[[str], str], tmp_path: Path) -> Callable[..., PhasedSolution | PhasedFailure]:
+def solve(requires: Callable[[str], str], tmp_path: Path) -> Callable[..., PhasedSolution | Failure]:
     """Solve a periodic motion of a slider in three phases."""
     requires("cc")
     (tmp_path / "slider.yaml").write_text(SLIDER)
 
-    def do(method: str, wall: str = "0.1", quantity: str = "end_u_way") -> PhasedSolution | PhasedFailure:
+    def do(method: str, wall: str = "0.1", quantity: str = "end_u_way") -> PhasedSolution | Failure:
         file = tmp_path / "turns.ocp.yaml"
         file.write_text(TURNS.replace("METHOD", method).replace("WALL", wall).replace("end_u_way", quantity))
         problem, plants = read_phased_problem(file, load_on_demand)
@@ -79,10 +80,10 @@ def test_methods_agree_on_a_periodic_motion(solve: Callable[..., PhasedSolution]
         assert phase.resimulation.defect < 1e-9
 
 
-def test_a_stride_that_is_too_long_is_named(solve: Callable[..., PhasedFailure]) -> None:
+def test_a_stride_that_is_too_long_is_named(solve: Callable[..., Failure]) -> None:
     """The stride is at most 1, and the slider does not start backwards: so it is at least 1.6."""
     failure = solve("mbs", "1.6")
-    assert isinstance(failure, PhasedFailure)
+    assert isinstance(failure, Failure)
     assert failure.run.status == "Infeasible_Problem_Detected"
     assert "link on to ahead: stride" in failure.finding
 

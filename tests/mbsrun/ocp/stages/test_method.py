@@ -11,8 +11,9 @@ import pytest
 
 from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.ocp.problem import Problem, Representation
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.status import SOLVED
 from tests.mbsrun.ocp.stages.shipped import read

@@ -15,8 +15,9 @@ from mbsrun.library import CompileError
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
+from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Progress, Solver, solve
+from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.stages import interface
 from mbsrun.ocp.stages import threads as teams
 from tests.mbsrun.ocp.stages.shipped import read
