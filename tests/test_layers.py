@@ -98,6 +98,9 @@ MBSRUN = Package(
         "jax.primitives",
         "jax.functions",
         "jax",
+        "torch.calls",
+        "torch.functions",
+        "torch",
         "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "appearance",
         "skeleton ocp.no_mechanism quaternions",
@@ -249,7 +252,7 @@ DOCQUIER = Package(
     lazy={"growth": "mbsgen.scaling"},  # operations of chains
     above="studies",
 )
-EXTRAS = ("jax",)  # parts of mbsrun that need a library which is installed for them alone
+EXTRAS = ("jax", "torch")  # parts of mbsrun that need a library which is installed for them alone
 PACKAGES = (MBSGEN, MBSRUN, DOCQUIER)
 
 
@@ -346,13 +349,13 @@ def is_extra(module: str) -> bool:
 
 @pytest.mark.parametrize(
     ("package", "stranger"),
-    [(MBSGEN, "casadi"), (MBSRUN, "sympy"), (MBSRUN, "jax"), (DOCQUIER, "sympy")],
-    ids=["mbsgen", "mbsrun", "mbsrun without jax", "studies.docquier"],
+    [(MBSGEN, "casadi"), (MBSRUN, "sympy"), (MBSRUN, "jax"), (MBSRUN, "torch"), (DOCQUIER, "sympy")],
+    ids=["mbsgen", "mbsrun", "mbsrun without jax", "mbsrun without torch", "studies.docquier"],
 )
 def test_importing_a_whole_package_leaves_the_stranger_out(package: Package, stranger: str) -> None:
     """A module of another's could bring it in; so all modules are imported, and the interpreter is asked.
 
-    Faces of libraries of arrays are for those who have these libraries, and bring in all that these need.
+    The face of a library of arrays needs the library, and with it all that the library needs.
     """
     names = (f"{package.name}.{module}" for module in read_modules(package) if module and not is_extra(module))
     wanted = [name for name in (*names, *package.guests) if not name.endswith("__main__")]

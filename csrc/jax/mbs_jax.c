@@ -85,7 +85,7 @@ static void mark_failed(const mbs_jax_kernel *entry, casadi_int states, const in
 
 /* Call the kernel on all states, some at a time. */
 static void call(const mbs_jax_kernel *entry, casadi_int states, casadi_real *const *given, const casadi_int *step,
-                 casadi_real *const *wanted, int *told)
+                 casadi_real *const *wanted, int *statuses)
 {
     const casadi_real *arg[MBS_JAX_MOST] = {0};
     casadi_real *res[MBS_JAX_MOST] = {0}, *part[MBS_JAX_MOST];
@@ -98,7 +98,7 @@ static void call(const mbs_jax_kernel *entry, casadi_int states, casadi_real *co
         res_step[entry->out_place[k]] = entry->out_size[k];
     for (first = 0; first < states; first += ROWS) {
         rows = states - first < ROWS ? states - first : ROWS;
-        status = told ? told + first : own;
+        status = statuses ? statuses + first : own;
         for (k = 0; k < entry->given; ++k)
             arg[entry->in_place[k]] = given[k] + first * step[k];
         for (k = 0; k < entry->wanted; ++k)
@@ -125,7 +125,7 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     const XLA_FFI_Buffer *buffer;
     casadi_real *given[MBS_JAX_MOST], *wanted[MBS_JAX_MOST];
     casadi_int step[MBS_JAX_MOST], states, k;
-    int *told = 0;
+    int *statuses = 0;
     long long key;
     if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata)
         return describe(frame);
@@ -136,7 +136,7 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     if (frame->args.size != entry->given || frame->rets.size < entry->wanted || frame->rets.size > entry->wanted + 1)
         return refuse(frame, "a compiled program calls a kernel with other arguments than it has; compile it again");
     if (frame->rets.size > entry->wanted)
-        told = (int *)((XLA_FFI_Buffer *)frame->rets.rets[entry->wanted])->data;
+        statuses = (int *)((XLA_FFI_Buffer *)frame->rets.rets[entry->wanted])->data;
     states = count((XLA_FFI_Buffer *)frame->rets.rets[0]) / entry->out_size[0];
     for (k = 0; k < entry->given; ++k) {
         buffer = (const XLA_FFI_Buffer *)frame->args.args[k];
@@ -145,6 +145,6 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     }
     for (k = 0; k < entry->wanted; ++k)
         wanted[k] = (casadi_real *)((XLA_FFI_Buffer *)frame->rets.rets[k])->data;
-    call(entry, states, given, step, wanted, told);
+    call(entry, states, given, step, wanted, statuses);
     return 0;
 }

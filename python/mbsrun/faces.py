@@ -51,6 +51,7 @@ class Face(ABC, Generic[A]):
         self.kernels = loaded.with_parameters(**parameters) if parameters else loaded
         self._operators: dict[str, Operator] = {}
         self._filled: dict[str, Mapping[str, Any]] = {}
+        self._functions: dict[str, Callable[..., dict[str, A]]] = {}
 
     @property
     def manifest(self) -> Manifest:
@@ -82,16 +83,16 @@ class Face(ABC, Generic[A]):
             )
         other = copy.copy(self)
         other.kernels = self.kernels.with_parameters(**parameters)
-        other._filled = {}
+        other._filled, other._functions = {}, {}
         return other
 
     def __call__(self, name: str, /, **inputs: Any) -> dict[str, A]:
         """Call a function; return its results by name. Raises ArgumentError for inputs that do not fit."""
-        return self._call(self._find(name), inputs, told=False)[0]
+        return self._call(self._find(name), inputs, with_status=False)[0]
 
     def attempt(self, name: str, /, **inputs: Any) -> tuple[dict[str, A], A]:
         """Call a function; return its results, and for each state 0 or the number that `find_place` reads."""
-        results, status = self._call(self._find(name), inputs, told=True)
+        results, status = self._call(self._find(name), inputs, with_status=True)
         assert status is not None
         return results, status
 
@@ -103,7 +104,9 @@ class Face(ABC, Generic[A]):
             operator = self._find(name)
         except MbsError as fault:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}: {fault}") from None
-        return _document(self, operator)
+        if name not in self._functions:
+            self._functions[name] = _document(self, operator)
+        return self._functions[name]
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *(k.name for k in self.manifest.kernels if k.order is Order.VALUE)]
@@ -118,8 +121,8 @@ class Face(ABC, Generic[A]):
         """Return an array of float64. Raises ArgumentError with the finding for anything else."""
 
     @abstractmethod
-    def _run(self, operator: Operator, given: Given[A], *, told: bool) -> tuple[Sequence[A], A | None]:
-        """Call an operator on nonzeros: one row for each state; return nonzeros, and statuses where they are told."""
+    def _run(self, operator: Operator, given: Given[A], *, with_status: bool) -> tuple[Sequence[A], A | None]:
+        """Call an operator on nonzeros: one row for each state; return nonzeros, and statuses if asked."""
 
     @abstractmethod
     def _take(self, array: A, numbers: Any) -> A:
@@ -134,10 +137,12 @@ class Face(ABC, Generic[A]):
             self._operators[name] = Operator(self.kernels.find_family(name), name)
         return self._operators[name]
 
-    def _call(self, operator: Operator, inputs: Mapping[str, Any], *, told: bool) -> tuple[dict[str, A], A | None]:
-        prior, inputs = self._set_up(operator, inputs, told=told)
+    def _call(
+        self, operator: Operator, inputs: Mapping[str, Any], *, with_status: bool
+    ) -> tuple[dict[str, A], A | None]:
+        prior, inputs = self._set_up(operator, inputs, with_status=with_status)
         given = self._collect(operator, inputs)
-        found, status = self._run(operator, given, told=told)
+        found, status = self._run(operator, given, with_status=with_status)
         nonzeros = iter(found)
         results = {}
         for port in operator.value.entry.outputs:
@@ -146,7 +151,7 @@ class Face(ABC, Generic[A]):
         return results, status if prior is None or status is None else self._merge(prior, status)
 
     def _set_up(
-        self, operator: Operator, inputs: Mapping[str, Any], *, told: bool
+        self, operator: Operator, inputs: Mapping[str, Any], *, with_status: bool
     ) -> tuple[A | None, Mapping[str, Any]]:
         """Replace values of run-time parameters by the results of the setup; return its status, too."""
         hidden, setup = operator.value.entry.hidden, operator.kernels.manifest.setup
@@ -155,7 +160,7 @@ class Face(ABC, Generic[A]):
         if hidden in inputs:
             raise ArgumentError(f"{operator.name}: {VALUES} and {hidden} are given; {hidden} is computed from {VALUES}")
         results, status = self._call(
-            Operator(operator.kernels, setup.name), {setup.inputs[0].name: inputs[VALUES]}, told=told
+            Operator(operator.kernels, setup.name), {setup.inputs[0].name: inputs[VALUES]}, with_status=with_status
         )
         rest = {name: value for name, value in inputs.items() if name != VALUES}
         return status, {**rest, hidden: results[setup.outputs[0].name]}

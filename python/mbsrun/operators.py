@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
 from mbsgen.roles import Order, Role, name_adjoint
-from mbsrun.binding import ArgumentError, Entry, Port
+from mbsrun.binding import ArgumentError, Array, Entry, Port, Status
 from mbsrun.external import INTEGER, Mechanism
 
 Places = NDArray[np.intp]
@@ -29,7 +29,7 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Call:
-    """A kernel, and the arguments that arrays are passed for: those with entries."""
+    """A kernel, and the arguments that arrays are passed for: all that have entries."""
 
     entry: Entry
     batch: Any  # the library of `mbs_batch`
@@ -42,12 +42,20 @@ class Call:
         """Return the number of nonzeros of each result."""
         return tuple(port.argument.nnz for port in self.wanted)
 
+    def run(self, rows: Sequence[Array], states: int) -> tuple[Status, list[Array]]:
+        """Call the kernel on the nonzeros of the given inputs, a row for each state or one for all.
+
+        Returns the status of each state, and the nonzeros of the wanted results: NaN where the status is not 0.
+        """
+        given = list(zip(self.given, rows, strict=True))
+        return self.entry.call(self.batch, given, states, self.wanted)
+
 
 @dataclass(frozen=True)
 class Block:
     """A block of derivatives: its number among the results of its call, and the arguments it is of, by their numbers.
 
-    Entry k of its nonzeros is at rows[k], among the nonzeros of `of`, and at cols[k], among those of `by`.
+    Entry k of its nonzeros is at rows[k], among the nonzeros of `of`, and at cols[k], among the nonzeros of `by`.
     """
 
     number: int
@@ -123,7 +131,8 @@ class Operator:
                 f"{self.name} has no derivatives by run-time parameters ({', '.join(a.name for a in fixed)}); "
                 "declare the parameter `kind: differentiated` in the model, and differentiate by theta"
             )
-        self.find(Order.JACOBIAN)
+        if moving:
+            self.find(Order.JACOBIAN)
 
     def find(self, order: Order) -> Kernel:
         """Describe the kernel of a derivative. Raises ArgumentError where it is not generated."""

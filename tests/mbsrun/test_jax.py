@@ -12,8 +12,8 @@ import pytest
 from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.kernel import ArgumentError
-from mbsrun.models import Extent
 from tests.mbsgen.targets.guarded import guarded_tape
+from tests.mbsrun.face_cases import CASES, draw, load_case
 from tests.sample import PARAMETERS, family, write_sample
 
 jax = pytest.importorskip("jax")
@@ -22,10 +22,6 @@ jax.config.update("jax_enable_x64", True)
 check_grads = pytest.importorskip("jax.test_util").check_grads
 
 import mbsrun.jax  # noqa: E402
-
-MODELS = Path(__file__).parents[2] / "models"
-# A tree, a tree with differentiated and run-time parameters, a quaternion, and a closed loop.
-CASES = {"cart_pole": "exp1", "design/lifting_arm": "exp1", "satellite": "impl", "four_bar": "exp1"}
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +38,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
 
 @pytest.fixture(scope="module", params=CASES)
 def case(request: pytest.FixtureRequest) -> tuple[Mechanism, str]:
-    name = CASES[request.param]
-    return load(MODELS / f"{request.param}.yaml", extent=Extent((name,))), name
-
-
-def draw(kernels: Mechanism, name: str, seed: int, *batch: int) -> dict[str, np.ndarray]:
-    """Draw a state away from poses at which joints or loops are singular."""
-    rng = np.random.default_rng(seed)
-    inputs = [a for a in kernels.describe(name).inputs if a.nnz and a.name != "h"]
-    return {a.name: 0.6 + 0.2 * rng.standard_normal((*batch, a.rows)) for a in inputs}
+    return load_case(request.param)
 
 
 def as_function(face: Any, name: str, inputs: dict[str, Any]) -> Callable[..., list[Any]]:

@@ -61,10 +61,10 @@ def enter(call: Call) -> int:
     return call.key
 
 
-def call(call: Call, batch: Sequence[int], arrays: Sequence[Any], *, told: bool) -> list[Any]:
-    """Write a call into a program: results by nonzeros, a row for each state, and last the statuses if told."""
+def call(call: Call, batch: Sequence[int], arrays: Sequence[Any], *, with_status: bool) -> list[Any]:
+    """Write a call into a program: results by nonzeros, a row for each state, and last the statuses, if asked."""
     results = [jax.ShapeDtypeStruct((*batch, size), np.float64) for size in call.sizes]
-    if told:
+    if with_status:
         results.append(jax.ShapeDtypeStruct(tuple(batch), np.int32))
     if not call.wanted:
         return [jax.numpy.zeros(x.shape, x.dtype) for x in results]

@@ -36,9 +36,9 @@ class Functions(Face[Any]):
             raise ArgumentError(f"{array.dtype} given, float64 expected; convert it by astype(jnp.float64)")
         return array
 
-    def _run(self, operator: Operator, given: Given[Any], *, told: bool) -> tuple[Sequence[Any], Any | None]:
-        results = primitives.call(operator, Order.VALUE, *given.arrays, told=told)
-        return (results[:-1], results[-1]) if told else (results, None)
+    def _run(self, operator: Operator, given: Given[Any], *, with_status: bool) -> tuple[Sequence[Any], Any | None]:
+        results = primitives.call(operator, Order.VALUE, *given.arrays, with_status=with_status)
+        return (results[:-1], results[-1]) if with_status else (results, None)
 
     def _take(self, array: Any, numbers: Any) -> Any:
         return primitives.take(array, numbers)

@@ -27,9 +27,9 @@ from mbsrun.operators import Block, Operator
 Values = list[Any]  # arrays of JAX, or what stands for them while a program is traced
 
 
-def call(operator: Operator, order: Order, *arrays: Any, told: bool = False) -> Values:
-    """Call a kernel; return nonzeros, and last the statuses if told."""
-    return list(call_p.bind(*arrays, operator=operator, order=order, told=told))
+def call(operator: Operator, order: Order, *arrays: Any, with_status: bool = False) -> Values:
+    """Call a kernel; return nonzeros, and last the statuses, if asked."""
+    return list(call_p.bind(*arrays, operator=operator, order=order, with_status=with_status))
 
 
 def push(operator: Operator, moving: tuple[int, ...], *arrays: Any) -> Values:
@@ -55,7 +55,7 @@ def spread(block: Block, nonzeros: Any) -> Any:
 
 
 def multiply(blocks: Sequence[Block], found: Sequence[Any], directions: dict[int, Any]) -> dict[int, Any]:
-    """Multiply blocks by directions of the inputs that they are derivatives by; return sums by what they are of."""
+    """Multiply blocks by directions of inputs; return a sum for each argument that they are of."""
     sums: dict[int, Any] = {}
     for block in blocks:
         if block.by in directions:
@@ -157,30 +157,30 @@ push_p = _define("mbs_push")
 # --- rules of calls ------------------------------------------------------------------------------------------------
 
 
-def _shape_call(*arrays: Any, operator: Operator, order: Order, told: bool) -> Values:
+def _shape_call(*arrays: Any, operator: Operator, order: Order, with_status: bool) -> Values:
     batch = _find_batch(arrays)
     results = [jax.core.ShapedArray((*batch, size), np.dtype(np.float64)) for size in operator.call(order).sizes]
-    return results + [jax.core.ShapedArray(batch, np.dtype(np.int32))] * told
+    return results + [jax.core.ShapedArray(batch, np.dtype(np.int32))] * with_status
 
 
 call_p.def_abstract_eval(_shape_call)
 
 
-def _write_call(*arrays: Any, operator: Operator, order: Order, told: bool) -> Values:
-    return foreign.call(operator.call(order), _find_batch(arrays), arrays, told=told)
+def _write_call(*arrays: Any, operator: Operator, order: Order, with_status: bool) -> Values:
+    return foreign.call(operator.call(order), _find_batch(arrays), arrays, with_status=with_status)
 
 
 mlir.register_lowering(call_p, mlir.lower_fun(_write_call, multiple_results=True))
 
 
 def _batch_call(
-    arrays: Sequence[Any], axes: Sequence[int | None], *, operator: Operator, order: Order, told: bool
+    arrays: Sequence[Any], axes: Sequence[int | None], *, operator: Operator, order: Order, with_status: bool
 ) -> tuple[Values, list[int]]:
     size, n = _size(arrays, axes), len(operator.value.given)
     if order is Order.ADJOINT and all(axis is None for axis in axes[:n]):  # many weights of one state
         results = _pull_by_matrix(operator, arrays[:n], _front(arrays[n:], axes[n:]))
         return _widen(results, _find_batch(_align(arrays, axes, size))), [0] * len(results)
-    results = call_p.bind(*_align(arrays, axes, size), operator=operator, order=order, told=told)
+    results = call_p.bind(*_align(arrays, axes, size), operator=operator, order=order, with_status=with_status)
     return results, [0] * len(results)
 
 
@@ -200,9 +200,9 @@ def _pull_by_matrix(operator: Operator, x: Sequence[Any], weights: Sequence[Any]
 
 
 def _push_call(
-    primals: Sequence[Any], tangents: Sequence[Any], *, operator: Operator, order: Order, told: bool
+    primals: Sequence[Any], tangents: Sequence[Any], *, operator: Operator, order: Order, with_status: bool
 ) -> tuple[Values, Values]:
-    results = call_p.bind(*primals, operator=operator, order=order, told=told)
+    results = call_p.bind(*primals, operator=operator, order=order, with_status=with_status)
     n = len(operator.value.given)
     moving, weights = _move(tangents[:n]), _move(tangents[n:])
     if moving:
@@ -255,7 +255,7 @@ def _push_inputs(operator: Operator, order: Order, primals: Sequence[Any], movin
     return pushes[order](operator, primals, moving)
 
 
-def _pull_call(cotangents: Sequence[Any], *arrays: Any, operator: Operator, order: Order, told: bool) -> Values:  # noqa: ARG001
+def _pull_call(cotangents: Sequence[Any], *arrays: Any, operator: Operator, order: Order, with_status: bool) -> Values:  # noqa: ARG001
     """Return the cotangents of weights, in which adjoints are linear."""
     n = len(operator.value.given)
     x, weights = arrays[:n], arrays[n:]

@@ -1,0 +1,115 @@
+"""The functions of a model on tensors of PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch.autograd import forward_ad
+
+from mbsgen.roles import Order
+from mbsrun.binding import ArgumentError
+from mbsrun.faces import Face, Given
+from mbsrun.operators import Operator
+from mbsrun.torch import calls
+
+_entered: list[Functions] = []
+
+
+def _enter(face: Functions) -> int:
+    _entered.append(face)
+    return len(_entered) - 1
+
+
+def _call_plainly(number: int, name: str, inputs: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    return super(Functions, _entered[number]).__call__(name, **inputs)
+
+
+def _attempt_plainly(number: int, name: str, inputs: Mapping[str, Any]) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    return super(Functions, _entered[number]).attempt(name, **inputs)
+
+
+# torch.compile takes calls as they are, and does not read the code that checks them
+_call_number = torch._dynamo.nonstrict_trace(_call_plainly)
+_attempt_number = torch._dynamo.nonstrict_trace(_attempt_plainly)
+
+
+class Functions(Face[torch.Tensor]):
+    """The functions of a model on tensors: gradients of gradients, torch.func.vmap, and torch.compile."""
+
+    place = "mbsrun.torch"
+    kind = "tensors"
+
+    def _read(self, value: Any) -> torch.Tensor:
+        if not isinstance(value, torch.Tensor):
+            return torch.from_numpy(_read_numbers(value))
+        if value.dtype != torch.float64:
+            raise ArgumentError(f"{value.dtype} given, torch.float64 expected; convert it by .double()")
+        if value.device.type != "cpu":
+            raise ArgumentError(
+                f"a tensor on {value.device.type} given; kernels run on the processor: move it by .cpu()"
+            )
+        return value
+
+    def __init__(self, model: Any, parameters: Mapping[str, float] | None = None) -> None:
+        """Load a model, as the other faces do."""
+        super().__init__(model, parameters)
+        self._number = _enter(self)
+
+    def with_parameters(self, **parameters: float) -> Self:
+        """Return the same functions with other values of the named parameters, which are plain numbers."""
+        other = super().with_parameters(**parameters)
+        other._number = _enter(other)
+        return other
+
+    def __getattr__(self, name: str) -> Callable[..., dict[str, torch.Tensor]]:
+        """Return a function of the model."""
+        if torch.compiler.is_compiling():
+            return partial(self.__call__, name)
+        return super().__getattr__(name)
+
+    def __call__(self, name: str, /, **inputs: Any) -> dict[str, torch.Tensor]:
+        """Call a function, as the other faces do."""
+        if torch.compiler.is_compiling():
+            return dict(_call_number(self._number, name, inputs))
+        return super().__call__(name, **inputs)
+
+    def attempt(self, name: str, /, **inputs: Any) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        """Call a function, as the other faces do, and return statuses, too."""
+        if torch.compiler.is_compiling():
+            results, status = _attempt_number(self._number, name, inputs)
+            return dict(results), status
+        return super().attempt(name, **inputs)
+
+    def _run(
+        self, operator: Operator, given: Given[torch.Tensor], *, with_status: bool
+    ) -> tuple[Sequence[torch.Tensor], torch.Tensor | None]:
+        operator.check_moving([i for i, array in enumerate(given.arrays) if _is_moving(array)])
+        results = calls.call(operator, Order.VALUE, given.arrays, with_status=with_status)
+        return (results[:-1], results[-1]) if with_status else (results, None)
+
+    def _take(self, array: torch.Tensor, numbers: Any) -> torch.Tensor:
+        return calls.take(array, numbers)
+
+    def _merge(self, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+        return torch.where(first != 0, first, second)
+
+
+def _is_moving(array: torch.Tensor) -> bool:
+    """Return whether a derivative by a tensor may be asked for, in reverse or in forward mode."""
+    if torch.is_grad_enabled() and array.requires_grad:
+        return True
+    return forward_ad.unpack_dual(array).tangent is not None
+
+
+def _read_numbers(value: Any) -> Any:
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        array = np.array(None)
+    if array.dtype.kind not in "fiu":
+        raise ArgumentError(f"not a tensor or an array of real numbers: {type(value).__name__}")
+    return array.astype(np.float64)
