@@ -19,12 +19,12 @@ from mbsrun.ocp.phases.multistart import solve_phases_from_many
 from mbsrun.ocp.phases.placing import name_guesses
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants
 from mbsrun.ocp.phases.recorded import find_phased_guess
-from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.problem import Problem, Refinement
+from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Failure, Round
 from mbsrun.ocp.summary import write_line

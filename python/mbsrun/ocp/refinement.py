@@ -21,7 +21,7 @@ constraints are violated by more than the accuracy permits, the solver's toleran
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,19 +29,19 @@ from mbsrun.ocp import methods, schemes
 from mbsrun.ocp.checks import LEAST_FRACTION, MAX_INTERVALS, MAX_STEPS
 from mbsrun.ocp.functions import Array, Indices
 from mbsrun.ocp.grid import divide, split
-from mbsrun.ocp.guess import Pose, make_guess
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
+from mbsrun.ocp.phases.guess import Unreached, guess_phases
+from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
+from mbsrun.ocp.phases.solution import PhasedSolution, list_solution
+from mbsrun.ocp.phases.solve import PhasedSolver, resimulate_phases, settle_phases
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.preparation import settle
 from mbsrun.ocp.problem import Form, Problem
-from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.schemes import DEGREES
 from mbsrun.ocp.solution import Failure, Resimulation, Round, Rounds, Solution
-from mbsrun.ocp.solve import Solver, choose_method
-from mbsrun.ocp.trajectory import Trajectory, resample
+from mbsrun.ocp.trajectory import resample
 
-Show = Callable[[Round], None]
+Show = Callable[[str, Round], None]  # the name of a phase, and its round
 
 AIM = 0.3  # the defect that a new grid is made for, over the accuracy that is asked for
 FURTHER = 2  # degrees that a round may add
@@ -52,34 +52,108 @@ TIGHT = 1e-2  # the solver's tolerance over the accuracy, where violations are t
 LEAST = 1e-12  # a tolerance that solvers reach
 
 
-def refine(solution: Solution, plant: Plant, show: Show | None = None, watch: Watch | None = None) -> Solution:
-    """Refine the grid of a re-simulated solution as its problem asks; return the last solution, with all rounds.
+def show_nothing(_name: str, _last: Round) -> None:
+    """Show no rounds."""
 
-    A round begins from the solution before, and from the problem's own guess where that fails. A round that finds no
-    solution ends the refinement. `show` is called after every round.
+
+@dataclass
+class _Course:
+    """The refinement of one phase so far."""
+
+    rounds: list[Round]
+    finding: str = ""
+    problem: Problem | None = None  # of the next round, where the grid changes
+    change: str = ""
+
+    def choose(self, solution: Solution) -> None:
+        """Choose the next grid, or end."""
+        asked = solution.problem.refine
+        self.problem, self.finding = None, "" if asked else "the phase keeps its grid"
+        if asked is not None:
+            self.finding = find_end(solution, len(self.rounds) - 1, asked.rounds)
+        if not self.finding:
+            chosen = choose_grid(solution)
+            if chosen is None:
+                self.finding = "no finer grid is admitted"
+            else:
+                self.problem, self.change = chosen
+
+
+def refine_phases(
+    solution: PhasedSolution, plants: Plants, show: Show = show_nothing, watch: Watch | None = None
+) -> PhasedSolution:
+    """Refine the grids of a re-simulated solution as its phases ask; return the last solution, with all rounds.
+
+    In every round, each phase that is inaccurate, and asks for refinement, gets its next grid; then all are solved,
+    from the solution before, and from the problem's own guess where that fails. A round that finds no solution ends the
+    refinement. `show` is called after every round, with the name of the phase.
     """
-    asked = solution.problem.refine
-    assert asked is not None, "a problem without refinement keeps its grid"
-    rounds = [record_round("", solution, None)]
-    finding = ""
-    while not finding:
-        if show is not None:
-            show(rounds[-1])
-        finding = find_end(solution, len(rounds) - 1, asked.rounds)
-        if finding:
+    courses, made = [_Course([record_round("", phase, None)]) for phase in solution.phases], solution.search
+    for name, course in zip(solution.names, courses, strict=True):
+        show(name, course.rounds[-1])
+    while True:
+        for course, phase in zip(courses, solution.phases, strict=True):
+            course.choose(phase)
+        if all(course.problem is None for course in courses):
             break
-        chosen = choose_grid(solution)
-        if chosen is None:
-            finding = "no finer grid is admitted"
+        outcome = _solve(_change(solution, courses), plants, solution, watch)
+        if isinstance(outcome, PhasedSolution):
+            solution = resimulate_phases(outcome, plants)
+        for name, course, phase in zip(solution.names, courses, solution.phases, strict=True):
+            if course.problem is None:
+                continue
+            result = outcome if isinstance(outcome, Failure) else phase
+            course.rounds.append(record_round(course.change, result, course.problem))
+            if isinstance(outcome, Failure):
+                course.finding = f"on the next grid, {outcome.finding}"
+            show(name, course.rounds[-1])
+        if isinstance(outcome, Failure):
             break
-        problem, change = chosen
-        outcome = _solve(problem, plant, solution.trajectory, watch)
-        if isinstance(outcome, Solution):
-            solution = resimulate(outcome, plant)
-        else:
-            finding = f"on the next grid, {outcome.finding}"
-        rounds.append(record_round(change, outcome if isinstance(outcome, Failure) else solution, problem))
-    return replace(solution, refinement=Rounds(asked.accuracy, tuple(rounds), finding))
+    phases = tuple(_attach(phase, course) for phase, course in zip(solution.phases, courses, strict=True))
+    return replace(solution, phases=phases, search=made)
+
+
+def refine(
+    solution: Solution, plant: Plant, show: Callable[[Round], None] | None = None, watch: Watch | None = None
+) -> Solution:
+    """Refine the grid of a re-simulated solution without phases as its problem asks."""
+    told = show_nothing if show is None else lambda _, last: show(last)
+    return refine_phases(list_solution(solution), Plants((plant,)), told, watch).single
+
+
+def _attach(phase: Solution, course: _Course) -> Solution:
+    """Return a phase's solution with its rounds."""
+    asked = phase.problem.refine
+    if asked is None:
+        return phase
+    return replace(phase, refinement=Rounds(asked.accuracy, tuple(course.rounds), course.finding))
+
+
+def _change(solution: PhasedSolution, courses: list[_Course]) -> PhasedProblem:
+    """Return the problem on its next grids, with the least tolerance that a phase requires."""
+    problem = solution.problem
+    own = [course.problem or phase.problem for course, phase in zip(courses, problem.phases, strict=True)]
+    tolerance = min(problem.solver.tolerance, *(part.solver.tolerance for part in own))
+    phases = tuple(Phase(phase.name, part) for phase, part in zip(problem.phases, own, strict=True))
+    return replace(problem, phases=phases, solver=replace(problem.solver, tolerance=tolerance))
+
+
+def _solve(
+    problem: PhasedProblem, plants: Plants, before: PhasedSolution, watch: Watch | None
+) -> PhasedSolution | Failure:
+    """Solve from a solution on other grids, with its durations; where that fails, from the problem's own guess."""
+    motions = []
+    for phase, own in zip(problem.phases, before.phases, strict=True):
+        scheme, T = schemes.build(phase.problem.family, phase.problem.degree), float(own.trajectory.t[-1])
+        motions.append(resample(own.trajectory, *phase.problem.grid.times(T, scheme.points)))
+    solver = PhasedSolver(problem, plants)
+    near = replace(problem, solver=methods.warm(solver.choose_method(problem)))
+    outcome = solver.solve(near, replace(before.guess, trajectories=tuple(motions)), watch)
+    if isinstance(outcome, Failure):
+        guess = guess_phases(problem, solver.plants)
+        if not isinstance(guess, Unreached):
+            outcome = solver.solve(settle_phases(problem, solver.plants, guess), guess, watch)
+    return outcome.with_solver(problem.solver) if isinstance(outcome, PhasedSolution) else outcome
 
 
 def find_end(solution: Solution, made: int, rounds: int) -> str:
@@ -102,22 +176,6 @@ def find_end(solution: Solution, made: int, rounds: int) -> str:
 def find_violated(check: Resimulation) -> bool:
     """Return whether a bound or a constraint is violated between the points, by more than is tolerated."""
     return check.margins is not None and bool(check.margins.violated)
-
-
-def _solve(problem: Problem, plant: Plant, motion: Trajectory, watch: Watch | None) -> Solution | Failure:
-    """Solve from a motion on another grid, with its horizon; where that fails, from the problem's own guess."""
-    scheme = schemes.build(problem.family, problem.degree)
-    begin = resample(motion, *problem.grid.times(float(motion.t[-1]), scheme.points))
-    solver = Solver(problem, plant)
-    near = replace(problem, solver=methods.warm(choose_method(problem, plant)))
-    outcome = solver.solve(near, begin, watch)
-    if isinstance(outcome, Failure):
-        guess = make_guess(problem, plant, scheme)
-        if not isinstance(guess, Pose):
-            outcome = solver.solve(settle(problem, plant, guess), guess, watch)
-    if isinstance(outcome, Failure):
-        return outcome
-    return replace(outcome, problem=replace(outcome.problem, solver=problem.solver))
 
 
 def record_round(change: str, outcome: Solution | Failure, problem: Problem | None) -> Round:

@@ -82,6 +82,6 @@ def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
 def _read(found: PhasedSolution | Failure) -> Solution | Failure:
     """Return what was found of the one phase."""
     if isinstance(found, PhasedSolution):
-        return replace(found.phases[0], run=found.run)
+        return found.single
     assert isinstance(found.problem, PhasedProblem), "it is of the whole"
     return replace(found, problem=found.problem.phases[0].problem)

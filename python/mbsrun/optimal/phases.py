@@ -22,7 +22,6 @@ from mbsrun.ocp.phases.checks import check_phases
 from mbsrun.ocp.phases.files import shift_phases
 from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.recorded import find_phased_guess
-from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import (
     Guess,
     LinkValues,
@@ -37,6 +36,7 @@ from mbsrun.ocp.phases.statement import state_phases
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure
 from mbsrun.optimal import display

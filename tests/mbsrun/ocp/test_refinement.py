@@ -130,7 +130,7 @@ def test_a_refinement_that_ends_early_claims_nothing(monkeypatch: pytest.MonkeyP
     assert failed.refinement.finding.startswith("on the next grid, ")
     assert failed.refinement.rounds[1].cost is None
     assert any("Maximum_Iterations_Exceeded" in line for line in summarise(failed).values())
-    monkeypatch.setattr("mbsrun.ocp.refinement.resimulate", None)  # and nothing else is solved
+    monkeypatch.setattr("mbsrun.ocp.refinement.resimulate_phases", None)  # and nothing else is solved
     for check, finding in (
         (Resimulation(None, None, None, False, unfinished="no time"), "the re-simulation did not finish, no time"),
         (Resimulation(None, None, None, False), "gave up"),

@@ -99,6 +99,12 @@ class PhasedSolution:
         return self.run.status == ACCEPTABLE
 
     @property
+    def single(self) -> Solution:
+        """Return the solution of a problem without phases."""
+        (own,) = self.phases
+        return replace(own, run=self.run, starts=self.search)
+
+    @property
     def guess(self) -> Guess:
         """Return what it found as a guess of another solve."""
         known = zip((unknown.name for unknown in self.unknowns), self.unknown_values, strict=True)
@@ -112,6 +118,24 @@ class PhasedSolution:
     def find(self, name: str) -> Solution:
         """Return the solution of a phase."""
         return self.phases[self.names.index(name)]
+
+
+def list_solution(solution: Solution) -> PhasedSolution:
+    """Return the solution of a problem without phases as a list of one, which has no name."""
+    problem, values = solution.problem, tuple(solution.trajectory.unknowns.tolist())
+    return PhasedSolution(
+        name=problem.name,
+        names=("",),
+        phases=(solution,),
+        links=(),
+        values=(),
+        run=solution.run,
+        size=solution.size,
+        unknowns=problem.unknowns,
+        unknown_values=values,
+        solver=problem.solver,
+        search=solution.starts,
+    )
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ class PhasedSolver:
         check_phases(self.problem, self.plants)
         self.transcription: PhasedTranscription = transcribe_phases(self.problem, self.plants)
         if self.transcription.unstaged.size:
-            self._choose_method(self.problem)
+            self.choose_method(self.problem)
         first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
         self._solvers: dict[SolverOptions, methods.Solver] = {}
@@ -166,7 +166,7 @@ class PhasedSolver:
 
     def _call(self, problem: PhasedProblem, start: Start) -> Outcome:
         """Run the method from a point."""
-        options = self._choose_method(problem)
+        options = self.choose_method(problem)
         outcome = call(self._find_method(options), start)
         return replace(outcome, run=replace(outcome.run, method=methods.choose(options)))
 
@@ -178,7 +178,7 @@ class PhasedSolver:
             self._solvers[options] = METHODS[methods.choose(options)].make(order)
         return self._solvers[options]
 
-    def _choose_method(self, problem: PhasedProblem) -> SolverOptions:
+    def choose_method(self, problem: PhasedProblem) -> SolverOptions:
         """Choose the method, where none is given: IPOPT where links read what no stage has, or something is not in C.
 
         Raises ProblemError where the given method takes stages alone, or has one thread where several are asked for.

@@ -11,12 +11,12 @@ import pytest
 from mbsrun.ocp.backends.casadi import CasadiProgram
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.refinement import refine_phases
 from mbsrun.ocp.phases.solution import Guess, PhasedSolution
 from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
 from mbsrun.ocp.phases.summary import summarise_phases
 from mbsrun.ocp.phases.transcription import transcribe_phases
 from mbsrun.ocp.problem import Cost, End, Refinement, Representation, State, Term, Unknown
+from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import solve
 from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
