@@ -15,7 +15,7 @@
 
 /* Half of MBS_LANES numbers, written as a vector where there are such: a loop over so few is taken apart before a
  * compiler sees that it could be one. */
-#if defined(__GNUC__) && !defined(MBS_SCALAR)
+#if defined(__GNUC__) && !defined(MBS_SCALAR) && !defined(MBS_STATES)
 typedef mbs_real mbs_lanes __attribute__((vector_size(MBS_LANES / 2 * sizeof(mbs_real)), aligned(sizeof(mbs_real)), may_alias));
 #define MBS_SUBTRACT(a, x, b) ((a) -= (x) * (b))
 #define MBS_SCALE(a, x) ((a) *= (x))

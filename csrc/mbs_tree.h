@@ -19,9 +19,9 @@ static inline int mbs_factorise_tree(int n, const int *starts, const int *ancest
         scales[k] = MBS_ABS(A[k * n + k]);
     for (k = n - 1; k >= 0; --k) {
         const mbs_real *row = A + k * n;
-        if (!(row[k] > threshold * scales[k]))
+        if (!MBS_EXCEEDS(row[k], threshold * scales[k]))
             return k + 1;
-        inverses[k] = 1 / row[k];
+        inverses[k] = MBS_C(1.0) / row[k];
         for (d = starts[k]; d < starts[k + 1]; ++d) {
             mbs_real *above = A + ancestors[d] * n;
             lower[d] = row[ancestors[d]] * inverses[k];

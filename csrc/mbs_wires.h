@@ -12,7 +12,7 @@ static inline void mbs_spread(int count, const int *places, const mbs_real *nonz
 {
     int k;
     for (k = 0; k < size; ++k)
-        full[k] = 0;
+        full[k] = MBS_C(0.0);
     for (k = 0; k < count; ++k)
         full[places[k]] = nonzeros[k];
 }
@@ -26,12 +26,12 @@ static inline void mbs_spread_symmetric(int count, const int *places, const mbs_
         full[places[k] % n * n + places[k] / n] = nonzeros[k];
 }
 
-/* Take numbers from the given places, with a sign. */
-static inline void mbs_take(int count, const int *places, const mbs_real *full, mbs_real sign, mbs_real *taken)
+/* Take numbers from the given places, with the sign of `sign`. */
+static inline void mbs_take(int count, const int *places, const mbs_real *full, int sign, mbs_real *taken)
 {
     int k;
     for (k = 0; k < count; ++k)
-        taken[k] = sign * full[places[k]];
+        taken[k] = sign < 0 ? -full[places[k]] : full[places[k]];
 }
 
 static inline void mbs_copy(int count, const mbs_real *from, mbs_real *to)

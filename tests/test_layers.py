@@ -90,6 +90,7 @@ MBSRUN = Package(
         "library models bare",
         "webassembly",
         "binding environment",
+        "many",
         "kernel",
         "external",
         "operators",

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_exp1, adj1_double_pendulum_91567c02_exp1, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_exp1, adj1_double_pendulum_736c5d5d_exp1, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_exp1(
+int double_pendulum_736c5d5d_compute_adj1_exp1(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -28,7 +28,7 @@ int double_pendulum_compute_adj1_exp1(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_91567c02_compute_adj1_exp1(q, qd, adj_qdd, adj_q, adj_qd);
+    return double_pendulum_736c5d5d_compute_adj1_exp1(q, qd, adj_qdd, adj_q, adj_qd);
 }
 #endif
 
@@ -36,6 +36,12 @@ int double_pendulum_compute_adj1_exp1(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_exp1
+#undef adj1_double_pendulum_exp1
+#define double_pendulum_compute_adj1_exp1 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_exp1)
+#define adj1_double_pendulum_exp1 MBS_STATES_NAME(adj1_double_pendulum_exp1)
+#endif
 
 int double_pendulum_compute_adj1_exp1(
     const mbs_real *MBS_RESTRICT q,
@@ -62,7 +68,7 @@ int double_pendulum_compute_adj1_exp1(
     const mbs_real t2 = MBS_C(0.13066666666666665) + t1;
     const mbs_real t3 = MBS_C(7.653061224489797)*t2;
     const mbs_real t4 = t1 + t2 + MBS_C(1.3) - (t2*t3);
-    if (!(t4 > MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
+    if (!MBS_EXCEEDS(t4, MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
         return 1;
     const mbs_real t5 = MBS_C(1.0)/t4;
     const mbs_real t6 = t5*(adj_qdd[0] - (t3*adj_qdd[1]));
@@ -93,16 +99,6 @@ int double_pendulum_compute_adj1_exp1(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 1, 0, 0
-};
-
 int adj1_double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -116,6 +112,17 @@ int adj1_double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 1, 0, 0
+};
 
 casadi_int adj1_double_pendulum_exp1_n_in(void)
 {
@@ -179,3 +186,5 @@ int adj1_double_pendulum_exp1_work(casadi_int *sz_arg, casadi_int *sz_res, casad
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_exp2, adj1_double_pendulum_91567c02_exp2, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_exp2, adj1_double_pendulum_736c5d5d_exp2, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_exp2(
+int double_pendulum_736c5d5d_compute_adj1_exp2(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -28,7 +28,7 @@ int double_pendulum_compute_adj1_exp2(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_91567c02_compute_adj1_exp2(q, qd, adj_qdd, adj_q, adj_qd);
+    return double_pendulum_736c5d5d_compute_adj1_exp2(q, qd, adj_qdd, adj_q, adj_qd);
 }
 #endif
 
@@ -36,6 +36,12 @@ int double_pendulum_compute_adj1_exp2(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_exp2
+#undef adj1_double_pendulum_exp2
+#define double_pendulum_compute_adj1_exp2 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_exp2)
+#define adj1_double_pendulum_exp2 MBS_STATES_NAME(adj1_double_pendulum_exp2)
+#endif
 
 int double_pendulum_compute_adj1_exp2(
     const mbs_real *MBS_RESTRICT q,
@@ -60,7 +66,7 @@ int double_pendulum_compute_adj1_exp2(
     const mbs_real C1 = mbs_cosines1[1];
     const mbs_real t1 = MBS_C(0.6000000000000001)*C2;
     const mbs_real t2 = MBS_C(1.3) - (C2*t1);
-    if (!(t2 > MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
+    if (!MBS_EXCEEDS(t2, MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
         return 1;
     const mbs_real t3 = MBS_C(1.0)/t2;
     const mbs_real t4 = MBS_C(2.142857142857143)*adj_qdd[1];
@@ -89,16 +95,6 @@ int double_pendulum_compute_adj1_exp2(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 1, 0, 0
-};
-
 int adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -112,6 +108,17 @@ int adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 1, 0, 0
+};
 
 casadi_int adj1_double_pendulum_exp2_n_in(void)
 {
@@ -175,3 +182,5 @@ int adj1_double_pendulum_exp2_work(casadi_int *sz_arg, casadi_int *sz_res, casad
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_91567c02_impl, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_736c5d5d_impl, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_impl(
+int double_pendulum_736c5d5d_compute_adj1_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_adj1_impl(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd)
 {
-    return double_pendulum_91567c02_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+    return double_pendulum_736c5d5d_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
 }
 #endif
 
@@ -42,6 +42,12 @@ int double_pendulum_compute_adj1_impl(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_impl
+#undef adj1_double_pendulum_impl
+#define double_pendulum_compute_adj1_impl MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_impl)
+#define adj1_double_pendulum_impl MBS_STATES_NAME(adj1_double_pendulum_impl)
+#endif
 
 int double_pendulum_compute_adj1_impl(
     const mbs_real *MBS_RESTRICT q,
@@ -92,16 +98,6 @@ int double_pendulum_compute_adj1_impl(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 1, 0, 0
-};
-
 int adj1_double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -117,6 +113,17 @@ int adj1_double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi
         res[1],
         res[2]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 1, 0, 0
+};
 
 casadi_int adj1_double_pendulum_impl_n_in(void)
 {
@@ -180,3 +187,5 @@ int adj1_double_pendulum_impl_work(casadi_int *sz_arg, casadi_int *sz_res, casad
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_91567c02_motion, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_736c5d5d_motion, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_motion(
+int double_pendulum_736c5d5d_compute_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -31,7 +31,7 @@ int double_pendulum_compute_adj1_motion(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_91567c02_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
+    return double_pendulum_736c5d5d_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
 }
 #endif
 
@@ -39,6 +39,12 @@ int double_pendulum_compute_adj1_motion(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_motion
+#undef adj1_double_pendulum_motion
+#define double_pendulum_compute_adj1_motion MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_motion)
+#define adj1_double_pendulum_motion MBS_STATES_NAME(adj1_double_pendulum_motion)
+#endif
 
 int double_pendulum_compute_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
@@ -80,16 +86,6 @@ int double_pendulum_compute_adj1_motion(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 0, 0
-};
-static const casadi_int pattern2[] = {
-    3, 1, 1
-};
-
 int adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[3] = {0};
@@ -104,6 +100,17 @@ int adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casa
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 0, 0
+};
+static const casadi_int pattern2[] = {
+    3, 1, 1
+};
 
 casadi_int adj1_double_pendulum_motion_n_in(void)
 {
@@ -167,3 +174,5 @@ int adj1_double_pendulum_motion_work(casadi_int *sz_arg, casadi_int *sz_res, cas
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_semi_res, adj1_double_pendulum_91567c02_semi_res, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_semi_res, adj1_double_pendulum_736c5d5d_semi_res, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_semi_res(
+int double_pendulum_736c5d5d_compute_adj1_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_adj1_semi_res(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd)
 {
-    return double_pendulum_91567c02_compute_adj1_semi_res(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+    return double_pendulum_736c5d5d_compute_adj1_semi_res(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
 }
 #endif
 
@@ -42,6 +42,12 @@ int double_pendulum_compute_adj1_semi_res(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_semi_res
+#undef adj1_double_pendulum_semi_res
+#define double_pendulum_compute_adj1_semi_res MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_semi_res)
+#define adj1_double_pendulum_semi_res MBS_STATES_NAME(adj1_double_pendulum_semi_res)
+#endif
 
 int double_pendulum_compute_adj1_semi_res(
     const mbs_real *MBS_RESTRICT q,
@@ -92,16 +98,6 @@ int double_pendulum_compute_adj1_semi_res(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 1, 0, 0
-};
-
 int adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -117,6 +113,17 @@ int adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, ca
         res[1],
         res[2]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 1, 0, 0
+};
 
 casadi_int adj1_double_pendulum_semi_res_n_in(void)
 {
@@ -180,3 +187,5 @@ int adj1_double_pendulum_semi_res_work(casadi_int *sz_arg, casadi_int *sz_res, c
         *sz_w = 0;
     return 0;
 }
+
+#endif

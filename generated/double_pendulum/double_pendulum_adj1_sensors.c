@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_91567c02_sensors, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_736c5d5d_sensors, casadi_int)
 
-int double_pendulum_91567c02_compute_adj1_sensors(
+int double_pendulum_736c5d5d_compute_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q);
@@ -22,7 +22,7 @@ int double_pendulum_compute_adj1_sensors(
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q)
 {
-    return double_pendulum_91567c02_compute_adj1_sensors(q, adj_position, adj_q);
+    return double_pendulum_736c5d5d_compute_adj1_sensors(q, adj_position, adj_q);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_adj1_sensors(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_adj1_sensors
+#undef adj1_double_pendulum_sensors
+#define double_pendulum_compute_adj1_sensors MBS_STATES_NAME(double_pendulum_736c5d5d_compute_adj1_sensors)
+#define adj1_double_pendulum_sensors MBS_STATES_NAME(adj1_double_pendulum_sensors)
+#endif
 
 int double_pendulum_compute_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
@@ -60,16 +66,6 @@ int double_pendulum_compute_adj1_sensors(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 0, 0
-};
-static const casadi_int pattern2[] = {
-    3, 1, 1
-};
-
 int adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[3] = {0};
@@ -81,6 +77,17 @@ int adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, cas
         arg[2] ? arg[2] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 0, 0
+};
+static const casadi_int pattern2[] = {
+    3, 1, 1
+};
 
 casadi_int adj1_double_pendulum_sensors_n_in(void)
 {
@@ -144,3 +151,5 @@ int adj1_double_pendulum_sensors_work(casadi_int *sz_arg, casadi_int *sz_res, ca
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_91567c02_condition, casadi_int)
+MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_736c5d5d_condition, casadi_int)
 
-int double_pendulum_91567c02_compute_condition(
+int double_pendulum_736c5d5d_compute_condition(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated);
@@ -22,7 +22,7 @@ int double_pendulum_compute_condition(
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated)
 {
-    return double_pendulum_91567c02_compute_condition(q, elimination, articulated);
+    return double_pendulum_736c5d5d_compute_condition(q, elimination, articulated);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_condition(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_condition
+#undef double_pendulum_condition
+#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_736c5d5d_compute_condition)
+#define double_pendulum_condition MBS_STATES_NAME(double_pendulum_condition)
+#endif
 
 int double_pendulum_compute_condition(
     const mbs_real *MBS_RESTRICT q,
@@ -64,10 +70,6 @@ int double_pendulum_compute_condition(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-
 int double_pendulum_condition(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -79,6 +81,11 @@ int double_pendulum_condition(const casadi_real **arg, casadi_real **res, casadi
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
 
 casadi_int double_pendulum_condition_n_in(void)
 {
@@ -142,3 +149,5 @@ int double_pendulum_condition_work(casadi_int *sz_arg, casadi_int *sz_res, casad
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_91567c02_energy, casadi_int)
+MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_736c5d5d_energy, casadi_int)
 
-int double_pendulum_91567c02_compute_energy(
+int double_pendulum_736c5d5d_compute_energy(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT kinetic,
@@ -34,7 +34,7 @@ int double_pendulum_compute_energy(
     mbs_real *MBS_RESTRICT angular_momentum,
     mbs_real *MBS_RESTRICT com)
 {
-    return double_pendulum_91567c02_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
+    return double_pendulum_736c5d5d_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
 }
 #endif
 
@@ -42,6 +42,12 @@ int double_pendulum_compute_energy(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_energy
+#undef double_pendulum_energy
+#define double_pendulum_compute_energy MBS_STATES_NAME(double_pendulum_736c5d5d_compute_energy)
+#define double_pendulum_energy MBS_STATES_NAME(double_pendulum_energy)
+#endif
 
 int double_pendulum_compute_energy(
     const mbs_real *MBS_RESTRICT q,
@@ -99,16 +105,6 @@ int double_pendulum_compute_energy(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    1, 1, 1
-};
-static const casadi_int pattern2[] = {
-    3, 1, 1
-};
-
 int double_pendulum_energy(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -124,6 +120,17 @@ int double_pendulum_energy(const casadi_real **arg, casadi_real **res, casadi_in
         res[3],
         res[4]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    1, 1, 1
+};
+static const casadi_int pattern2[] = {
+    3, 1, 1
+};
 
 casadi_int double_pendulum_energy_n_in(void)
 {
@@ -187,3 +194,5 @@ int double_pendulum_energy_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_i
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_exp1, double_pendulum_91567c02_exp1, casadi_int)
+MBS_NAME_CASADI(double_pendulum_exp1, double_pendulum_736c5d5d_exp1, casadi_int)
 
-int double_pendulum_91567c02_compute_exp1(
+int double_pendulum_736c5d5d_compute_exp1(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd);
@@ -22,7 +22,7 @@ int double_pendulum_compute_exp1(
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd)
 {
-    return double_pendulum_91567c02_compute_exp1(q, qd, qdd);
+    return double_pendulum_736c5d5d_compute_exp1(q, qd, qdd);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_exp1(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_exp1
+#undef double_pendulum_exp1
+#define double_pendulum_compute_exp1 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_exp1)
+#define double_pendulum_exp1 MBS_STATES_NAME(double_pendulum_exp1)
+#endif
 
 int double_pendulum_compute_exp1(
     const mbs_real *MBS_RESTRICT q,
@@ -56,7 +62,7 @@ int double_pendulum_compute_exp1(
     const mbs_real F1_1 = S2*F3_2;
     const mbs_real t2 = MBS_C(2.142857142857143)*C2;
     const mbs_real t3 = MBS_C(1.3) - ((MBS_C(0.27999999999999997)*C2)*t2);
-    if (!(t3 > MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
+    if (!MBS_EXCEEDS(t3, MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
         return 1;
     const mbs_real t4 = MBS_C(15.2055)*S1 - F1_1 - (N2_2*t2);
     const mbs_real t5 = (MBS_C(-1.0)/t3)*t4;
@@ -67,13 +73,6 @@ int double_pendulum_compute_exp1(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-
 int double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -85,6 +84,14 @@ int double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi_int 
         arg[1] ? arg[1] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
 
 casadi_int double_pendulum_exp1_n_in(void)
 {
@@ -148,3 +155,5 @@ int double_pendulum_exp1_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int
         *sz_w = 0;
     return 0;
 }
+
+#endif

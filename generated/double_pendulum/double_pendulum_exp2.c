@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_exp2, double_pendulum_91567c02_exp2, casadi_int)
+MBS_NAME_CASADI(double_pendulum_exp2, double_pendulum_736c5d5d_exp2, casadi_int)
 
-int double_pendulum_91567c02_compute_exp2(
+int double_pendulum_736c5d5d_compute_exp2(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd);
@@ -22,7 +22,7 @@ int double_pendulum_compute_exp2(
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd)
 {
-    return double_pendulum_91567c02_compute_exp2(q, qd, qdd);
+    return double_pendulum_736c5d5d_compute_exp2(q, qd, qdd);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_exp2(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_exp2
+#undef double_pendulum_exp2
+#define double_pendulum_compute_exp2 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_exp2)
+#define double_pendulum_exp2 MBS_STATES_NAME(double_pendulum_exp2)
+#endif
 
 int double_pendulum_compute_exp2(
     const mbs_real *MBS_RESTRICT q,
@@ -52,7 +58,7 @@ int double_pendulum_compute_exp2(
     const mbs_real t2 = C2*(MBS_C(9.81)*S1) + t1;
     const mbs_real w_2 = qd[0] + qd[1];
     const mbs_real t3 = MBS_C(1.3) - (C2*(MBS_C(0.6000000000000001)*C2));
-    if (!(t3 > MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
+    if (!MBS_EXCEEDS(t3, MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
         return 1;
     const mbs_real F3_2 = MBS_C(0.27999999999999997)*(w_2*w_2);
     const mbs_real t4 = C2*(MBS_C(0.6000000000000001)*t2) + (S2*F3_2) - (MBS_C(15.2055)*S1);
@@ -63,13 +69,6 @@ int double_pendulum_compute_exp2(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-
 int double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -81,6 +80,14 @@ int double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int 
         arg[1] ? arg[1] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
 
 casadi_int double_pendulum_exp2_n_in(void)
 {
@@ -144,3 +151,5 @@ int double_pendulum_exp2_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int
         *sz_w = 0;
     return 0;
 }
+
+#endif

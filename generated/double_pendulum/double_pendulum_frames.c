@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_91567c02_frames, casadi_int)
+MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_736c5d5d_frames, casadi_int)
 
-int double_pendulum_91567c02_compute_frames(
+int double_pendulum_736c5d5d_compute_frames(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R);
@@ -22,7 +22,7 @@ int double_pendulum_compute_frames(
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R)
 {
-    return double_pendulum_91567c02_compute_frames(q, p, R);
+    return double_pendulum_736c5d5d_compute_frames(q, p, R);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_frames(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_frames
+#undef double_pendulum_frames
+#define double_pendulum_compute_frames MBS_STATES_NAME(double_pendulum_736c5d5d_compute_frames)
+#define double_pendulum_frames MBS_STATES_NAME(double_pendulum_frames)
+#endif
 
 int double_pendulum_compute_frames(
     const mbs_real *MBS_RESTRICT q,
@@ -94,16 +100,6 @@ int double_pendulum_compute_frames(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 3, 1
-};
-static const casadi_int pattern2[] = {
-    3, 9, 1
-};
-
 int double_pendulum_frames(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -115,6 +111,17 @@ int double_pendulum_frames(const casadi_real **arg, casadi_real **res, casadi_in
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 3, 1
+};
+static const casadi_int pattern2[] = {
+    3, 9, 1
+};
 
 casadi_int double_pendulum_frames_n_in(void)
 {
@@ -178,3 +185,5 @@ int double_pendulum_frames_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_i
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_91567c02_impl, casadi_int)
+MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_736c5d5d_impl, casadi_int)
 
-int double_pendulum_91567c02_compute_impl(
+int double_pendulum_736c5d5d_compute_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_impl(
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_91567c02_compute_impl(q, qd, qdd, Phi);
+    return double_pendulum_736c5d5d_compute_impl(q, qd, qdd, Phi);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_impl(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_impl
+#undef double_pendulum_impl
+#define double_pendulum_compute_impl MBS_STATES_NAME(double_pendulum_736c5d5d_compute_impl)
+#define double_pendulum_impl MBS_STATES_NAME(double_pendulum_impl)
+#endif
 
 int double_pendulum_compute_impl(
     const mbs_real *MBS_RESTRICT q,
@@ -66,13 +72,6 @@ int double_pendulum_compute_impl(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-
 int double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -85,6 +84,14 @@ int double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi_int 
         arg[2] ? arg[2] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
 
 casadi_int double_pendulum_impl_n_in(void)
 {
@@ -148,3 +155,5 @@ int double_pendulum_impl_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_exp2, jac_adj1_double_pendulum_91567c02_exp2, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_exp2, jac_adj1_double_pendulum_736c5d5d_exp2, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_adj1_exp2(
+int double_pendulum_736c5d5d_compute_jac_adj1_exp2(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -40,7 +40,7 @@ int double_pendulum_compute_jac_adj1_exp2(
     mbs_real *MBS_RESTRICT jac_adj_qd_qd,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd)
 {
-    return double_pendulum_91567c02_compute_jac_adj1_exp2(q, qd, adj_qdd, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_qdd, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_qdd);
+    return double_pendulum_736c5d5d_compute_jac_adj1_exp2(q, qd, adj_qdd, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_qdd, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_qdd);
 }
 #endif
 
@@ -48,6 +48,12 @@ int double_pendulum_compute_jac_adj1_exp2(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_adj1_exp2
+#undef jac_adj1_double_pendulum_exp2
+#define double_pendulum_compute_jac_adj1_exp2 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_adj1_exp2)
+#define jac_adj1_double_pendulum_exp2 MBS_STATES_NAME(jac_adj1_double_pendulum_exp2)
+#endif
 
 int double_pendulum_compute_jac_adj1_exp2(
     const mbs_real *MBS_RESTRICT q,
@@ -87,7 +93,7 @@ int double_pendulum_compute_jac_adj1_exp2(
     const mbs_real t3 = t1 + t2 + MBS_C(1.3);
     const mbs_real t4 = MBS_C(7.653061224489797)*t2;
     const mbs_real t5 = t3 - (t2*t4);
-    if (!(t5 > MBS_THRESHOLD(MBS_C(1000.0)) * t3))
+    if (!MBS_EXCEEDS(t5, MBS_THRESHOLD(MBS_C(1000.0)) * t3))
         return 1;
     const mbs_real t6 = MBS_C(1.0)/t5;
     const mbs_real t7 = t6*(adj_qdd[0] - (t4*adj_qdd[1]));
@@ -159,6 +165,25 @@ int double_pendulum_compute_jac_adj1_exp2(
 }
 
 /* The same in CasADi's contract. */
+int jac_adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_adj1_exp2(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        arg[4] ? arg[4] : zeros,
+        res[0],
+        res[1],
+        res[4],
+        res[5],
+        res[6],
+        res[9]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -189,24 +214,6 @@ static const casadi_int pattern8[] = {
 static const casadi_int pattern9[] = {
     0, 0, 1
 };
-
-int jac_adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_adj1_exp2(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        arg[4] ? arg[4] : zeros,
-        res[0],
-        res[1],
-        res[4],
-        res[5],
-        res[6],
-        res[9]);
-}
 
 casadi_int jac_adj1_double_pendulum_exp2_n_in(void)
 {
@@ -273,3 +280,5 @@ int jac_adj1_double_pendulum_exp2_work(casadi_int *sz_arg, casadi_int *sz_res, c
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_91567c02_motion, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_736c5d5d_motion, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_adj1_motion(
+int double_pendulum_736c5d5d_compute_jac_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -43,7 +43,7 @@ int double_pendulum_compute_jac_adj1_motion(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega)
 {
-    return double_pendulum_91567c02_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
+    return double_pendulum_736c5d5d_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
 }
 #endif
 
@@ -51,6 +51,12 @@ int double_pendulum_compute_jac_adj1_motion(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_adj1_motion
+#undef jac_adj1_double_pendulum_motion
+#define double_pendulum_compute_jac_adj1_motion MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_adj1_motion)
+#define jac_adj1_double_pendulum_motion MBS_STATES_NAME(jac_adj1_double_pendulum_motion)
+#endif
 
 int double_pendulum_compute_jac_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
@@ -130,6 +136,26 @@ int double_pendulum_compute_jac_adj1_motion(
 }
 
 /* The same in CasADi's contract. */
+int jac_adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[3] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_adj1_motion(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        arg[4] ? arg[4] : zeros,
+        arg[5] ? arg[5] : zeros,
+        res[0],
+        res[1],
+        res[4],
+        res[6],
+        res[10],
+        res[11]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -157,25 +183,6 @@ static const casadi_int pattern7[] = {
 static const casadi_int pattern8[] = {
     2, 3, 0, 0, 2, 2, 0, 1
 };
-
-int jac_adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[3] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_adj1_motion(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        arg[4] ? arg[4] : zeros,
-        arg[5] ? arg[5] : zeros,
-        res[0],
-        res[1],
-        res[4],
-        res[6],
-        res[10],
-        res[11]);
-}
 
 casadi_int jac_adj1_double_pendulum_motion_n_in(void)
 {
@@ -242,3 +249,5 @@ int jac_adj1_double_pendulum_motion_work(casadi_int *sz_arg, casadi_int *sz_res,
         *sz_w = 0;
     return 0;
 }
+
+#endif

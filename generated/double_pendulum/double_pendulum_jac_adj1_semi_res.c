@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_semi_res, jac_adj1_double_pendulum_91567c02_semi_res, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_semi_res, jac_adj1_double_pendulum_736c5d5d_semi_res, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_adj1_semi_res(
+int double_pendulum_736c5d5d_compute_jac_adj1_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -52,7 +52,7 @@ int double_pendulum_compute_jac_adj1_semi_res(
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi)
 {
-    return double_pendulum_91567c02_compute_jac_adj1_semi_res(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
+    return double_pendulum_736c5d5d_compute_jac_adj1_semi_res(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
 }
 #endif
 
@@ -60,6 +60,12 @@ int double_pendulum_compute_jac_adj1_semi_res(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_adj1_semi_res
+#undef jac_adj1_double_pendulum_semi_res
+#define double_pendulum_compute_jac_adj1_semi_res MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_adj1_semi_res)
+#define jac_adj1_double_pendulum_semi_res MBS_STATES_NAME(jac_adj1_double_pendulum_semi_res)
+#endif
 
 int double_pendulum_compute_jac_adj1_semi_res(
     const mbs_real *MBS_RESTRICT q,
@@ -166,6 +172,29 @@ int double_pendulum_compute_jac_adj1_semi_res(
 }
 
 /* The same in CasADi's contract. */
+int jac_adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_adj1_semi_res(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        arg[2] ? arg[2] : zeros,
+        arg[5] ? arg[5] : zeros,
+        res[0],
+        res[1],
+        res[2],
+        res[5],
+        res[6],
+        res[7],
+        res[11],
+        res[12],
+        res[17]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -199,28 +228,6 @@ static const casadi_int pattern9[] = {
 static const casadi_int pattern10[] = {
     0, 0, 1
 };
-
-int jac_adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_adj1_semi_res(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        arg[2] ? arg[2] : zeros,
-        arg[5] ? arg[5] : zeros,
-        res[0],
-        res[1],
-        res[2],
-        res[5],
-        res[6],
-        res[7],
-        res[11],
-        res[12],
-        res[17]);
-}
 
 casadi_int jac_adj1_double_pendulum_semi_res_n_in(void)
 {
@@ -290,3 +297,5 @@ int jac_adj1_double_pendulum_semi_res_work(casadi_int *sz_arg, casadi_int *sz_re
         *sz_w = 0;
     return 0;
 }
+
+#endif

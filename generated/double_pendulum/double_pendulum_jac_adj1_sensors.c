@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_91567c02_sensors, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_736c5d5d_sensors, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_adj1_sensors(
+int double_pendulum_736c5d5d_compute_jac_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT jac_adj_q_q,
@@ -25,7 +25,7 @@ int double_pendulum_compute_jac_adj1_sensors(
     mbs_real *MBS_RESTRICT jac_adj_q_q,
     mbs_real *MBS_RESTRICT jac_adj_q_adj_position)
 {
-    return double_pendulum_91567c02_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
+    return double_pendulum_736c5d5d_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_jac_adj1_sensors(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_adj1_sensors
+#undef jac_adj1_double_pendulum_sensors
+#define double_pendulum_compute_jac_adj1_sensors MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_adj1_sensors)
+#define jac_adj1_double_pendulum_sensors MBS_STATES_NAME(jac_adj1_double_pendulum_sensors)
+#endif
 
 int double_pendulum_compute_jac_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
@@ -75,6 +81,20 @@ int double_pendulum_compute_jac_adj1_sensors(
 }
 
 /* The same in CasADi's contract. */
+int jac_adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[3] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_adj1_sensors(
+        arg[0] ? arg[0] : zeros,
+        arg[2] ? arg[2] : zeros,
+        res[0],
+        res[2]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -96,19 +116,6 @@ static const casadi_int pattern5[] = {
 static const casadi_int pattern6[] = {
     2, 3, 0, 2, 2, 4, 0, 1, 0, 1
 };
-
-int jac_adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[3] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_adj1_sensors(
-        arg[0] ? arg[0] : zeros,
-        arg[2] ? arg[2] : zeros,
-        res[0],
-        res[2]);
-}
 
 casadi_int jac_adj1_double_pendulum_sensors_n_in(void)
 {
@@ -172,3 +179,5 @@ int jac_adj1_double_pendulum_sensors_work(casadi_int *sz_arg, casadi_int *sz_res
         *sz_w = 0;
     return 0;
 }
+
+#endif

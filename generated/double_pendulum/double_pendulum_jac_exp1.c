@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_exp1, jac_double_pendulum_91567c02_exp1, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_exp1, jac_double_pendulum_736c5d5d_exp1, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_exp1(
+int double_pendulum_736c5d5d_compute_jac_exp1(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_qdd_q,
@@ -25,7 +25,7 @@ int double_pendulum_compute_jac_exp1(
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd)
 {
-    return double_pendulum_91567c02_compute_jac_exp1(q, qd, jac_qdd_q, jac_qdd_qd);
+    return double_pendulum_736c5d5d_compute_jac_exp1(q, qd, jac_qdd_q, jac_qdd_qd);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_jac_exp1(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_exp1
+#undef jac_double_pendulum_exp1
+#define double_pendulum_compute_jac_exp1 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_exp1)
+#define jac_double_pendulum_exp1 MBS_STATES_NAME(jac_double_pendulum_exp1)
+#endif
 
 int double_pendulum_compute_jac_exp1(
     const mbs_real *MBS_RESTRICT q,
@@ -58,7 +64,7 @@ int double_pendulum_compute_jac_exp1(
     const mbs_real t2 = MBS_C(0.13066666666666665) + t1;
     const mbs_real t3 = MBS_C(7.653061224489797)*t2;
     const mbs_real t4 = t1 + t2 + MBS_C(1.3) - (t2*t3);
-    if (!(t4 > MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
+    if (!MBS_EXCEEDS(t4, MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
         return 1;
     const mbs_real a3_1 = MBS_C(9.81)*C1;
     const mbs_real t5 = qd[0]*qd[0];
@@ -96,6 +102,20 @@ int double_pendulum_compute_jac_exp1(
 }
 
 /* The same in CasADi's contract. */
+int jac_double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_exp1(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        res[0],
+        res[1]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -111,19 +131,6 @@ static const casadi_int pattern3[] = {
 static const casadi_int pattern4[] = {
     2, 0, 1
 };
-
-int jac_double_pendulum_exp1(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_exp1(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        res[0],
-        res[1]);
-}
 
 casadi_int jac_double_pendulum_exp1_n_in(void)
 {
@@ -187,3 +194,5 @@ int jac_double_pendulum_exp1_work(casadi_int *sz_arg, casadi_int *sz_res, casadi
         *sz_w = 0;
     return 0;
 }
+
+#endif

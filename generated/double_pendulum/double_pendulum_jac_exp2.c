@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_exp2, jac_double_pendulum_91567c02_exp2, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_exp2, jac_double_pendulum_736c5d5d_exp2, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_exp2(
+int double_pendulum_736c5d5d_compute_jac_exp2(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_qdd_q,
@@ -25,7 +25,7 @@ int double_pendulum_compute_jac_exp2(
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd)
 {
-    return double_pendulum_91567c02_compute_jac_exp2(q, qd, jac_qdd_q, jac_qdd_qd);
+    return double_pendulum_736c5d5d_compute_jac_exp2(q, qd, jac_qdd_q, jac_qdd_qd);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_jac_exp2(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_exp2
+#undef jac_double_pendulum_exp2
+#define double_pendulum_compute_jac_exp2 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_exp2)
+#define jac_double_pendulum_exp2 MBS_STATES_NAME(jac_double_pendulum_exp2)
+#endif
 
 int double_pendulum_compute_jac_exp2(
     const mbs_real *MBS_RESTRICT q,
@@ -56,7 +62,7 @@ int double_pendulum_compute_jac_exp2(
     const mbs_real C1 = mbs_cosines1[1];
     const mbs_real t1 = MBS_C(0.6000000000000001)*C2;
     const mbs_real t2 = MBS_C(1.3) - (C2*t1);
-    if (!(t2 > MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
+    if (!MBS_EXCEEDS(t2, MBS_THRESHOLD(MBS_C(2.0)) * MBS_C(2.0772989681590475)))
         return 1;
     const mbs_real t3 = MBS_C(9.81)*S1;
     const mbs_real t4 = S2*t3;
@@ -92,6 +98,20 @@ int double_pendulum_compute_jac_exp2(
 }
 
 /* The same in CasADi's contract. */
+int jac_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_exp2(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        res[0],
+        res[1]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -107,19 +127,6 @@ static const casadi_int pattern3[] = {
 static const casadi_int pattern4[] = {
     2, 0, 1
 };
-
-int jac_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_exp2(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        res[0],
-        res[1]);
-}
 
 casadi_int jac_double_pendulum_exp2_n_in(void)
 {
@@ -183,3 +190,5 @@ int jac_double_pendulum_exp2_work(casadi_int *sz_arg, casadi_int *sz_res, casadi
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_91567c02_motion, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_736c5d5d_motion, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_motion(
+int double_pendulum_736c5d5d_compute_jac_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_v_q,
@@ -28,7 +28,7 @@ int double_pendulum_compute_jac_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_91567c02_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
+    return double_pendulum_736c5d5d_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -36,6 +36,12 @@ int double_pendulum_compute_jac_motion(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_motion
+#undef jac_double_pendulum_motion
+#define double_pendulum_compute_jac_motion MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_motion)
+#define jac_double_pendulum_motion MBS_STATES_NAME(jac_double_pendulum_motion)
+#endif
 
 int double_pendulum_compute_jac_motion(
     const mbs_real *MBS_RESTRICT q,
@@ -79,6 +85,21 @@ int double_pendulum_compute_jac_motion(
 }
 
 /* The same in CasADi's contract. */
+int jac_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_motion(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        res[0],
+        res[1],
+        res[3]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -94,20 +115,6 @@ static const casadi_int pattern3[] = {
 static const casadi_int pattern4[] = {
     3, 2, 0, 1, 2, 1, 1
 };
-
-int jac_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_motion(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        res[0],
-        res[1],
-        res[3]);
-}
 
 casadi_int jac_double_pendulum_motion_n_in(void)
 {
@@ -171,3 +178,5 @@ int jac_double_pendulum_motion_work(casadi_int *sz_arg, casadi_int *sz_res, casa
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_semi_res, jac_double_pendulum_91567c02_semi_res, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_semi_res, jac_double_pendulum_736c5d5d_semi_res, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_semi_res(
+int double_pendulum_736c5d5d_compute_jac_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -31,7 +31,7 @@ int double_pendulum_compute_jac_semi_res(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_91567c02_compute_jac_semi_res(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return double_pendulum_736c5d5d_compute_jac_semi_res(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -39,6 +39,12 @@ int double_pendulum_compute_jac_semi_res(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_semi_res
+#undef jac_double_pendulum_semi_res
+#define double_pendulum_compute_jac_semi_res MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_semi_res)
+#define jac_double_pendulum_semi_res MBS_STATES_NAME(jac_double_pendulum_semi_res)
+#endif
 
 int double_pendulum_compute_jac_semi_res(
     const mbs_real *MBS_RESTRICT q,
@@ -93,6 +99,22 @@ int double_pendulum_compute_jac_semi_res(
 }
 
 /* The same in CasADi's contract. */
+int jac_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    static const casadi_real zeros[2] = {0};
+    (void)iw;
+    (void)w;
+    (void)mem;
+    return double_pendulum_compute_jac_semi_res(
+        arg[0] ? arg[0] : zeros,
+        arg[1] ? arg[1] : zeros,
+        arg[2] ? arg[2] : zeros,
+        res[0],
+        res[1],
+        res[2]);
+}
+
+#ifndef MBS_STATES
 static const casadi_int pattern0[] = {
     2, 1, 1
 };
@@ -111,21 +133,6 @@ static const casadi_int pattern4[] = {
 static const casadi_int pattern5[] = {
     2, 0, 1
 };
-
-int jac_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
-{
-    static const casadi_real zeros[2] = {0};
-    (void)iw;
-    (void)w;
-    (void)mem;
-    return double_pendulum_compute_jac_semi_res(
-        arg[0] ? arg[0] : zeros,
-        arg[1] ? arg[1] : zeros,
-        arg[2] ? arg[2] : zeros,
-        res[0],
-        res[1],
-        res[2]);
-}
 
 casadi_int jac_double_pendulum_semi_res_n_in(void)
 {
@@ -189,3 +196,5 @@ int jac_double_pendulum_semi_res_work(casadi_int *sz_arg, casadi_int *sz_res, ca
         *sz_w = 0;
     return 0;
 }
+
+#endif

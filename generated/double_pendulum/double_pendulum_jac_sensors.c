@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_91567c02_sensors, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_736c5d5d_sensors, casadi_int)
 
-int double_pendulum_91567c02_compute_jac_sensors(
+int double_pendulum_736c5d5d_compute_jac_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q);
 int double_pendulum_compute_jac_sensors(
@@ -19,7 +19,7 @@ int double_pendulum_compute_jac_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_91567c02_compute_jac_sensors(q, jac_position_q);
+    return double_pendulum_736c5d5d_compute_jac_sensors(q, jac_position_q);
 }
 #endif
 
@@ -27,6 +27,12 @@ int double_pendulum_compute_jac_sensors(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jac_sensors
+#undef jac_double_pendulum_sensors
+#define double_pendulum_compute_jac_sensors MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jac_sensors)
+#define jac_double_pendulum_sensors MBS_STATES_NAME(jac_double_pendulum_sensors)
+#endif
 
 int double_pendulum_compute_jac_sensors(
     const mbs_real *MBS_RESTRICT q,
@@ -57,16 +63,6 @@ int double_pendulum_compute_jac_sensors(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 0, 0
-};
-static const casadi_int pattern2[] = {
-    3, 2, 0, 2, 4, 0, 2, 0, 2
-};
-
 int jac_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -77,6 +73,17 @@ int jac_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casa
         arg[0] ? arg[0] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 0, 0
+};
+static const casadi_int pattern2[] = {
+    3, 2, 0, 2, 4, 0, 2, 0, 2
+};
 
 casadi_int jac_double_pendulum_sensors_n_in(void)
 {
@@ -140,3 +147,5 @@ int jac_double_pendulum_sensors_work(casadi_int *sz_arg, casadi_int *sz_res, cas
         *sz_w = 0;
     return 0;
 }
+
+#endif

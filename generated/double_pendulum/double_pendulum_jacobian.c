@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_91567c02_jacobian, casadi_int)
+MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_736c5d5d_jacobian, casadi_int)
 
-int double_pendulum_91567c02_compute_jacobian(
+int double_pendulum_736c5d5d_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J);
 int double_pendulum_compute_jacobian(
@@ -19,7 +19,7 @@ int double_pendulum_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J)
 {
-    return double_pendulum_91567c02_compute_jacobian(q, J);
+    return double_pendulum_736c5d5d_compute_jacobian(q, J);
 }
 #endif
 
@@ -27,6 +27,12 @@ int double_pendulum_compute_jacobian(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_jacobian
+#undef double_pendulum_jacobian
+#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_736c5d5d_compute_jacobian)
+#define double_pendulum_jacobian MBS_STATES_NAME(double_pendulum_jacobian)
+#endif
 
 int double_pendulum_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
@@ -58,13 +64,6 @@ int double_pendulum_compute_jacobian(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    6, 2, 0, 3, 6, 0, 2, 4, 0, 2, 4
-};
-
 int double_pendulum_jacobian(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -75,6 +74,14 @@ int double_pendulum_jacobian(const casadi_real **arg, casadi_real **res, casadi_
         arg[0] ? arg[0] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    6, 2, 0, 3, 6, 0, 2, 4, 0, 2, 4
+};
 
 casadi_int double_pendulum_jacobian_n_in(void)
 {
@@ -138,3 +145,5 @@ int double_pendulum_jacobian_work(casadi_int *sz_arg, casadi_int *sz_res, casadi
         *sz_w = 0;
     return 0;
 }
+
+#endif

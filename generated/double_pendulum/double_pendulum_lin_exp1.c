@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_exp1, double_pendulum_91567c02_lin_exp1, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_exp1, double_pendulum_736c5d5d_lin_exp1, casadi_int)
 
-int double_pendulum_91567c02_compute_lin_exp1(
+int double_pendulum_736c5d5d_compute_lin_exp1(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd,
@@ -28,7 +28,7 @@ int double_pendulum_compute_lin_exp1(
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd)
 {
-    return double_pendulum_91567c02_compute_lin_exp1(q, qd, qdd, jac_qdd_q, jac_qdd_qd);
+    return double_pendulum_736c5d5d_compute_lin_exp1(q, qd, qdd, jac_qdd_q, jac_qdd_qd);
 }
 #endif
 
@@ -36,6 +36,12 @@ int double_pendulum_compute_lin_exp1(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_lin_exp1
+#undef double_pendulum_lin_exp1
+#define double_pendulum_compute_lin_exp1 MBS_STATES_NAME(double_pendulum_736c5d5d_compute_lin_exp1)
+#define double_pendulum_lin_exp1 MBS_STATES_NAME(double_pendulum_lin_exp1)
+#endif
 
 int double_pendulum_compute_lin_exp1(
     const mbs_real *MBS_RESTRICT q,
@@ -64,7 +70,7 @@ int double_pendulum_compute_lin_exp1(
     const mbs_real t2 = MBS_C(0.13066666666666665) + t1;
     const mbs_real t3 = MBS_C(7.653061224489797)*t2;
     const mbs_real t4 = t1 + t2 + MBS_C(1.3) - (t2*t3);
-    if (!(t4 > MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
+    if (!MBS_EXCEEDS(t4, MBS_THRESHOLD(MBS_C(1000.0)) * MBS_C(1.3)))
         return 1;
     const mbs_real a3_1 = MBS_C(9.81)*C1;
     const mbs_real t5 = qd[0]*qd[0];
@@ -105,19 +111,6 @@ int double_pendulum_compute_lin_exp1(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 2, 1
-};
-static const casadi_int pattern3[] = {
-    2, 0, 1
-};
-
 int double_pendulum_lin_exp1(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -131,6 +124,20 @@ int double_pendulum_lin_exp1(const casadi_real **arg, casadi_real **res, casadi_
         res[1],
         res[2]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 2, 1
+};
+static const casadi_int pattern3[] = {
+    2, 0, 1
+};
 
 casadi_int double_pendulum_lin_exp1_n_in(void)
 {
@@ -194,3 +201,5 @@ int double_pendulum_lin_exp1_work(casadi_int *sz_arg, casadi_int *sz_res, casadi
         *sz_w = 0;
     return 0;
 }
+
+#endif

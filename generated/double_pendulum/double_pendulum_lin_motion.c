@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_91567c02_lin_motion, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_736c5d5d_lin_motion, casadi_int)
 
-int double_pendulum_91567c02_compute_lin_motion(
+int double_pendulum_736c5d5d_compute_lin_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_91567c02_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
+    return double_pendulum_736c5d5d_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -42,6 +42,12 @@ int double_pendulum_compute_lin_motion(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_lin_motion
+#undef double_pendulum_lin_motion
+#define double_pendulum_compute_lin_motion MBS_STATES_NAME(double_pendulum_736c5d5d_compute_lin_motion)
+#define double_pendulum_lin_motion MBS_STATES_NAME(double_pendulum_lin_motion)
+#endif
 
 int double_pendulum_compute_lin_motion(
     const mbs_real *MBS_RESTRICT q,
@@ -99,22 +105,6 @@ int double_pendulum_compute_lin_motion(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 1
-};
-static const casadi_int pattern2[] = {
-    3, 2, 0, 2, 4, 0, 2, 0, 2
-};
-static const casadi_int pattern3[] = {
-    3, 2, 0, 0, 0
-};
-static const casadi_int pattern4[] = {
-    3, 2, 0, 1, 2, 1, 1
-};
-
 int double_pendulum_lin_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -130,6 +120,23 @@ int double_pendulum_lin_motion(const casadi_real **arg, casadi_real **res, casad
         res[3],
         res[5]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 1
+};
+static const casadi_int pattern2[] = {
+    3, 2, 0, 2, 4, 0, 2, 0, 2
+};
+static const casadi_int pattern3[] = {
+    3, 2, 0, 0, 0
+};
+static const casadi_int pattern4[] = {
+    3, 2, 0, 1, 2, 1, 1
+};
 
 casadi_int double_pendulum_lin_motion_n_in(void)
 {
@@ -193,3 +200,5 @@ int double_pendulum_lin_motion_work(casadi_int *sz_arg, casadi_int *sz_res, casa
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_semi_res, double_pendulum_91567c02_lin_semi_res, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_semi_res, double_pendulum_736c5d5d_lin_semi_res, casadi_int)
 
-int double_pendulum_91567c02_compute_lin_semi_res(
+int double_pendulum_736c5d5d_compute_lin_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_semi_res(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_91567c02_compute_lin_semi_res(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return double_pendulum_736c5d5d_compute_lin_semi_res(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -42,6 +42,12 @@ int double_pendulum_compute_lin_semi_res(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_lin_semi_res
+#undef double_pendulum_lin_semi_res
+#define double_pendulum_compute_lin_semi_res MBS_STATES_NAME(double_pendulum_736c5d5d_compute_lin_semi_res)
+#define double_pendulum_lin_semi_res MBS_STATES_NAME(double_pendulum_lin_semi_res)
+#endif
 
 int double_pendulum_compute_lin_semi_res(
     const mbs_real *MBS_RESTRICT q,
@@ -106,22 +112,6 @@ int double_pendulum_compute_lin_semi_res(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    2, 2, 1
-};
-static const casadi_int pattern3[] = {
-    2, 2, 0, 2, 3, 0, 1, 0
-};
-static const casadi_int pattern4[] = {
-    2, 0, 1
-};
-
 int double_pendulum_lin_semi_res(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -137,6 +127,23 @@ int double_pendulum_lin_semi_res(const casadi_real **arg, casadi_real **res, cas
         res[2],
         res[3]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    2, 2, 1
+};
+static const casadi_int pattern3[] = {
+    2, 2, 0, 2, 3, 0, 1, 0
+};
+static const casadi_int pattern4[] = {
+    2, 0, 1
+};
 
 casadi_int double_pendulum_lin_semi_res_n_in(void)
 {
@@ -200,3 +207,5 @@ int double_pendulum_lin_semi_res_work(casadi_int *sz_arg, casadi_int *sz_res, ca
         *sz_w = 0;
     return 0;
 }
+
+#endif

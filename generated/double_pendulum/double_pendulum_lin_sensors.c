@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_91567c02_lin_sensors, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_736c5d5d_lin_sensors, casadi_int)
 
-int double_pendulum_91567c02_compute_lin_sensors(
+int double_pendulum_736c5d5d_compute_lin_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q);
@@ -22,7 +22,7 @@ int double_pendulum_compute_lin_sensors(
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_91567c02_compute_lin_sensors(q, position, jac_position_q);
+    return double_pendulum_736c5d5d_compute_lin_sensors(q, position, jac_position_q);
 }
 #endif
 
@@ -30,6 +30,12 @@ int double_pendulum_compute_lin_sensors(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_lin_sensors
+#undef double_pendulum_lin_sensors
+#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_736c5d5d_compute_lin_sensors)
+#define double_pendulum_lin_sensors MBS_STATES_NAME(double_pendulum_lin_sensors)
+#endif
 
 int double_pendulum_compute_lin_sensors(
     const mbs_real *MBS_RESTRICT q,
@@ -68,16 +74,6 @@ int double_pendulum_compute_lin_sensors(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 1
-};
-static const casadi_int pattern2[] = {
-    3, 2, 0, 2, 4, 0, 2, 0, 2
-};
-
 int double_pendulum_lin_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -89,6 +85,17 @@ int double_pendulum_lin_sensors(const casadi_real **arg, casadi_real **res, casa
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 1
+};
+static const casadi_int pattern2[] = {
+    3, 2, 0, 2, 4, 0, 2, 0, 2
+};
 
 casadi_int double_pendulum_lin_sensors_n_in(void)
 {
@@ -152,3 +159,5 @@ int double_pendulum_lin_sensors_work(casadi_int *sz_arg, casadi_int *sz_res, cas
         *sz_w = 0;
     return 0;
 }
+
+#endif

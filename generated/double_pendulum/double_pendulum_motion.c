@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_91567c02_motion, casadi_int)
+MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_736c5d5d_motion, casadi_int)
 
-int double_pendulum_91567c02_compute_motion(
+int double_pendulum_736c5d5d_compute_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -25,7 +25,7 @@ int double_pendulum_compute_motion(
     mbs_real *MBS_RESTRICT v,
     mbs_real *MBS_RESTRICT omega)
 {
-    return double_pendulum_91567c02_compute_motion(q, qd, v, omega);
+    return double_pendulum_736c5d5d_compute_motion(q, qd, v, omega);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_motion(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_motion
+#undef double_pendulum_motion
+#define double_pendulum_compute_motion MBS_STATES_NAME(double_pendulum_736c5d5d_compute_motion)
+#define double_pendulum_motion MBS_STATES_NAME(double_pendulum_motion)
+#endif
 
 int double_pendulum_compute_motion(
     const mbs_real *MBS_RESTRICT q,
@@ -67,13 +73,6 @@ int double_pendulum_compute_motion(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 1
-};
-
 int double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -86,6 +85,14 @@ int double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_in
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 1
+};
 
 casadi_int double_pendulum_motion_n_in(void)
 {
@@ -149,3 +156,5 @@ int double_pendulum_motion_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_i
         *sz_w = 0;
     return 0;
 }
+
+#endif

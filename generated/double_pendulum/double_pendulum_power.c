@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_power, double_pendulum_91567c02_power, casadi_int)
+MBS_NAME_CASADI(double_pendulum_power, double_pendulum_736c5d5d_power, casadi_int)
 
-int double_pendulum_91567c02_compute_power(
+int double_pendulum_736c5d5d_compute_power(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power);
@@ -22,13 +22,19 @@ int double_pendulum_compute_power(
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power)
 {
-    return double_pendulum_91567c02_compute_power(q, qd, power);
+    return double_pendulum_736c5d5d_compute_power(q, qd, power);
 }
 #endif
 
 #include <math.h>
 
 #include "double_pendulum.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_power
+#undef double_pendulum_power
+#define double_pendulum_compute_power MBS_STATES_NAME(double_pendulum_736c5d5d_compute_power)
+#define double_pendulum_power MBS_STATES_NAME(double_pendulum_power)
+#endif
 
 int double_pendulum_compute_power(
     const mbs_real *MBS_RESTRICT q,
@@ -45,16 +51,6 @@ int double_pendulum_compute_power(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    0, 1, 1
-};
-static const casadi_int pattern2[] = {
-    1, 1, 1
-};
-
 int double_pendulum_power(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -66,6 +62,17 @@ int double_pendulum_power(const casadi_real **arg, casadi_real **res, casadi_int
         arg[1] ? arg[1] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    0, 1, 1
+};
+static const casadi_int pattern2[] = {
+    1, 1, 1
+};
 
 casadi_int double_pendulum_power_n_in(void)
 {
@@ -129,3 +136,5 @@ int double_pendulum_power_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_in
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_91567c02_semi, casadi_int)
+MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_736c5d5d_semi, casadi_int)
 
-int double_pendulum_91567c02_compute_semi(
+int double_pendulum_736c5d5d_compute_semi(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
@@ -25,7 +25,7 @@ int double_pendulum_compute_semi(
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c)
 {
-    return double_pendulum_91567c02_compute_semi(q, qd, M, c);
+    return double_pendulum_736c5d5d_compute_semi(q, qd, M, c);
 }
 #endif
 
@@ -33,6 +33,12 @@ int double_pendulum_compute_semi(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_semi
+#undef double_pendulum_semi
+#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_736c5d5d_compute_semi)
+#define double_pendulum_semi MBS_STATES_NAME(double_pendulum_semi)
+#endif
 
 int double_pendulum_compute_semi(
     const mbs_real *MBS_RESTRICT q,
@@ -73,13 +79,6 @@ int double_pendulum_compute_semi(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    2, 2, 1
-};
-
 int double_pendulum_semi(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -92,6 +91,14 @@ int double_pendulum_semi(const casadi_real **arg, casadi_real **res, casadi_int 
         res[0],
         res[1]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    2, 2, 1
+};
 
 casadi_int double_pendulum_semi_n_in(void)
 {
@@ -155,3 +162,5 @@ int double_pendulum_semi_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int
         *sz_w = 0;
     return 0;
 }
+
+#endif

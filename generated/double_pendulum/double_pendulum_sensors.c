@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_sensors, double_pendulum_91567c02_sensors, casadi_int)
+MBS_NAME_CASADI(double_pendulum_sensors, double_pendulum_736c5d5d_sensors, casadi_int)
 
-int double_pendulum_91567c02_compute_sensors(
+int double_pendulum_736c5d5d_compute_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position);
 int double_pendulum_compute_sensors(
@@ -19,7 +19,7 @@ int double_pendulum_compute_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position)
 {
-    return double_pendulum_91567c02_compute_sensors(q, position);
+    return double_pendulum_736c5d5d_compute_sensors(q, position);
 }
 #endif
 
@@ -27,6 +27,12 @@ int double_pendulum_compute_sensors(
 
 #include "double_pendulum.h"
 #include "mbs_sincos.h"
+#ifdef MBS_STATES
+#undef double_pendulum_compute_sensors
+#undef double_pendulum_sensors
+#define double_pendulum_compute_sensors MBS_STATES_NAME(double_pendulum_736c5d5d_compute_sensors)
+#define double_pendulum_sensors MBS_STATES_NAME(double_pendulum_sensors)
+#endif
 
 int double_pendulum_compute_sensors(
     const mbs_real *MBS_RESTRICT q,
@@ -53,13 +59,6 @@ int double_pendulum_compute_sensors(
 }
 
 /* The same in CasADi's contract. */
-static const casadi_int pattern0[] = {
-    2, 1, 1
-};
-static const casadi_int pattern1[] = {
-    3, 1, 1
-};
-
 int double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
     static const casadi_real zeros[2] = {0};
@@ -70,6 +69,14 @@ int double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casadi_i
         arg[0] ? arg[0] : zeros,
         res[0]);
 }
+
+#ifndef MBS_STATES
+static const casadi_int pattern0[] = {
+    2, 1, 1
+};
+static const casadi_int pattern1[] = {
+    3, 1, 1
+};
 
 casadi_int double_pendulum_sensors_n_in(void)
 {
@@ -133,3 +140,5 @@ int double_pendulum_sensors_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_
         *sz_w = 0;
     return 0;
 }
+
+#endif

@@ -1,6 +1,6 @@
 /* What generated kernels share: the scalar type, the functions of <math.h> that go with it, CasADi's contract.
  *
- * -DMBS_REAL=float computes in single precision. casadi_real and casadi_int can be defined to suit another caller.
+ * -DMBS_REAL=float computes in single precision, -DMBS_STATES=8 computes 8 states at once (mbs_states.h). casadi_real and casadi_int can be defined to suit another caller.
  * C99; needs nothing but <math.h> and <float.h>.
  */
 #ifndef MBS_ABI_H
@@ -31,7 +31,14 @@
 #define MBS_APART
 #endif
 
-typedef MBS_REAL mbs_real;
+/* The next loop, written out: only then do its numbers stay in registers, at any optimisation. */
+#if defined(__clang__)
+#define MBS_UNROLLED _Pragma("clang loop unroll(full)")
+#elif defined(__GNUC__) && __GNUC__ >= 8
+#define MBS_UNROLLED _Pragma("GCC unroll 16")
+#else
+#define MBS_UNROLLED
+#endif
 
 /* Pasting the name of the type chooses the function, and the suffix of a literal. */
 #define MBS_PASTE_(a, b) a##b
@@ -81,6 +88,13 @@ typedef MBS_REAL mbs_real;
 #define MBS_ABS_float fabsf
 #define MBS_ABS MBS_PASTE(MBS_ABS_, MBS_REAL)
 #define MBS_SIGN(x) ((x) > 0 ? (mbs_real)1 : (x) < 0 ? -(mbs_real)1 : (x)) /* not a number stays what it is */
+
+#ifdef MBS_STATES
+#include "mbs_states.h"
+#else
+typedef MBS_REAL mbs_real;
+#define MBS_EXCEEDS(a, b) ((a) > (b))
+#endif
 
 /* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may
  * be NULL (not wanted); only nonzeros are passed, column by column; iw and w are not used. */
@@ -139,6 +153,7 @@ typedef MBS_REAL mbs_real;
         return own##_work(sz_arg, sz_res, sz_iw, sz_w); \
     }
 
+#ifndef MBS_STATES
 /* Write the full matrix, row by row as C stores `A[rows][columns]`, or column by column as BLAS and LAPACK store it: from
  * its nonzeros, and their pattern as f##_sparsity_out gives it. */
 static inline void mbs_fill(const casadi_int *pattern, const mbs_real *nonzeros, mbs_real *A, int by_rows)
@@ -166,5 +181,6 @@ static inline void mbs_fill_columns(const casadi_int *pattern, const mbs_real *n
 {
     mbs_fill(pattern, nonzeros, A, 0);
 }
+#endif
 
 #endif

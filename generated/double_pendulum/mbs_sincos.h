@@ -42,6 +42,8 @@ static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c
 #define MBS_INTEGER_double 0x1.8p52 /* added to a number, it leaves an integer, in the last bits */
 #define MBS_INTEGER_float 0x1.8p23f
 #define MBS_INTEGER MBS_PASTE(MBS_INTEGER_, MBS_REAL)
+#define MBS_ONE MBS_PASTE(MBS_C_, MBS_REAL)(1.0)
+#define MBS_HALF MBS_PASTE(MBS_C_, MBS_REAL)(0.5)
 #define MBS_TWO_OVER_PI_double 0x1.45f306dc9c883p-1
 #define MBS_TWO_OVER_PI_float 0x1.45f306p-1f
 #define MBS_TWO_OVER_PI MBS_PASTE(MBS_TWO_OVER_PI_, MBS_REAL)
@@ -75,22 +77,19 @@ static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c
 typedef MBS_PASTE(MBS_BITS_, MBS_REAL) mbs_word;
 #define MBS_SIZE_double 8
 #define MBS_SIZE_float 4
-#if !defined(__GNUC__) || defined(MBS_SCALAR)
+#if defined(MBS_STATES)
+#define MBS_PACK MBS_STATES
+#elif !defined(__GNUC__) || defined(MBS_SCALAR)
 #define MBS_PACK 1
 #elif defined(__AVX__)
 #define MBS_PACK (32 / MBS_PASTE(MBS_SIZE_, MBS_REAL))
 #else
 #define MBS_PACK (16 / MBS_PASTE(MBS_SIZE_, MBS_REAL))
 #endif
-/* The next loop and all entries, written out: only then do the numbers stay in registers, at any optimisation. */
-#if defined(__clang__)
-#define MBS_UNROLLED _Pragma("clang loop unroll(full)")
-#elif defined(__GNUC__) && __GNUC__ >= 8
-#define MBS_UNROLLED _Pragma("GCC unroll 16")
-#else
-#define MBS_UNROLLED
-#endif
-#if MBS_PACK == 8
+#if MBS_PACK == 16
+#define MBS_EACH(x) \
+    x(0) x(1) x(2) x(3) x(4) x(5) x(6) x(7) x(8) x(9) x(10) x(11) x(12) x(13) x(14) x(15)
+#elif MBS_PACK == 8
 #define MBS_EACH(x) x(0) x(1) x(2) x(3) x(4) x(5) x(6) x(7)
 #elif MBS_PACK == 4
 #define MBS_EACH(x) x(0) x(1) x(2) x(3)
@@ -102,8 +101,8 @@ typedef MBS_PASTE(MBS_BITS_, MBS_REAL) mbs_word;
 #if MBS_PACK > 1
 #define MBS_ENTRY(pack, i) (pack)[i]
 #define MBS_COLD __attribute__((noinline, cold))
-typedef mbs_real mbs_pack __attribute__((vector_size(MBS_PACK * sizeof(mbs_real))));
-typedef mbs_word mbs_bits __attribute__((vector_size(MBS_PACK * sizeof(mbs_real))));
+typedef MBS_REAL mbs_pack __attribute__((vector_size(MBS_PACK * sizeof(MBS_REAL))));
+typedef mbs_word mbs_bits __attribute__((vector_size(MBS_PACK * sizeof(MBS_REAL))));
 #define mbs_to_bits(pack) ((mbs_bits)(pack))
 #define mbs_from_bits(bits) ((mbs_pack)(bits))
 #else
@@ -136,10 +135,10 @@ static inline void mbs_sincos_pack(const mbs_pack *x, mbs_pack *s, mbs_pack *c)
     const mbs_pack r = near - k * MBS_HALF_PI_2;
     const mbs_pack excess = ((r - near) + k * MBS_HALF_PI_2) + k * MBS_HALF_PI_3; /* of r over the remainder */
     const mbs_pack z = r * r;
-    const mbs_pack half = MBS_C(0.5) * z;
-    const mbs_pack one = MBS_C(1.0) - half;
+    const mbs_pack half = MBS_HALF * z;
+    const mbs_pack one = MBS_ONE - half;
     const mbs_bits sine = mbs_to_bits(r - (excess * one - (r * z) * MBS_SINE(z)));
-    const mbs_bits cosine = mbs_to_bits(one + (((MBS_C(1.0) - one) - half) + ((z * z) * MBS_COSINE(z) + r * excess)));
+    const mbs_bits cosine = mbs_to_bits(one + (((MBS_ONE - one) - half) + ((z * z) * MBS_COSINE(z) + r * excess)));
     /* Odd quarters exchange the two, and every second changes a sign. */
     const mbs_bits quarter = mbs_to_bits(turned);
     const mbs_bits exchange = (sine ^ cosine) & -(quarter & 1);
@@ -151,12 +150,35 @@ static inline void mbs_sincos_pack(const mbs_pack *x, mbs_pack *s, mbs_pack *c)
 static MBS_COLD void mbs_sincos_far(const mbs_pack *x, mbs_pack *s, mbs_pack *c)
 {
 #define MBS_REPLACE(j) \
-    if (!(MBS_ABS(MBS_ENTRY(*x, j)) <= MBS_SINCOS_LIMIT)) { \
-        MBS_ENTRY(*s, j) = MBS_SIN(MBS_ENTRY(*x, j)); \
-        MBS_ENTRY(*c, j) = MBS_COS(MBS_ENTRY(*x, j)); \
+    if (!(MBS_PASTE(MBS_ABS_, MBS_REAL)(MBS_ENTRY(*x, j)) <= MBS_SINCOS_LIMIT)) { \
+        MBS_ENTRY(*s, j) = MBS_PASTE(MBS_SIN_, MBS_REAL)(MBS_ENTRY(*x, j)); \
+        MBS_ENTRY(*c, j) = MBS_PASTE(MBS_COS_, MBS_REAL)(MBS_ENTRY(*x, j)); \
     }
     MBS_EACH(MBS_REPLACE)
 }
+
+#ifdef MBS_STATES
+
+static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c)
+{
+    int i;
+    MBS_UNROLLED
+    for (i = 0; i < n; ++i) {
+        const mbs_pack angle = x[i];
+        mbs_pack sine, cosine;
+        mbs_sincos_pack(&angle, &sine, &cosine);
+        if (!mbs_exceeds((mbs_real){0} + MBS_SINCOS_LIMIT * MBS_SINCOS_LIMIT, angle * angle)) {
+            mbs_pack far = angle, far_sine = sine, far_cosine = cosine;
+            mbs_sincos_far(&far, &far_sine, &far_cosine);
+            sine = far_sine;
+            cosine = far_cosine;
+        }
+        s[i] = sine;
+        c[i] = cosine;
+    }
+}
+
+#else
 
 static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c)
 {
@@ -184,7 +206,13 @@ static inline void mbs_sincos(int n, const mbs_real *x, mbs_real *s, mbs_real *c
 
 #endif
 
+#endif
+
 /* The length of arrays of n angles, and of their sines: what is behind the angles must be 0. */
+#ifdef MBS_STATES
+#define MBS_PADDED(n) (n)
+#else
 #define MBS_PADDED(n) (((n) + MBS_PACK - 1) / MBS_PACK * MBS_PACK)
+#endif
 
 #endif

@@ -1,4 +1,4 @@
-"""C functions called on arrays: one state with little overhead in Python, or many states in one C loop.
+"""C functions, and where they take their arguments; called on the arrays of one state with little overhead in Python.
 
 Calls use the functions in CasADi's contract, since their signature is the same for all kernels. The library's own
 description of the arguments is compared with the manifest before anything is called.
@@ -24,11 +24,6 @@ from mbsrun.library import CompileError
 Array = NDArray[np.float64]
 Status = NDArray[np.int32]
 
-_BATCH = """
-long long mbs_batch(int (*f)(const double **arg, double **res, long long *iw, double *w, int mem), long long states,
-                    long long n_in, const double **arg, const long long *arg_step,
-                    long long n_out, double **res, const long long *res_step, int *status);
-"""
 _FACE = """
 int {0}(const double **arg, double **res, long long *iw, double *w, int mem);
 long long {0}_n_in(void);
@@ -39,7 +34,7 @@ const long long *{0}_sparsity_in(long long i);
 const long long *{0}_sparsity_out(long long i);
 """
 _POINTERS, _STEPS = "double *[]", "long long[]"
-_NULL = cffi.FFI().NULL
+NULL = cffi.FFI().NULL
 
 
 class ArgumentError(MbsError):
@@ -77,10 +72,12 @@ class Port:
             return None
         return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
 
-    @cached_property
-    def entries(self) -> NDArray[np.intp] | None:
-        """Return the numbers of the nonzeros among the entries, row by row; None where every entry is one."""
-        return None if self.places is None else self.places[0] * self.argument.cols + self.places[1]
+    def list_nonzeros(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return rows and columns of the nonzeros, in their order."""
+        a = self.argument
+        if self.places is not None:
+            return self.places
+        return np.tile(np.arange(a.rows), a.cols), np.repeat(np.arange(a.cols), a.rows)
 
     def spread(self) -> NDArray[np.intp]:
         """Return, for each entry, row by row, the index of its nonzero; -1: none."""
@@ -138,7 +135,7 @@ class Entry:
             return None
         if desk.hidden is not None and hidden is not None:
             desk.arg[desk.hidden] = self.ffi.from_buffer("double[]", hidden.data)
-        status = self.function(desk.arg, desk.res, _NULL, _NULL, 0)
+        status = self.function(desk.arg, desk.res, NULL, NULL, 0)
         results = {} if status else desk.read()
         self.free.append(desk)
         return status, results
@@ -234,8 +231,8 @@ def bind(library: Path, kernel: Kernel) -> Entry:
 
     Raises CompileError for a library that cannot be loaded, ArgumentError where it and the manifest differ.
     """
-    ffi = _declare(_FACE.format(kernel.symbol))
-    lib = _load(ffi, library)
+    ffi = declare(_FACE.format(kernel.symbol))
+    lib = open_library(ffi, library)
     try:
         function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
         inputs = tuple(_find_ports(ffi, lib, kernel, "in", kernel.inputs))
@@ -246,20 +243,16 @@ def bind(library: Path, kernel: Kernel) -> Entry:
     return Entry(kernel, ffi, function, n_in(), n_out(), inputs, outputs)
 
 
-def load_batch(library: Path) -> Any:
-    """Load the library of `mbs_batch`."""
-    return _load(_declare(_BATCH), library)
-
-
 @lru_cache(maxsize=1024)
-def _declare(text: str) -> cffi.FFI:
+def declare(text: str) -> cffi.FFI:
     """Read declarations, once: that takes as long as thousands of calls."""
     ffi = cffi.FFI()
     ffi.cdef(text)
     return ffi
 
 
-def _load(ffi: cffi.FFI, library: Path) -> Any:
+def open_library(ffi: cffi.FFI, library: Path) -> Any:
+    """Load a library for the functions that `ffi` declares. Raises CompileError."""
     try:
         return ffi.dlopen(str(library))
     except OSError as error:

@@ -48,12 +48,20 @@ class Mechanism(Kernels):
         more = self._find_more(name)
         return super().__call__(name, sparse=sparse, **inputs) if more is None else more(name, sparse=sparse, **inputs)
 
-    def attempt(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> tuple[dict[str, Array], Status]:
-        """Call a kernel, as `Kernels.attempt` does."""
+    def batch(
+        self,
+        name: str,
+        /,
+        *,
+        sparse: bool = False,
+        threads: int = 1,
+        out: Mapping[str, Array] | None = None,
+        **inputs: ArrayLike,
+    ) -> tuple[dict[str, Array], Status]:
+        """Call a kernel, as `Kernels.batch` does."""
         more = self._find_more(name)
-        if more is None:
-            return super().attempt(name, sparse=sparse, **inputs)
-        return more.attempt(name, sparse=sparse, **inputs)
+        batch = super().batch if more is None else more.batch
+        return batch(name, sparse=sparse, threads=threads, out=out, **inputs)
 
     def find_holder(self, name: str) -> Kernels:
         """Return the kernels of one folder, with a kernel among them."""

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbsgen import manifest as manifests
-from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FIRST_LENGTH, Argument, Kernel, Manifest
 from mbsgen.roles import FAMILY, ON_REQUEST, Order, Role, name_kernel, split_kernel
-from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind, load_batch
+from mbsrun import many
+from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind
 from mbsrun.library import Compiler, compile_library, find_compiler
+from mbsrun.many import Loop, Several
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -130,7 +131,7 @@ class Kernels:
         which `matrix` makes a matrix. Inputs without an entry may be left out; so may second parts of numbers, which
         are 0 then, and `theta`, the differentiated parameters, and `h`, the result of `setup`, where the present values
         of parameters are meant; a batch of `h` gives each state its parameters. Raises ArgumentError for inputs that do
-        not fit, KernelError where a state cannot be computed.
+        not fit, KernelError where a state cannot be computed. See `batch` for the time of many states.
         """
         entry = self._binder.bind(name)
         if entry.design:
@@ -153,6 +154,28 @@ class Kernels:
         The status, shape () or (batch,), is 0, or a number that `find_place` reads where the kernel failed; the results
         of such a state are not a number. Raises ArgumentError.
         """
+        return self.batch(name, sparse=sparse, threads=1, out=None, **inputs)
+
+    def batch(
+        self,
+        name: str,
+        /,
+        *,
+        sparse: bool = False,
+        threads: int = 1,
+        out: Mapping[str, Array] | None = None,
+        **inputs: ArrayLike,
+    ) -> tuple[dict[str, Array], Status]:
+        """Call a kernel as `attempt` does, in several threads, and into arrays that are there.
+
+        Many states are computed several at once, in lanes of the processor's vectors; the kernel is compiled for that
+        at its first large batch. Digits are a single state's, except for the last ones where a kernel divides by
+        pivots; they depend neither on other states nor on `threads`, the number of parts that are computed side by
+        side. `out`, the results of an earlier call, is written over: new memory often takes longer than a kernel.
+        Inputs are read where they lie, whatever their strides.
+        """
+        if threads < 1:
+            raise ArgumentError(f"{name}: {threads} threads; give 1 or more")
         entry = self._binder.bind(name)
         if entry.design:
             inputs.setdefault(entry.design, self._design)
@@ -164,13 +187,14 @@ class Kernels:
             raise ArgumentError(
                 f"{name}: the inputs have batches of {sorted(batches)} states; give all the same number"
             )
-        given = [(port, _gather(name, port, array)) for port, array in arrays]
-        status, nonzeros = entry.call(self._binder.batch, given, batches.pop() if batches else 1)
-        results = {
-            port.argument.name: values if sparse else _scatter(port, values)
-            for port, values in zip(entry.outputs, nonzeros, strict=True)
-        }
-        if any(array.ndim > len(port.shape) for port, array in arrays):
+        _check_patterns(name, arrays)
+        states = batches.pop() if batches else 1
+        loop, several = self._binder.choose_loop(entry, states)
+        shapes = {p.argument.name: (states, *((p.argument.nnz,) if sparse else p.shape)) for p in entry.outputs}
+        is_batch = any(array.ndim > len(port.shape) for port, array in arrays)
+        results = _make_results(name, shapes, out if is_batch else None)
+        status = many.compute(loop, entry, several, arrays, results, states, sparse=sparse, threads=threads)
+        if is_batch:
             return results, status
         return {key: value[0] for key, value in results.items()}, status.reshape(())
 
@@ -277,6 +301,8 @@ class _Binder:
         self.manifest = manifests.read(folder / manifests.FILE_NAME)
         self.kernels = {kernel.name: kernel for kernel in self.manifest.kernels}
         self._entries: dict[str, Entry] = {}
+        self._loops: dict[int, Loop] = {}  # by how many states they compute at once
+        self._several: dict[str, Several | None] = {}
         orders = "|".join(order.prefix for order in FAMILY)
         own = re.compile(rf"({orders}){re.escape(self.manifest.prefix)}_\w+", re.ASCII)
         strange = [kernel.symbol for kernel in self.manifest.kernels if not own.fullmatch(kernel.symbol)]
@@ -308,10 +334,39 @@ class _Binder:
         sources = [source for kernel in kernels for source in kernel.sources]
         return compile_library(self.folder, self.manifest.prefix, sources, self._compiler)
 
+    def choose_loop(self, entry: Entry, states: int) -> tuple[Loop, Several | None]:
+        """Return the loop over states: with lanes, and the kernel for these, where the number of states is worth it."""
+        if states >= many.FEWEST and states >= self._count_bytes(entry.kernel) / many.BYTES_PER_STATE:
+            width = self._width
+            several = self._bind_several(entry.kernel, width)
+            if several is not None:
+                return self._load_loop(width), several
+        return self._load_loop(1), None
+
+    def _count_bytes(self, kernel: Kernel) -> int:
+        return sum((self.folder / source).stat().st_size for source in kernel.sources)
+
+    def _load_loop(self, width: int) -> Loop:
+        if width not in self._loops:
+            self._loops[width] = many.load_loop(self._compiler, width)
+        return self._loops[width]
+
+    def _bind_several(self, kernel: Kernel, width: int) -> Several | None:
+        """Return a kernel for several states at once; None where there is none."""
+        if kernel.name not in self._several:
+            compiler = many.for_states(self._compiler, width)
+            library = compile_library(self.folder, self.manifest.prefix, kernel.sources, compiler)
+            self._several[kernel.name] = many.load_several(library, kernel, width) if width > 1 else None
+        return self._several[kernel.name]
+
     @cached_property
     def batch(self) -> Any:
         """The loop over the states of a batch."""
-        return load_batch(compile_library(resources.folder("csrc"), "mbs_batch", ["mbs_batch.c"], self._compiler))
+        return many.load_batch(self._compiler)
+
+    @cached_property
+    def _width(self) -> int:
+        return many.find_width(self._compiler)
 
     @cached_property
     def _compiler(self) -> Compiler:
@@ -347,31 +402,28 @@ def _read(value: ArrayLike) -> Array | None:
         array = np.asarray(value)
     except ValueError:
         return None
-    return array.astype(np.float64) if array.dtype.kind in "fiu" else None
+    return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else None
 
 
-def _gather(kernel: str, port: Port, array: Array) -> Array:
-    """Return the nonzeros of each state: shape (states, nnz)."""
-    a = port.argument
-    if not a.nnz:
-        return np.zeros((1, 0))
-    matrices = array.reshape((-1, a.rows, a.cols))
-    if port.places is None:
-        return np.ascontiguousarray(matrices.swapaxes(1, 2)).reshape((-1, a.nnz))
-    nonzeros = np.ascontiguousarray(matrices[:, *port.places])
-    if np.count_nonzero(matrices) > np.count_nonzero(nonzeros):
-        raise ArgumentError(f"{kernel}: {a.name} has entries that are not in its nonzero pattern")
-    return nonzeros
+def _make_results(
+    kernel: str, shapes: Mapping[str, tuple[int, ...]], out: Mapping[str, Array] | None
+) -> dict[str, Array]:
+    """Make arrays for results, or take the given ones. Raises ArgumentError where these do not fit."""
+    if out is None:
+        return {name: np.empty(shape) for name, shape in shapes.items()}
+    wanted = {name: (shape, np.dtype(np.float64), True, True) for name, shape in shapes.items()}
+    given = {name: (a.shape, a.dtype, a.flags.c_contiguous, a.flags.writeable) for name, a in out.items()}
+    if given != wanted:
+        arrays = ", ".join(f"{name} {_text(shape)}" for name, shape in shapes.items())
+        raise ArgumentError(f"{kernel}: out must hold {arrays}: C-contiguous arrays of float64; give an earlier result")
+    return dict(out)
 
 
-def _scatter(port: Port, nonzeros: Array) -> Array:
-    """Spread the nonzeros of each state: shape (states, *shape)."""
-    a, states = port.argument, nonzeros.shape[0]
-    if port.entries is None:
-        return nonzeros.reshape((states, a.cols, a.rows)).swapaxes(1, 2).reshape((states, *port.shape))
-    matrices = np.zeros((states, a.rows * a.cols))
-    matrices[:, port.entries] = nonzeros
-    return matrices.reshape((states, *port.shape))
+def _check_patterns(kernel: str, arrays: Sequence[tuple[Port, Array]]) -> None:
+    """Raise ArgumentError for a matrix with an entry that the kernel would not read."""
+    for port, array in arrays:
+        if port.places is not None and np.count_nonzero(array) > np.count_nonzero(array[..., *port.places]):
+            raise ArgumentError(f"{kernel}: {port.argument.name} has entries that are not in its nonzero pattern")
 
 
 def document(kernels: Kernels, kernel: Kernel) -> Callable[..., dict[str, Array]]:

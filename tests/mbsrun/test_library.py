@@ -81,7 +81,7 @@ def test_only_what_is_called_is_compiled(tmp_path: Path, own_cache: Path) -> Non
     assert kept(own_cache, ".o") == sorted([*family, "sample_setup"])
     assert objects < set(own_cache.rglob("*.o"))
     k.impl(x=[[1, 1, 1]], y=[1, 1], z=[0])
-    assert "mbs_batch" in kept(own_cache, ".o")
+    assert "mbs_many" in kept(own_cache, ".o")
 
 
 def test_a_change_compiles_what_it_concerns(tmp_path: Path, own_cache: Path) -> None:

@@ -29,7 +29,7 @@ ABI_HEADER = "mbs_abi.h"
 _SOLVED = (Role.ACCELERATION, Role.CONDITION, Role.MULTIPLIER, Role.DRIVING_FORCE)
 _LARGEST_REFERENCE = 1000  # results of a function; where it has more, the check program holds none of them
 _LARGEST_DERIVATIVE = 10_000  # of derivatives likewise
-_COPIED = (ABI_HEADER, "mbs_sincos.h", "mbs_check.h")  # from csrc; more where stages need them
+_COPIED = (ABI_HEADER, "mbs_states.h", "mbs_sincos.h", "mbs_check.h")  # from csrc; more where stages need them
 # Ends of the names that CasADi's contract adds to a function.
 _ENDS = (
     "",

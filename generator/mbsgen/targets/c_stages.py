@@ -65,6 +65,7 @@ class Written:
     headers: tuple[str, ...]
     before: tuple[str, ...]  # tables and functions
     has_status: bool  # whether a local variable is needed for it
+    has_lanes: bool  # whether it can compute several states at once
     values: str  # the type of the kept values of the body; empty where there are none
     locals: tuple[str, ...]
     unused: tuple[str, ...]  # inputs that nothing reads
@@ -93,6 +94,7 @@ class Writer:
         self.lines: list[str] = []
         self.values = ""
         self.has_status = False
+        self.has_lanes = True
         self.read: set[str] = set()
         self._trees: dict[Tree, str] = {}
         self._outputs = {wire.name for wire in procedure.outputs}
@@ -174,6 +176,7 @@ class Writer:
             tuple(sorted(self.headers, key=lambda name: name != ANGLES)),
             (*(["", *tables] if tables else []), *self.functions),
             self.has_status,
+            self.has_lanes,
             self.values,
             tuple(self.locals),
             tuple(unused),
@@ -259,6 +262,7 @@ def _write_double_double(writer: Writer, stage: DoubleDouble) -> None:
     """Write the only stage of a kernel in double-double arithmetic, in the kernel's own function."""
     assert writer.procedure.stages == (stage,), "a kernel in double-double has one stage"
     writer.headers[c_double_double.HEADER] = None
+    writer.has_lanes = False
     divided, unused = c_double_double.divide_tape(stage.tape, "mbs_part", writer.part)
     writer.read |= {part for i in stage.tape.inputs if i.name not in unused for part in (i.name, name_low(i.name))}
     parts = tuple(_write_precise(part) for part in divided.parts)
@@ -298,7 +302,7 @@ def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
             case Turns():
                 text += _write_turns(line, next(suffixes))
             case Check():
-                text.append(f"if (!({line.value} > MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
+                text.append(f"if (!MBS_EXCEEDS({line.value}, MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
                 text.append(f"    return {line.joint};")
             case _:
                 text += _break(f"{line.target} = {line.expression};")
@@ -338,6 +342,7 @@ class _System:
 
 def _describe(writer: Writer, pattern: Pattern, factors: Sequence[str], name: str) -> _System:
     kind, n = type(pattern).__name__.lower(), pattern.size
+    writer.has_lanes &= isinstance(pattern, Tree)  # pivots are chosen in each state
     scales = f"mbs_real {name}_scales[{n}];"
     if isinstance(pattern, Tree):
         full = f"{name}_full"
@@ -434,6 +439,7 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
 
 
 def _write_newton(writer: Writer, stage: Newton) -> None:
+    writer.has_lanes = False
     tape, n = stage.residual, stage.pattern.size
     residual, jacobian = (o.name for o in tape.outputs)
     written = writer.write_tape(tape, f"mbs_{stage.name}_residual")

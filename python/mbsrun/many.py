@@ -1,0 +1,196 @@
+"""Kernels in many states: arrays as they lie in memory -> `mbs_many.c`, one state after the other or several in lanes.
+
+A kernel that is compiled with -DMBS_STATES=8 computes 8 states at once. The arrays are read and written in place, with
+any strides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen import resources
+from mbsgen.manifest import Kernel
+from mbsrun.binding import NULL, Array, Entry, Port, Status, declare, open_library
+from mbsrun.library import Compiler, compile_library
+
+# Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
+# states, and a state for this many bytes of the kernel's source.
+FEWEST, BYTES_PER_STATE = 64, 100
+# Macros of compilers, each with how many doubles fill a register, the most first.
+_WIDTHS = (("__AVX512F__", 8), ("__AVX__", 4), ("__SSE2__", 2), ("__ARM_NEON", 2))
+_DECLARED = """
+typedef struct {{ const double *first; long long step, nonzeros; const long long *places; }} mbs_given;
+typedef struct {{ double *first; long long step, apart, nonzeros, numbers; const long long *entries; }} mbs_found;
+size_t mbs_room_of_many{0}(long long n_in, const mbs_given *in, long long n_out, const mbs_found *out);
+long long mbs_compute_many{0}(void *one, void *several, long long states, long long begin, long long end,
+                              long long n_in, const mbs_given *in, long long n_out, const mbs_found *out,
+                              void *room, int *status);
+"""
+_BATCH = """
+long long mbs_batch(int (*f)(const double **arg, double **res, long long *iw, double *w, int mem), long long states,
+                    long long n_in, const double **arg, const long long *arg_step,
+                    long long n_out, double **res, const long long *res_step, int *status);
+"""
+_ITEM = np.dtype(np.float64).itemsize
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The loop over states in C, for `width` of them at once."""
+
+    ffi: cffi.FFI
+    library: Any
+    width: int
+
+    def get(self, name: str) -> Any:
+        """Return a function of mbs_many.c."""
+        return getattr(self.library, name + _end(self.width))
+
+
+@dataclass(frozen=True)
+class Several:
+    """A kernel that computes several states at once."""
+
+    ffi: cffi.FFI
+    library: Any  # which holds it
+    function: Any
+
+
+def find_width(compiler: Compiler) -> int:
+    """Return how many states a kernel of this compiler computes best at once; 1 where it knows no vectors."""
+    defined = set(compiler.macros.split())
+    return next((width for macro, width in _WIDTHS if macro in defined and "__GNUC__" in defined), 1)
+
+
+def load_loop(compiler: Compiler, width: int) -> Loop:
+    """Compile and load the loop. Raises CompileError."""
+    library = compile_library(resources.folder("csrc"), "mbs_many", ["mbs_many.c"], for_states(compiler, width))
+    ffi = declare(_DECLARED.format(_end(width)))
+    return Loop(ffi, open_library(ffi, library), width)
+
+
+def load_batch(compiler: Compiler) -> Any:
+    """Compile and load the library of `mbs_batch`, which other programs call. Raises CompileError."""
+    return open_library(
+        declare(_BATCH), compile_library(resources.folder("csrc"), "mbs_batch", ["mbs_batch.c"], compiler)
+    )
+
+
+def load_several(library: Path, kernel: Kernel, width: int) -> Several | None:
+    """Load a kernel from a library that is compiled for several states; None where it computes one at a time.
+
+    Raises CompileError.
+    """
+    symbol = kernel.symbol + _end(width)
+    ffi = declare(f"int {symbol}(const void **arg, void **res, long long *iw, void *w, int mem);")
+    loaded = open_library(ffi, library)
+    function = getattr(loaded, symbol, None)
+    return None if function is None else Several(ffi, loaded, function)
+
+
+def for_states(compiler: Compiler, width: int) -> Compiler:
+    """Return the compiler for kernels that compute `width` states at once."""
+    return replace(compiler, flags=(*compiler.flags, f"-DMBS_STATES={width}")) if width > 1 else compiler
+
+
+def compute(
+    loop: Loop,
+    entry: Entry,
+    several: Several | None,
+    inputs: Sequence[tuple[Port, Array]],
+    results: Mapping[str, Array],
+    states: int,
+    *,
+    sparse: bool,
+    threads: int,
+) -> Status:
+    """Call a kernel in many states; an input has the shape of one state's array, or a leading batch axis.
+
+    Writes the results, shapes (states, *shape), or with `sparse` the nonzeros, (states, nnz): NaN where a state's
+    status is not 0. Returns the statuses, shape (states,). The bits do not depend on the number of threads.
+    """
+    ffi, kept = loop.ffi, list[Any]()
+    given, found = ffi.new("mbs_given[]", entry.n_in), ffi.new("mbs_found[]", entry.n_out)
+    for port, array in inputs:
+        kept += _point(ffi, given[port.position], port, array)
+    for port in entry.outputs:
+        array = results[port.argument.name]
+        kept += _point_result(ffi, found[port.position], port, array, sparse=sparse)
+    status = np.zeros(states, dtype=np.int32)
+    arguments = (entry.n_in, given, entry.n_out, found)
+    size = loop.get("mbs_room_of_many")(*arguments)
+    one, told = ffi.cast("void *", entry.function), ffi.from_buffer("int[]", status.data)
+    wide = ffi.cast("void *", several.function) if several else NULL
+    groups = -(-states // loop.width)
+
+    def work(part: int) -> int:
+        begin, end = (min(states, groups * k // threads * loop.width) for k in (part, part + 1))
+        room = ffi.new("char[]", size)
+        return int(loop.get("mbs_compute_many")(one, wide, states, begin, end, *arguments, room, told))
+
+    if threads == 1:
+        failures = work(0)
+    else:
+        with ThreadPoolExecutor(threads) as pool:  # while C computes, other threads go on
+            failures = sum(pool.map(work, range(threads)))
+    kept.clear()
+    if failures:
+        for array in results.values():
+            array[status != 0] = np.nan
+    return status
+
+
+def _end(width: int) -> str:
+    return f"_at_{width}" if width > 1 else ""
+
+
+def _point(ffi: cffi.FFI, given: Any, port: Port, array: Array) -> list[Any]:
+    """Describe an input for `mbs_many.c`; return what must outlive the call."""
+    if not array.size:
+        return []
+    if any(stride % _ITEM for stride in array.strides):
+        array = array.copy()
+    has_batch = array.ndim > len(port.shape)
+    strides = tuple(stride // _ITEM for stride in array.strides)
+    given.first = ffi.cast("double *", array.ctypes.data)
+    given.step = strides[0] if has_batch and array.shape[0] > 1 else 0
+    given.nonzeros = port.argument.nnz
+    places = _place(port, strides[has_batch:])
+    given.places = NULL if places is None else ffi.from_buffer("long long[]", places.data)
+    return [array, places]
+
+
+def _point_result(ffi: cffi.FFI, found: Any, port: Port, array: Array, *, sparse: bool) -> list[Any]:
+    """Describe a result likewise."""
+    if not array.size:
+        return []
+    entries = None if sparse else _spread(port)
+    found.first = ffi.cast("double *", array.ctypes.data)
+    found.step = found.numbers = array[0].size
+    found.apart, found.nonzeros = 1, port.argument.nnz
+    found.entries = NULL if entries is None else ffi.from_buffer("long long[]", entries.data)
+    return [entries]
+
+
+@lru_cache(maxsize=4096)
+def _place(port: Port, strides: tuple[int, ...]) -> NDArray[np.int64] | None:
+    """Return where the nonzeros of one state stand, counted in numbers; None where one follows the other."""
+    rows, cols = port.list_nonzeros()
+    places = (rows * strides[0] + (cols * strides[1] if len(strides) > 1 else 0)).astype(np.int64)
+    return None if np.array_equal(places, np.arange(places.size)) else places
+
+
+@lru_cache(maxsize=4096)
+def _spread(port: Port) -> NDArray[np.int64] | None:
+    """Return which nonzero each number of one state is, row by row, -1 for none; None where they are all, in turn."""
+    entries = port.spread().astype(np.int64)
+    return None if np.array_equal(entries, np.arange(entries.size)) else entries

@@ -1,0 +1,189 @@
+"""Kernels in lanes: each state as if it were alone; strides, threads and memory of the caller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbsgen.manifest import Kernel
+from mbsgen.pipeline import Options, generate
+from mbsgen.roles import Role
+from mbsgen.targets.contract import Family
+from mbsrun import load, many
+from mbsrun.kernel import ArgumentError, Array, Kernels
+from tests.mbsgen.targets.guarded import guarded_tape
+from tests.sample import write_sample
+
+MODELS = Path(__file__).parents[2] / "models"
+ROUNDING = 2e-13  # of results relative to their largest number, where products and sums are contracted differently
+# Trees, balls and free bodies, run-time and differentiated parameters, closed loops, force elements.
+KINDS = {
+    "double_pendulum": Options(),
+    "satellite": Options(),
+    "cart_pole": Options(runtime=True),
+    "four_bar": Options(),
+}
+
+
+@pytest.fixture(autouse=True)
+def _always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take lanes for any number of states."""
+    monkeypatch.setattr(many, "FEWEST", 1)
+    monkeypatch.setattr(many, "BYTES_PER_STATE", 1e9)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def kernels(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Kernels:
+    folder = tmp_path_factory.mktemp("kind") / request.param
+    generate(MODELS / f"{request.param}.yaml", folder, KINDS[request.param])
+    return load(folder)
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Kernels:
+    folder = tmp_path_factory.mktemp("pendulum") / "double_pendulum"
+    generate(MODELS / "double_pendulum.yaml", folder, Options())
+    return load(folder)
+
+
+def draw(kernel: Kernel, states: int, seed: int = 0) -> dict[str, Array]:
+    """Draw inputs, some of them far from all that a mechanism does."""
+    rng = np.random.default_rng(seed)
+    inputs = {}
+    for a in kernel.inputs:
+        if a.nnz and a.role not in (Role.SETUP, Role.DESIGN, Role.REMAINDER):
+            shape = (a.rows,) if a.cols == 1 and not a.matrix else (a.rows, a.cols)
+            values = rng.normal(size=(states, *shape))
+            if a.row is not None and a.colind is not None:
+                pattern = np.zeros((a.rows, a.cols), dtype=bool)
+                pattern[np.array(a.row, dtype=int), np.repeat(np.arange(a.cols), np.diff(a.colind))] = True
+                values *= pattern.reshape(shape)
+            inputs[a.name] = values
+    return inputs
+
+
+def compute_one_by_one(kernels: Kernels, name: str, inputs: dict[str, Array]) -> tuple[dict[str, Array], Array]:
+    """Compute each state by a separate call."""
+    states = len(next(iter(inputs.values())))
+    found = [kernels.attempt(name, **{key: x[i] for key, x in inputs.items()}) for i in range(states)]
+    return {key: np.array([r[key] for r, _ in found]) for key in found[0][0]}, np.array([s for _, s in found])
+
+
+def assert_equal(found: dict[str, Array], expected: dict[str, Array], tolerance: float = ROUNDING) -> None:
+    assert list(found) == list(expected)
+    for name, value in expected.items():
+        scale = np.abs(value[np.isfinite(value)]).max(initial=1.0)
+        np.testing.assert_allclose(found[name], value, rtol=0, atol=tolerance * scale, err_msg=name)
+
+
+def test_every_kernel_gives_in_lanes_what_it_gives_alone(kernels: Kernels) -> None:
+    """Also where states fail, or hold what is no number or far from zero; statuses are the same."""
+    in_lanes = 0
+    for kernel in kernels.manifest.kernels:
+        inputs = draw(kernel, 21, seed=3)
+        if not inputs:
+            continue
+        first = next(iter(inputs.values()))
+        first[4] *= 1e7
+        first[9].flat[0] = np.nan
+        expected, statuses = compute_one_by_one(kernels, kernel.name, inputs)
+        found, status = kernels.batch(kernel.name, **inputs)
+        np.testing.assert_array_equal(status, statuses, err_msg=kernel.name)
+        assert_equal(found, expected)
+        loop, _ = kernels._binder.choose_loop(kernels._binder.bind(kernel.name), 21)
+        in_lanes += loop.width > 1
+    assert in_lanes > len(kernels.manifest.kernels) / 2
+
+
+@pytest.mark.parametrize("states", [0, 1, 7, 8, 9, 16, 33])
+def test_any_number_of_states(pendulum: Kernels, states: int) -> None:
+    """Groups that are not full are filled up; nothing behind the arrays is written."""
+    inputs = draw(pendulum.describe("jac_impl"), states)
+    found, status = pendulum.batch("jac_impl", **inputs)
+    assert status.tolist() == [0] * states
+    if states:
+        assert_equal(found, compute_one_by_one(pendulum, "jac_impl", inputs)[0])
+
+
+def test_arrays_are_read_with_their_strides(pendulum: Kernels) -> None:
+    """By columns, backwards, every second one, shifted by a part of a number, of other types, one for all states."""
+    inputs = draw(pendulum.describe("lin_exp1"), 40)
+    expected, _ = pendulum.batch("lin_exp1", **inputs)
+    table = np.zeros((2 * 40, 9))
+    table[::2, 1:3] = inputs["q"]
+    packed = np.zeros(40, dtype=[("flag", "u1"), ("qd", "f8", (2,))])
+    packed["qd"] = inputs["qd"]
+    for laid in ({"q": table[::2, 1:3], "qd": np.asfortranarray(inputs["qd"])}, {"q": inputs["q"], "qd": packed["qd"]}):
+        assert_equal(pendulum.batch("lin_exp1", **laid)[0], expected, tolerance=0)
+    backwards = {name: array[::-1].copy()[::-1] for name, array in inputs.items()}
+    assert_equal(pendulum.batch("lin_exp1", **backwards)[0], expected, tolerance=0)
+    common = {**inputs, "qd": inputs["qd"][5]}
+    spread = {**inputs, "qd": np.broadcast_to(inputs["qd"][5], inputs["qd"].shape)}
+    assert_equal(pendulum.batch("lin_exp1", **common)[0], pendulum.batch("lin_exp1", **spread)[0], tolerance=0)
+    single = {name: array.astype(np.float32) for name, array in inputs.items()}
+    widened = {name: array.astype(np.float64) for name, array in single.items()}
+    assert_equal(pendulum.batch("lin_exp1", **single)[0], pendulum.batch("lin_exp1", **widened)[0], tolerance=0)
+
+
+def test_threads_change_no_bit(pendulum: Kernels) -> None:
+    inputs = draw(pendulum.describe("lin_exp2"), 1003)
+    alone = pendulum.batch("lin_exp2", **inputs)[0]
+    for threads in (2, 7, 2000):
+        assert_equal(pendulum.batch("lin_exp2", threads=threads, **inputs)[0], alone, tolerance=0)
+    with pytest.raises(ArgumentError, match="0 threads; give 1 or more"):
+        pendulum.batch("lin_exp2", threads=0, **inputs)
+
+
+def test_a_failure_changes_no_bit_of_its_neighbours(tmp_path: Path) -> None:
+    failing = load(write_sample(tmp_path, families=(Family(guarded_tape()),)))
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(1, 2, (100, 2)), rng.uniform(1, 2, (100, 3))
+    whole = failing.batch("impl", x=x, y=y)[0]["f"]
+    for wrong in ([13], [0, 1, 2, 3, 4, 5, 6, 7], [5, 20, 21, 99]):
+        broken = y.copy()
+        broken[wrong, 0] = [0.0, np.nan, -1.0, np.inf, 0.0, 0.0, 0.0, 0.0][: len(wrong)]
+        found, status = failing.batch("impl", x=x, y=broken)
+        bad = np.flatnonzero(status)
+        assert set(bad) <= set(wrong)
+        assert wrong[0] in bad
+        assert np.isnan(found["f"][bad]).all()
+        good = np.setdiff1d(np.arange(100), wrong)
+        np.testing.assert_array_equal(found["f"][good], whole[good])
+
+
+def test_results_are_written_to_the_arrays_of_the_caller(pendulum: Kernels) -> None:
+    inputs = draw(pendulum.describe("jac_exp1"), 50)
+    first, _ = pendulum.batch("jac_exp1", **inputs)
+    kept = {name: array.copy() for name, array in first.items()}
+    for array in first.values():
+        array[...] = np.nan
+    second, _ = pendulum.batch("jac_exp1", out=first, **inputs)
+    assert all(second[name] is first[name] for name in first)
+    assert_equal(second, kept, tolerance=0)
+    for wrong in (
+        {},
+        {name: array[:-1] for name, array in first.items()},
+        {name: array.astype(np.float32) for name, array in first.items()},
+        {name: np.asfortranarray(array) for name, array in first.items()},
+    ):
+        with pytest.raises(ArgumentError, match=r"jac_exp1: out must hold jac_qdd_q \(50, 2, 2\), .*: C-contiguous"):
+            pendulum.batch("jac_exp1", out=wrong, **inputs)
+
+
+def test_nonzeros_are_given_alone(pendulum: Kernels) -> None:
+    inputs = draw(pendulum.describe("jac_impl"), 20)
+    full, nonzeros = pendulum.batch("jac_impl", **inputs)[0], pendulum.batch("jac_impl", sparse=True, **inputs)[0]
+    for name, array in full.items():
+        matrix = pendulum.matrix("jac_impl", name, nonzeros[name][7])
+        np.testing.assert_array_equal(matrix.toarray(), array[7])
+
+
+def test_a_long_kernel_is_not_compiled_again_for_few_states(pendulum: Kernels, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(many, "FEWEST", 64)
+    monkeypatch.setattr(many, "BYTES_PER_STATE", 100)
+    entry = pendulum._binder.bind("jac_adj1_exp1")
+    size = sum((pendulum.folder / source).stat().st_size for source in entry.kernel.sources)
+    assert pendulum._binder.choose_loop(entry, size // 100 - 1)[0].width == 1
+    assert pendulum._binder.choose_loop(entry, size // 100 + 1)[0].width > 1
