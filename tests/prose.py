@@ -27,6 +27,13 @@ COMMENTS: Mapping[str, re.Pattern[str]] = {
     "": re.compile(r"(?:^|\s)# [^\n]*"),
 }
 
+OWNERS: Mapping[type[ast.AST], str] = {  # of docstrings
+    ast.FunctionDef: "function",
+    ast.AsyncFunctionDef: "function",
+    ast.ClassDef: "class",
+    ast.Module: "module",
+}
+
 
 @dataclass(frozen=True)
 class Text:
@@ -35,7 +42,7 @@ class Text:
     path: str
     line: int
     text: str
-    is_docstring: bool = False  # of a function
+    of: str = ""  # the docstring of a function, a class or a module; empty: another text
 
 
 def find_files() -> list[str]:
@@ -73,14 +80,14 @@ def _line(source: str, position: int) -> int:
 
 
 def _read_python(name: str, source: str) -> Iterator[Text]:
-    docstrings = set()
+    docstrings: dict[int, str] = {}
     for node in ast.walk(ast.parse(source)):  # a function comes before its docstring
-        if isinstance(node, ast.FunctionDef) and isinstance(node.body[0], ast.Expr):
-            docstrings.add(id(node.body[0].value))
+        if isinstance(node, tuple(OWNERS)) and node.body and isinstance(node.body[0], ast.Expr):
+            docstrings[id(node.body[0].value)] = OWNERS[type(node)]
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            is_docstring = id(node) in docstrings
-            if is_docstring or node.value.count(" ") >= WORDS - 1:
-                yield Text(name, node.lineno, node.value, is_docstring)
+            of = docstrings.get(id(node), "")
+            if of == "function" or node.value.count(" ") >= WORDS - 1:
+                yield Text(name, node.lineno, node.value, of)
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield Text(name, token.start[0], token.string)

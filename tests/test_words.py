@@ -64,9 +64,11 @@ def find_faults(text: Text) -> list[str]:
     for pattern, plain in COMPILED.items():
         if match := pattern.search(prose):
             faults.append(f'{place}: "{match.group().strip()}": {plain}')
-    opening = text.text.split(maxsplit=1)[0] if text.is_docstring and text.text.strip() else ""
+    opening = text.text.split(maxsplit=1)[0] if text.of == "function" and text.text.strip() else ""
     if opening in OPENINGS:
         faults.append(f'{place}: a docstring opens with "{opening}": {OPENINGS[opening]}')
+    if text.of:
+        faults += [f'{place}: a sentence without an end: "... {found[-60:]}"' for found in list_open_ends(text.text)]
     if text.path.endswith(".md"):
         for sentence in read_sentences(text.text):
             if len(sentence.split()) > LONGEST:
@@ -74,6 +76,28 @@ def find_faults(text: Text) -> list[str]:
     return faults
 
 
+def list_open_ends(docstring: str) -> list[str]:
+    """List the paragraphs of a docstring whose last sentence does not end, or breaks off before a noun.
+
+    A sentence begins with a capital letter, or with code. Equations and examples are indented, or begin otherwise; one
+    that follows ends a sentence, too. Lists and tables need no ends.
+    """
+    margin = docstring.rpartition("\n")[2] if "\n" in docstring else ""
+    plain = docstring.replace("\n" + margin, "\n")
+    paragraphs = [part.rstrip() for part in re.split(r"\n[ \t]*\n", plain) if part.strip()]
+    return [
+        part
+        for part, after in zip(paragraphs, [*paragraphs[1:], ""], strict=True)
+        if re.match(r"[A-Z`]", part)
+        and not APART.match(part.splitlines()[-1])
+        and not after.startswith(" ")
+        and (not END.search(part) or BROKEN.search(part))
+    ]
+
+
+APART = re.compile(r" |\||- |\d+\. ")
+END = re.compile(r"[.:?!…][)\"'`”]*$")
+BROKEN = re.compile(r"\b(an|the|and|or|whose|than)[.:]$")
 CODE = re.compile(r"`[^`\n]*`")
 COMPILED = {re.compile(pattern): plain for pattern, plain in PATTERNS.items()}
 
@@ -107,6 +131,20 @@ def test_what_is_still_to_be_swept_has_faults() -> None:
 )
 def test_dialect_is_found_and_plain_words_pass(text: str, count: int) -> None:
     assert len(find_faults(Text("x.py", 1, text))) == count
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("Return a motion, which has no trajectory that could be taken for a", 1),
+        ("Return a motion. It is no trajectory of the.", 1),
+        ("Return a motion\n\n        x(t)\n\n    of a body.\n    ", 0),
+        ("Return a motion (of one body).\n\nThe others\n\nRaises ValueError.", 1),
+        ("Return a motion:\n        q  a column\n        u  another\n    ", 0),
+    ],
+)
+def test_sentences_of_docstrings_end(text: str, count: int) -> None:
+    assert len(find_faults(Text("x.py", 1, text, "function"))) == count
 
 
 def test_texts_have_their_lines(tmp_path: Path) -> None:

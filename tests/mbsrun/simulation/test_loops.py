@@ -352,7 +352,9 @@ def test_inputs_follow_the_state_and_the_time(parallelogram: Mechanism) -> None:
 def test_driven_joints_need_no_loops(tmp_path: Path, formulation: Formulation, keeping: Keeping) -> None:
     """A mass on an arm of length l, whose hinge circles at the speed w and the radius d: by its Lagrangian,
 
-    l q'' = g cos(q) - w^2 (d + l cos(q)) sin(q), for every formulation and way to keep loops closed.
+        l q'' = g cos(q) - w^2 (d + l cos(q)) sin(q)
+
+    for every formulation and way to keep loops closed.
     """
     file = tmp_path / "carousel.yaml"
     file.write_text(CAROUSEL, "utf-8")
