@@ -102,7 +102,7 @@ MBSRUN = Package(
         "torch.calls",
         "torch.functions",
         "torch",
-        "ocp.factors ocp.grid ocp.linear ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
+        "ocp.factors ocp.grid ocp.linear ocp.memory ocp.schemes ocp.plant ocp.functions ocp.status ocp.trajectory",
         "appearance",
         "skeleton ocp.no_mechanism quaternions",
         "ocp.program ocp.formulas ocp.integrators ocp.representations closure quantities jets differentiation",

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import asdict, replace
 from functools import cache
 
@@ -23,6 +23,7 @@ from mbsrun.ocp.contacts import find_faults as find_contact_faults
 from mbsrun.ocp.design import list_changeable
 from mbsrun.ocp.given import find_faults, list_open_components
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER
+from mbsrun.ocp.memory import Memory
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.methods import choose as choose_method
 from mbsrun.ocp.problem import (
@@ -73,7 +74,17 @@ class ProblemError(MbsError, ValueError):
 
 
 def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = False) -> None:
-    """Raise ProblemError with every fault of a problem for a model; a phase of several may cost and control nothing."""
+    """Raise ProblemError with every fault of a problem for a model; a phase of several may cost and control nothing.
+
+    A problem that was found right is not checked again.
+    """
+    _RIGHT[is_phase].find(lambda: _check(problem, manifest, is_phase=is_phase), problem, manifest)
+
+
+_RIGHT: Mapping[bool, Memory[None]] = {False: Memory(), True: Memory()}
+
+
+def _check(problem: Problem, manifest: Manifest, *, is_phase: bool) -> None:
     findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
     findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
     findings = [found for found in findings if not (is_phase and found in (_FREE_OF_COST, _UNCONTROLLED))]

@@ -12,6 +12,7 @@ from mbsrun.ocp.checks import Finding, find_loop_conflicts
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.guess import Pose
+from mbsrun.ocp.memory import Memory
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Loops, Problem
 from mbsrun.ocp.surplus import leave_out_surplus
@@ -42,9 +43,15 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
 
 def find_wrong_states(problem: Problem, plant: Plant) -> list[Finding]:
     """Find a start or an end that closed loops contradict, and contacts whose forces act elsewhere or that slip."""
-    findings = list(find_stray_forces(problem, plant))
-    closure = find_closure(plant)
-    return findings if closure is None else [*findings, *find_open_states(problem, closure)]
+
+    def find() -> list[Finding]:
+        findings, closure = list(find_stray_forces(problem, plant)), find_closure(plant)
+        return findings if closure is None else [*findings, *find_open_states(problem, closure)]
+
+    return _WRONG_STATES.find(find, problem, plant)
+
+
+_WRONG_STATES: Memory[list[Finding]] = Memory()
 
 
 def describe_unreachable(pose: Pose) -> tuple[str, str]:
