@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,14 +11,15 @@ import jax.numpy as jnp
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
-from mbsrun.faces import Face, Given
+from mbsrun.faces import Given
 from mbsrun.jax import primitives
 from mbsrun.operators import Operator
+from mbsrun.stepping import Policy, SteppingFace, divide
 
 ENABLE = "jax.config.update('jax_enable_x64', True)"
 
 
-class Functions(Face[Any]):
+class Functions(SteppingFace[Any]):
     """The functions of a model on arrays of JAX, under jit, vmap, jvp, vjp, jacfwd, jacrev, hessian and scan."""
 
     place = "mbsrun.jax"
@@ -45,3 +47,38 @@ class Functions(Face[Any]):
 
     def _merge(self, first: Any, second: Any) -> Any:
         return jnp.where(first != 0, first, second)
+
+    def rollout(
+        self,
+        q: Any,
+        qd: Any,
+        h: float,
+        *,
+        steps: int | None = None,
+        along: Mapping[str, Any] | None = None,
+        policy: Policy | None = None,
+        method: str = "rk4",
+        dynamics: str | None = None,
+        **inputs: Any,
+    ) -> tuple[Any, Any]:
+        """Return q and qd at the start and after each of some steps, along a leading axis: see `SteppingFace`."""
+        rows = {name: jnp.asarray(array) for name, array in (along or {}).items()}
+        count = self._count_steps(steps, rows)
+
+        def advance(state: tuple[Any, Any], row: tuple[Any, Mapping[str, Any]]) -> tuple[Any, Any]:
+            number, given = row
+            further = {} if policy is None else policy(number, *state)
+            after = self.step(*state, h, method=method, dynamics=dynamics, **{**inputs, **given, **further})
+            return after, after
+
+        start = (self._read(q), self._read(qd))
+        blocks, length, _ = divide(count)
+        whole = (jnp.arange(count), rows)
+        first = jax.tree.map(lambda a: a[: blocks * length].reshape((blocks, length, *a.shape[1:])), whole)
+        state, found = jax.lax.scan(jax.checkpoint(partial(jax.lax.scan, advance)), start, first)
+        _, rest = jax.lax.scan(advance, state, jax.tree.map(lambda a: a[blocks * length :], whole))
+
+        def join(start: Any, blocks: Any, rest: Any) -> Any:
+            return jnp.concatenate([start[None], blocks.reshape((-1, *start.shape)), rest])
+
+        return join(start[0], found[0], rest[0]), join(start[1], found[1], rest[1])

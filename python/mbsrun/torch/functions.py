@@ -9,11 +9,13 @@ from typing import Any, Self
 import numpy as np
 import torch
 from torch.autograd import forward_ad
+from torch.utils.checkpoint import checkpoint
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
-from mbsrun.faces import Face, Given
+from mbsrun.faces import Given
 from mbsrun.operators import Operator
+from mbsrun.stepping import Policy, SteppingFace, divide
 from mbsrun.torch import calls
 
 _entered: list[Functions] = []
@@ -37,11 +39,48 @@ _call_number = torch._dynamo.nonstrict_trace(_call_plainly)
 _attempt_number = torch._dynamo.nonstrict_trace(_attempt_plainly)
 
 
-class Functions(Face[torch.Tensor]):
+class Functions(SteppingFace[torch.Tensor]):
     """The functions of a model on tensors: gradients of gradients, torch.func.vmap, and torch.compile."""
 
     place = "mbsrun.torch"
     kind = "tensors"
+
+    def rollout(
+        self,
+        q: Any,
+        qd: Any,
+        h: float,
+        *,
+        steps: int | None = None,
+        along: Mapping[str, Any] | None = None,
+        policy: Policy | None = None,
+        method: str = "rk4",
+        dynamics: str | None = None,
+        **inputs: Any,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return q and qd at the start and after each of some steps, along a leading axis: see `SteppingFace`."""
+        rows = {name: self._read(array) for name, array in (along or {}).items()}
+        count = self._count_steps(steps, rows)
+
+        def advance(first: int, last: int, q: torch.Tensor, qd: torch.Tensor) -> list[torch.Tensor]:
+            states = [(q, qd)]
+            for number in range(first, last):
+                given = {name: array[number] for name, array in rows.items()}
+                further = {} if policy is None else policy(number, *states[-1])
+                states.append(
+                    self.step(*states[-1], h, method=method, dynamics=dynamics, **{**inputs, **given, **further})
+                )
+            return [torch.stack(x) for x in zip(*states, strict=True)]
+
+        keeps_all = not torch.is_grad_enabled() or torch._C._are_functorch_transforms_active()
+        _, length, _ = (0, count, 0) if keeps_all else divide(count)
+        parts = [[x[None] for x in (self._read(q), self._read(qd))]]
+        for first in range(0, count, length):
+            given = first, min(first + length, count), *(x[-1] for x in parts[-1])
+            block = advance(*given) if keeps_all else checkpoint(advance, *given, use_reentrant=False)
+            parts.append([x[1:] for x in block])
+        qs, qds = (torch.cat(x) for x in zip(*parts, strict=True))
+        return qs, qds
 
     def _read(self, value: Any) -> torch.Tensor:
         if not isinstance(value, torch.Tensor):

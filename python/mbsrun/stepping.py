@@ -1,0 +1,168 @@
+"""Steps of fixed length by the functions of a face, differentiable as these are: explicit Runge-Kutta methods.
+
+A tree's state is (x, v) = (q, qd), with x' = E(q) qd and v' = qdd. A mechanism with closed loops has the independent
+coordinates and velocities for (x, v): `close` and `close_rates` give the others, `exp1_red` gives v'. So loops stay
+closed, and no coordinate drifts.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mbsgen.roles import Role
+from mbsrun.binding import ArgumentError
+from mbsrun.faces import VALUES, Face
+from mbsrun.simulation.tableaus import EULER, RK4, Tableau
+
+A = TypeVar("A")  # an array of the library
+Policy = Callable[[Any, Any, Any], Mapping[str, Any]]  # of the number of the step, q and qd: further inputs
+
+METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
+
+
+class SteppingFace(Face[A]):
+    """A face whose functions can be integrated."""
+
+    def step(
+        self, q: Any, qd: Any, h: Any, *, method: str = "rk4", dynamics: str | None = None, **inputs: Any
+    ) -> tuple[A, A]:
+        """Return q and qd after a step of length h [s], in which the other inputs stay as they are.
+
+        `method` is euler or rk4; `dynamics` is the function that gives accelerations: exp1, and exp1_red for closed
+        loops. The loops of the given state are closed. Raises ArgumentError for anything else.
+        """
+        flow = self._make_flow(method, dynamics, inputs)
+        return flow.step(self._read(q), self._read(qd), h)
+
+    @abstractmethod
+    def rollout(
+        self,
+        q: Any,
+        qd: Any,
+        h: float,
+        *,
+        steps: int | None = None,
+        along: Mapping[str, Any] | None = None,
+        policy: Policy | None = None,
+        method: str = "rk4",
+        dynamics: str | None = None,
+        **inputs: Any,
+    ) -> tuple[A, A]:
+        """Return q and qd at the start and after each of some steps, along a leading axis.
+
+        `along` are inputs with a leading axis of steps; `policy` returns further inputs from the number of a step, q
+        and qd; all others are the same in every step. Reverse mode keeps some 2 sqrt(steps) states, and repeats the
+        steps between them.
+        """
+
+    def _make_flow(self, method: str, dynamics: str | None, inputs: Mapping[str, Any]) -> _Flow:
+        if method not in METHODS:
+            raise ArgumentError(f"method: {method!r} given; there are {', '.join(METHODS)}")
+        manifest = self.manifest
+        if not manifest.loops:
+            return _Flow(self, METHODS[method], dynamics or "exp1", inputs)
+        if manifest.quaternions or manifest.driven:
+            raise ArgumentError(
+                f"{manifest.model}: steps of closed loops with quaternions or driven joints are not made"
+            )
+        return _ClosedFlow(self, METHODS[method], dynamics or "exp1_red", inputs)
+
+    def _count_steps(self, steps: int | None, along: Mapping[str, Any]) -> int:
+        lengths = {f"along[{name!r}]": int(array.shape[0]) for name, array in along.items()}
+        if steps is not None:
+            lengths["steps"] = steps
+        if not lengths:
+            raise ArgumentError("rollout: give the number of steps, or inputs along them")
+        if len(set(lengths.values())) > 1:
+            raise ArgumentError(f"rollout: the lengths differ: {', '.join(f'{k} {n}' for k, n in lengths.items())}")
+        return next(iter(lengths.values()))
+
+
+def divide(steps: int) -> tuple[int, int, int]:
+    """Divide steps into blocks for checkpoints: the number of blocks, their length, and the steps that are left."""
+    length = max(1, round(steps**0.5))
+    return steps // length, length, steps % length
+
+
+@dataclass(frozen=True)
+class _Flow:
+    """The equations of motion of a tree, with all inputs but the state."""
+
+    face: Face[Any]
+    tableau: Tableau
+    dynamics: str
+    inputs: Mapping[str, Any]
+
+    def step(self, q: Any, qd: Any, h: Any) -> tuple[Any, Any]:
+        x, v = self.split(q, qd)
+        rates: list[Any] = []
+        accelerations: list[Any] = []
+        for row in self.tableau.A:
+            pose, speed = self.place(q, _add(x, h, row, rates)), _add(v, h, row, accelerations)
+            rates.append(self.find_rate(pose, speed))
+            accelerations.append(self.accelerate(pose, speed))
+        return self.join(self.place(q, _add(x, h, self.tableau.b, rates)), _add(v, h, self.tableau.b, accelerations))
+
+    def split(self, q: Any, qd: Any) -> tuple[Any, Any]:
+        return q, qd
+
+    def place(self, q: Any, x: Any) -> Any:  # noqa: ARG002
+        return x
+
+    def join(self, q: Any, v: Any) -> tuple[Any, Any]:
+        return q, v
+
+    def find_rate(self, q: Any, v: Any) -> Any:
+        return self._call("rates", Role.RATE, q=q, qd=v) if self.face.manifest.quaternions else v
+
+    def accelerate(self, q: Any, v: Any) -> Any:
+        return self._call(self.dynamics, Role.ACCELERATION, q=q, qd=v, **self.inputs)
+
+    def _call(self, name: str, role: Role, **given: Any) -> Any:
+        """Call a function, with the parameters that it takes, and return its result of a role."""
+        entry = self.face._find(name).value.entry
+        taken = {entry.hidden, entry.design, VALUES if entry.hidden else None}
+        parameters = {key: value for key, value in self.inputs.items() if key in taken}
+        found = next((a.name for a in entry.kernel.outputs if a.role is role), None)
+        if found is None:
+            raise ArgumentError(f"{name} gives no {role.value}")
+        return self.face(name, **{**given, **parameters})[found]
+
+
+@dataclass(frozen=True)
+class _ClosedFlow(_Flow):
+    """The equations of motion in the independent coordinates of closed loops."""
+
+    def split(self, q: Any, qd: Any) -> tuple[Any, Any]:
+        chosen = self._choose(self.face.manifest.independent)
+        return q @ chosen, qd @ chosen
+
+    def place(self, q: Any, x: Any) -> Any:
+        independent, dependent = (self._choose(x) for x in (self.face.manifest.independent, self._list_others()))
+        return self._call("close", Role.RESULT, q=x @ independent.T + q @ dependent @ dependent.T)
+
+    def join(self, q: Any, v: Any) -> tuple[Any, Any]:
+        return q, self._call("close_rates", Role.RESULT, q=q, yd=v)
+
+    def find_rate(self, q: Any, v: Any) -> Any:  # noqa: ARG002
+        return v
+
+    def accelerate(self, q: Any, v: Any) -> Any:
+        return self._call(self.dynamics, Role.ACCELERATION, q=q, yd=v, **self.inputs)
+
+    def _list_others(self) -> Sequence[int]:
+        manifest = self.face.manifest
+        return [i for i in range(len(manifest.coordinates)) if i not in manifest.independent]
+
+    def _choose(self, entries: Sequence[int]) -> Any:
+        return self.face._read(np.eye(len(self.face.manifest.coordinates))[:, list(entries)])
+
+
+def _add(start: Any, h: Any, row: Sequence[float], terms: Sequence[Any]) -> Any:
+    weighted = [weight * term for weight, term in zip(row, terms, strict=False) if weight]
+    return start + h * sum(weighted[1:], weighted[0]) if weighted else start
