@@ -54,7 +54,7 @@ from mbsgen.verification.verify import Verification, verify
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
 
-OBJECTS = 100_000  # that are made between two searches for cycles
+OBJECTS = 500_000  # that are made between two searches for cycles
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ T = TypeVar("T", bound=Ring)
 U = TypeVar("U", bound=Ring)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: that would take three times as long to make
 class Vector(Generic[T]):
-    """Three components in one frame."""
+    """Three components in one frame; nobody changes them."""
 
     x: T
     y: T
@@ -41,7 +41,7 @@ class Vector(Generic[T]):
         return iter((self.x, self.y, self.z))
 
     def __getitem__(self, k: int) -> T:
-        return (self.x, self.y, self.z)[k]
+        return self.x if k == 0 else self.y if k == 1 else (self.x, self.y, self.z)[k]
 
     def __add__(self, other: Vector[T]) -> Vector[T]:
         return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
@@ -77,7 +77,7 @@ class Vector(Generic[T]):
         return Vector(function(self.x), function(self.y), function(self.z))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, unsafe_hash=True)  # likewise
 class Matrix(Generic[T]):
     """A 3 x 3 matrix, by rows."""
 

@@ -28,7 +28,7 @@ from mbsgen.procedure.procedure import count as count_stages
 from mbsgen.request import MEASURED, CodeSize
 from mbsgen.roles import Order, Role
 from mbsgen.tape import reverse
-from mbsgen.tape.counts import count
+from mbsgen.tape.counts import count_paper
 from mbsgen.tape.passes import keep_results
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Sparsity, Tape
@@ -116,13 +116,13 @@ class _Choice:
         written = {way: self.finish(write()) for way, write in tried.items()}
         if function.order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
-        flops = {way: count(tape).paper for way, tape in written.items()}
+        flops = {way: count_paper(tape) for way, tape in written.items()}
         return Written(written[min(flops, key=flops.__getitem__)], flops)
 
 
 def _without_choice(way: str, tape: Tape) -> Written[Tape]:
     """Count a derivative that is a part of another one, or renamed."""
-    return Written(tape, {way: count(tape).paper})
+    return Written(tape, {way: count_paper(tape)})
 
 
 class _Chosen(Derivatives, ABC):

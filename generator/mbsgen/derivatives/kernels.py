@@ -10,7 +10,7 @@ from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.roles import Order, Role
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count
+from mbsgen.tape.counts import count_paper
 from mbsgen.tape.passes import merge
 from mbsgen.tape.ports import derivative_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
@@ -72,7 +72,7 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     """Write `jac_<name>`, forward or in reverse, whichever takes fewer flops."""
     found = min(
         (forward.jacobian(tape, wrt), reverse.jacobian(tape, wrt)),
-        key=lambda candidate: count(candidate).paper,
+        key=count_paper,
     )
     return drop_vanishing(found)
 

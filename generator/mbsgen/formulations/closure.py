@@ -36,7 +36,7 @@ from mbsgen.model.tree import Constraint, Cut, Loop, LoopFrame, Tree, coordinate
 from mbsgen.roles import Role
 from mbsgen.tape import forward, reverse
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count
+from mbsgen.tape.counts import count_paper
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.passes import drop_unused_inputs
 from mbsgen.tape.ports import Port, adjoint_port, seed_port
@@ -178,7 +178,7 @@ def write_jacobian(tree: Tree, spread: Callable[[Builder, Sequence[Scalar]], lis
         values = replay(tape, builder, given)
         builder.output_dense(ports.CLOSURE_RATE, [[values[v]] for v in tape.outputs[0].values])
         tape = builder.build(tape.function)
-    return drop_unused_inputs(min(forward.jacobian(tape, by), reverse.jacobian(tape, by), key=lambda t: count(t).paper))
+    return drop_unused_inputs(min(forward.jacobian(tape, by), reverse.jacobian(tape, by), key=count_paper))
 
 
 def write_forces(tree: Tree) -> Tape:

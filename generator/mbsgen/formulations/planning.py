@@ -24,7 +24,7 @@ from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count
+from mbsgen.tape.counts import count_paper
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.types import Tape
 
@@ -229,4 +229,4 @@ def finish(tape: Tape, reductions: Reductions) -> Tape:
     """Take common factors out of a finished recursion, if requested and if this lowers its cost."""
     if not reductions.factor:
         return tape
-    return min(tape, factor(tape, {Role.PARAMETER}), key=lambda t: count(t).paper)
+    return min(tape, factor(tape, {Role.PARAMETER}), key=count_paper)

@@ -32,7 +32,7 @@ from mbsgen.formulations.unknowns import Column, Unknowns
 from mbsgen.model.tree import Closure, Kind, Tree
 from mbsgen.tape import forward
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count
+from mbsgen.tape.counts import count_paper
 from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import replay
 from mbsgen.tape.types import Input, Sparsity, Tape
@@ -41,7 +41,7 @@ from mbsgen.tape.types import Input, Sparsity, Tape
 def build_residual(tree: Tree, reductions: Reductions = ALL) -> Tape:
     """Write `impl_red`: inputs q, yd, ydd [, tau], u [, w] [, p]; output Phi, shape (f,)."""
     ways = (_write_by_columns, _write_by_multipliers)
-    return min((write(tree, reductions) for write in ways), key=lambda tape: count(tape).paper)
+    return min((write(tree, reductions) for write in ways), key=count_paper)
 
 
 def _write_by_columns(tree: Tree, reductions: Reductions) -> Tape:

@@ -36,23 +36,29 @@ class Scalar:
     # zeros are frequent, so they are handled first
 
     def __add__(self, other: Scalar) -> Scalar:
-        if not self.ref:
+        x, y = self.ref, other.ref
+        if not x:
             return other
-        if not other.ref:
+        if not y:
             return self
-        return Scalar(self.builder, self.builder.add(self.ref, other.ref))
+        builder = self.builder
+        return Scalar(builder, builder.add(x, y))
 
     def __sub__(self, other: Scalar) -> Scalar:
-        if not other.ref:
+        y = other.ref
+        if not y:
             return self
-        return Scalar(self.builder, self.builder.add(self.ref, -other.ref))
+        builder = self.builder
+        return Scalar(builder, builder.add(self.ref, -y))
 
     def __mul__(self, other: Scalar) -> Scalar:
-        if not self.ref:
+        x, y = self.ref, other.ref
+        if not x:
             return self
-        if not other.ref:
+        if not y:
             return other
-        return Scalar(self.builder, self.builder.mul(self.ref, other.ref))
+        builder = self.builder
+        return Scalar(builder, builder.mul(x, y))
 
     def __truediv__(self, other: Scalar) -> Scalar:
         return Scalar(self.builder, self.builder.div(self.ref, other.ref))
@@ -90,6 +96,8 @@ class Builder:
         self._bases: list[int] = [-1]  # of each node: the node that its literal factor multiplies; of a literal: 0
         self._one = -1  # the node of the literal 1, if there is one
         self._known: dict[Key, Ref] = {}
+        self._sums: dict[tuple[Ref, Ref], Ref] = {}  # of x > 0 and y with |x| <= |y|; likewise the
+        self._products: dict[tuple[Ref, Ref], Ref] = {}  # products of 0 < x <= y: most are asked for many times
         self._literals: dict[mpf, Ref] = {}
         self._numbers: dict[float | mpf, Scalar] = {}
         self._fixed = bytearray(1)  # of each node: whether the inputs that vary do not reach it; see `cost`
@@ -211,17 +219,30 @@ class Builder:
         """Refer to x + y."""
         if x == 0 or y == 0:
             return x + y
-        if x == -y:
-            return 0
-        if self._fold and (base := self._bases[abs(x)]) == self._bases[abs(y)]:
-            factor = self.literal(self._factor(x) + self._factor(y))
-            return self.mul(factor, base) if base else factor
-        if self._cancel and (left := self._find_left(x, y) or self._find_left(y, x)):
-            return left
+        if self._cancel and x != -y and not (self._fold and self._bases[abs(x)] == self._bases[abs(y)]):
+            left = self._find_left(x, y) or self._find_left(y, x)
+            if left:
+                return left
         if abs(x) > abs(y):
             x, y = y, x
         if x < 0:
-            return -self._node(Op.ADD if y < 0 else Op.SUB, -x, abs(y))
+            return -self._sum(-x, -y)
+        return self._sum(x, y)
+
+    def _sum(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x + y, of x > 0 and |x| <= |y|."""
+        pair = (x, y)
+        ref = self._sums.get(pair)
+        if ref is None or not self._number:
+            ref = self._sums[pair] = self._write_sum(x, y)
+        return ref
+
+    def _write_sum(self, x: Ref, y: Ref) -> Ref:
+        if x == -y:
+            return 0
+        if self._fold and (base := self._bases[x]) == self._bases[abs(y)]:
+            factor = self.literal(self._factor(x) + self._factor(y))
+            return self.mul(factor, base) if base else factor
         return self._node(Op.ADD if y > 0 else Op.SUB, x, abs(y))
 
     def _find_left(self, x: Ref, y: Ref) -> Ref:
@@ -237,23 +258,29 @@ class Builder:
         """Refer to x * y."""
         if x == 0 or y == 0:
             return 0
-        sign = 1 if (x > 0) == (y > 0) else -1
+        is_positive = (x > 0) == (y > 0)
         x, y = abs(x), abs(y)
-        if x > y:
-            x, y = y, x
+        pair = (x, y) if x < y else (y, x)
+        ref = self._products.get(pair)
+        if ref is None or not self._number:
+            ref = self._products[pair] = self._write_product(*pair)
+        return ref if is_positive else -ref
+
+    def _write_product(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x * y, of 0 < x <= y."""
         if self._fold:
             if self._bases[y] == 0:
                 x, y = y, x  # a literal comes first
             if self._bases[x] == 0:
                 if x == self._one:
-                    return sign * y
+                    return y
                 if y == self._one:
-                    return sign * x
+                    return x
                 base = self._bases[y]
                 if base != y:
                     factor = self.literal(self._factor(x) * self._factor(y))
-                    return sign * (self.mul(factor, base) if base else factor)
-        return sign * self._node(Op.MUL, x, y)
+                    return self.mul(factor, base) if base else factor
+        return self._node(Op.MUL, x, y)
 
     def div(self, x: Ref, y: Ref) -> Ref:
         """Refer to x / y; for a literal y, to the product with its inverse."""
@@ -270,6 +297,18 @@ class Builder:
             if x == y:
                 return sign * self.literal(_ONE)
         return sign * self._node(Op.DIV, x, y)
+
+    def operate(self, op: Op, x: Ref, y: Ref) -> Ref:
+        """Refer to an operation of any kind; y is 0 for one operand."""
+        if op is Op.MUL:
+            return self.mul(x, y)
+        if op is Op.ADD:
+            return self.add(x, y)
+        if op is Op.SUB:
+            return self.add(x, -y)
+        if op is Op.NEG:
+            return -x
+        return self.div(x, y) if op is Op.DIV else self.call(op, x, y)
 
     def call(self, op: Op, x: Ref, y: Ref = 0) -> Ref:
         """Refer to op(x) or op(x, y); the sign of x is moved outside where the function is odd or even."""
@@ -322,17 +361,22 @@ class Builder:
         This is a quick estimate for comparing two ways to write the same: it ignores signs that must be computed.
         `constant` must be the same in every call to one builder.
         """
-        fixed = self._mark_fixed(constant)
-        seen: set[int] = set()
+        nodes, done, count = self._nodes, bytearray(self._mark_fixed(constant)), 0
         stack = [abs(value.ref) for value in values]
+        take, put = stack.pop, stack.append
         while stack:
-            node = stack.pop()
-            key = self._nodes[node]
-            if isinstance(key, tuple) and not fixed[node] and node not in seen:
-                seen.add(node)
-                _, a, b = key
-                stack += (abs(a), abs(b)) if b else (abs(a),)
-        return len(seen)
+            node = take()
+            if done[node]:
+                continue
+            done[node] = 1
+            key = nodes[node]
+            if key.__class__ is tuple:
+                _, a, b = key  # type: ignore[misc]
+                count += 1
+                put(a if a > 0 else -a)
+                if b:
+                    put(b if b > 0 else -b)
+        return count
 
     def _mark_fixed(self, constant: Set[Role]) -> bytearray:
         fixed = self._fixed

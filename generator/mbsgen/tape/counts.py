@@ -7,7 +7,11 @@ each), or a nonzero of a result that is computed where it is stored. The targets
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from operator import itemgetter
+from typing import TypeVar
 
 from mbsgen.manifest import Flops
 from mbsgen.tape.types import Op, Tape
@@ -17,6 +21,24 @@ PAPER = ARITHMETIC | {Op.NEG, Op.SQRT, Op.SIN, Op.COS}  # the closest match to t
 INLINED = 3  # the most operations of a value that is written into another expression; a sum may be of any length
 _SUMS = frozenset({Op.ADD, Op.SUB})
 _TURNS = frozenset({Op.SIN, Op.COS})
+_OP, _FIRST, _SECOND = map(itemgetter, range(3))
+
+T = TypeVar("T")
+
+
+def once(find: Callable[[Tape], T]) -> Callable[[Tape], T]:
+    """Return a function that a tape remembers: counts, reports and targets ask for the same."""
+    key = f"once {find.__name__}"
+
+    @wraps(find)
+    def remembered(tape: Tape) -> T:
+        known = tape.__dict__
+        if key not in known:
+            known[key] = find(tape)
+        found: T = known[key]
+        return found
+
+    return remembered
 
 
 @dataclass(frozen=True)
@@ -58,9 +80,15 @@ class Counts:
         return self.of(*ARITHMETIC)
 
 
+def count_paper(tape: Tape) -> int:
+    """Count the operations of a tape by the paper's convention, without its equations, which takes longer."""
+    return sum(number for op, number in Counter(map(_OP, tape.operations)).items() if op in PAPER)
+
+
+@once
 def count(tape: Tape) -> Counts:
     """Count the operations of a tape, the operations of its guards, and its equations."""
-    operations = dict(Counter(op for op, _, _ in tape.operations))
+    operations = dict(Counter(map(_OP, tape.operations)))
     return Counts(operations, _count_equations(tape), sum(1 + guard.negated for guard in tape.guards))
 
 
@@ -71,6 +99,7 @@ def _count_equations(tape: Tape) -> int:
     return len(named) + sum(v not in named for v in stored)
 
 
+@once
 def named_values(tape: Tape) -> frozenset[int]:
     """Choose the values that get a name: with a label, sines and cosines, used several times, or with long expressions.
 
@@ -79,29 +108,37 @@ def named_values(tape: Tape) -> frozenset[int]:
     first, uses = tape.first_operation, count_uses(tape)
     labels = Counter(tape.labels.values())
     named = {v for v, text in tape.labels.items() if v >= first and labels[text] == 1 and uses[v]}
-    going_on, stored = find_sums(tape, uses), {v for o in tape.outputs for v in o.values}
+    going_on, stored = find_sums(tape), {v for o in tape.outputs for v in o.values}
     sizes = [0] * first  # the operations of the expression that stands for a value
     for value, (op, a, b) in enumerate(tape.operations, first):
-        size = 1 + sizes[a] + (sizes[b] if op.arity == 2 else 0)
         used = uses[value]
-        if used > 1 or (used and (op in _TURNS or not (size <= INLINED or value in stored or value in going_on))):
+        if used > 1 or value in named:
             named.add(value)
-        sizes.append(0 if value in named else size)
+            sizes.append(0)
+            continue
+        size = 1 + sizes[a] + (sizes[b] if b >= 0 else 0)
+        if used and (op in _TURNS or (size > INLINED and value not in stored and value not in going_on)):
+            named.add(value)
+            size = 0
+        sizes.append(size)
     return frozenset(named)
 
 
+@once
 def count_uses(tape: Tape) -> Counter[int]:
     """Count how often operations, outputs and guards use each value."""
-    uses = Counter([a for _, a, _ in tape.operations])
-    uses.update([b for op, _, b in tape.operations if op.arity == 2])
+    uses = Counter(map(_FIRST, tape.operations))
+    uses.update(map(_SECOND, tape.operations))
+    del uses[-1]  # of operations with one operand
     uses.update(v for o in tape.outputs for v in o.values)
     uses.update(v for g in tape.guards for v in (g.value, g.scale))
     return uses
 
 
-def find_sums(tape: Tape, uses: Counter[int]) -> frozenset[int]:
+@once
+def find_sums(tape: Tape) -> frozenset[int]:
     """Find the sums that another sum continues: its first operand that has no other use."""
-    first, operations = tape.first_operation, tape.operations
+    first, operations, uses = tape.first_operation, tape.operations, count_uses(tape)
     continued = {v for v, (op, _, _) in enumerate(operations, first) if op in _SUMS and uses[v] == 1}
     found = set()
     for op, a, b in operations:

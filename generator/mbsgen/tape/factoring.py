@@ -7,27 +7,16 @@ factor shared by most products.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
 
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.replay import declare_inputs, leaves, operate, replay_guards
+from mbsgen.tape.counts import count_uses
+from mbsgen.tape.replay import declare_inputs, leaves, replay_guards
 from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.writer import Ref
 
-
-@dataclass(frozen=True)
-class _Term:
-    """A signed product (or, without a second factor, a value) in a sum; by numbers of values."""
-
-    sign: int
-    first: int
-    second: int | None
-
-    def partner(self, factor: int) -> int:
-        assert self.second is not None
-        return self.second if factor == self.first else self.first
+_Term = tuple[int, int, int | None]  # in a sum: a sign, and a product or, without a second factor, a value
 
 
 def factor(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
@@ -38,48 +27,40 @@ def factor(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
 class _Factoring:
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape = tape
-        self.uses = Counter(x for op, *operands in tape.operations for x in operands[: op.arity])
-        self.uses.update(v for o in tape.outputs for v in o.values)
-        self.uses.update(v for g in tape.guards for v in (g.value, g.scale))
+        self.uses = count_uses(tape)
         self.is_constant = self._find_constants(constant)
         self.inner = self._find_inner()
 
     def _find_constants(self, constant: Set[Role]) -> list[bool]:
         found = [i.port.role in constant for i in self.tape.inputs for _ in range(i.sparsity.nnz)]
         found += [True] * len(self.tape.literals)
-        for op, a, b in self.tape.operations:
-            found.append(found[a] and (op.arity == 1 or found[b]))
+        for _, a, b in self.tape.operations:
+            found.append(found[a] and (b < 0 or found[b]))
         return found
-
-    def _operation(self, value: int) -> tuple[Op, int, int] | None:
-        k = value - self.tape.first_operation
-        return self.tape.operations[k] if k >= 0 else None
 
     def _find_inner(self) -> set[int]:
         """Find the operations that are written only as part of the sum they belong to."""
-        inner: set[int] = set()
-        for op, *operands in self.tape.operations:
-            if op in (Op.ADD, Op.SUB):
-                inner.update(
-                    x
-                    for x in operands
-                    if self.uses[x] == 1
-                    and (found := self._operation(x))
-                    and found[0] in (Op.ADD, Op.SUB, Op.MUL)
-                    and not self.is_constant[x]
-                )
-        return inner
+        uses, first, is_constant = self.uses, self.tape.first_operation, self.is_constant
+        may_be = {
+            value
+            for value, (op, _, _) in enumerate(self.tape.operations, first)
+            if (op is Op.MUL or op is Op.ADD or op is Op.SUB) and uses[value] == 1 and not is_constant[value]
+        }
+        sums = ((a, b) for op, a, b in self.tape.operations if op is Op.ADD or op is Op.SUB)
+        return {x for operands in sums for x in operands if x in may_be}
 
     def run(self) -> Tape:
         builder = Builder()
-        values = leaves(self.tape, builder, declare_inputs(self.tape, builder))
+        refs = [x.ref for x in leaves(self.tape, builder, declare_inputs(self.tape, builder))]
+        inner, operate = self.inner, builder.operate
         for value, (op, a, b) in enumerate(self.tape.operations, self.tape.first_operation):
-            if value in self.inner:
-                values.append(builder.zero)  # written where it is used
-            elif op in (Op.ADD, Op.SUB):
-                values.append(self._write_sum(builder, values, value))
+            if value in inner:
+                refs.append(0)  # written where it is used
+            elif op is Op.ADD or op is Op.SUB:
+                refs.append(self._write_sum(builder, refs, value))
             else:
-                values.append(operate(builder, op, values[a], values[b] if b >= 0 else None))
+                refs.append(operate(op, refs[a], refs[b] if b >= 0 else 0))
+        values = [Scalar(builder, ref) for ref in refs]
         labelled = [(v, text) for v, text in sorted(self.tape.labels.items()) if v not in self.inner]
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in self.tape.outputs:
@@ -87,45 +68,58 @@ class _Factoring:
         replay_guards(self.tape, builder, values)
         return builder.build(self.tape.function)
 
-    def _terms(self, value: int, sign: int) -> list[_Term]:
-        found = self._operation(value)
-        assert found is not None
-        op, a, b = found
+    def _terms(self, value: int, sign: int, terms: list[_Term]) -> None:
+        """Add the terms of a product or sum to a list."""
+        op, a, b = self.tape.operations[value - self.tape.first_operation]
         if op is Op.MUL:
-            return [_Term(sign, a, b)]
-        terms = []
+            terms.append((sign, a, b))
+            return
         for operand, own in ((a, sign), (b, sign if op is Op.ADD else -sign)):
-            terms += self._terms(operand, own) if operand in self.inner else [_Term(own, operand, None)]
-        return terms
+            if operand in self.inner:
+                self._terms(operand, own, terms)
+            else:
+                terms.append((own, operand, None))
 
-    def _write_sum(self, builder: Builder, values: Sequence[Scalar], value: int) -> Scalar:
-        terms = self._terms(value, 1)
+    def _write_sum(self, builder: Builder, refs: Sequence[Ref], value: int) -> Ref:
+        terms: list[_Term] = []
+        self._terms(value, 1, terms)
         groups: list[tuple[int, list[_Term]]] = []
         while (shared := self._choose_factor(terms)) is not None:
-            members = [t for t in terms if t.second is not None and shared in (t.first, t.second)]
+            members = [t for t in terms if t[2] is not None and shared in t[1:]]
             if self._has_constant_partners(terms, shared):
-                members = [t for t in members if self.is_constant[t.partner(shared)]]
+                members = [t for t in members if self.is_constant[_partner(t, shared)]]
             groups.append((shared, members))
             terms = [t for t in terms if t not in members]
-        total = builder.zero
-        for t in terms:
-            plain = values[t.first] if t.second is None else values[t.first] * values[t.second]
-            total = total + plain if t.sign > 0 else total - plain
+        add, mul, total = builder.add, builder.mul, 0
+        for sign, first, second in terms:
+            plain = refs[first] if second is None else mul(refs[first], refs[second])
+            total = add(total, plain if sign > 0 else -plain)
         for shared, members in groups:
-            partners = builder.zero
+            partners = 0
             for t in members:
-                partner = values[t.partner(shared)]
-                partners = partners + partner if t.sign > 0 else partners - partner
-            total = total + values[shared] * partners
+                partner = refs[_partner(t, shared)]
+                partners = add(partners, partner if t[0] > 0 else -partner)
+            total = add(total, mul(refs[shared], partners))
         return total
 
     def _choose_factor(self, terms: Sequence[_Term]) -> int | None:
-        counts = Counter(f for t in terms if t.second is not None for f in {t.first, t.second})
+        counts: dict[int, int] = {}
+        for _, first, second in terms:
+            if second is not None:
+                counts[first] = counts.get(first, 0) + 1
+                if second != first:
+                    counts[second] = counts.get(second, 0) + 1
         shared = [f for f, n in counts.items() if n > 1]
         if not shared:
             return None
         return max(shared, key=lambda f: (self._has_constant_partners(terms, f), counts[f], -f))
 
     def _has_constant_partners(self, terms: Sequence[_Term], shared: int) -> bool:
-        members = [t for t in terms if t.second is not None and shared in (t.first, t.second)]
-        return sum(self.is_constant[t.partner(shared)] for t in members) > 1
+        members = [t for t in terms if t[2] is not None and shared in t[1:]]
+        return sum(self.is_constant[_partner(t, shared)] for t in members) > 1
+
+
+def _partner(term: _Term, factor: int) -> int:
+    _, first, second = term
+    assert second is not None, "a term with a factor is a product"
+    return second if factor == first else first

@@ -14,6 +14,7 @@ from mbsgen.tape.partials import partials
 from mbsgen.tape.ports import derivative_port
 from mbsgen.tape.replay import declare_inputs, replay, replay_guards
 from mbsgen.tape.types import Input, Output, Tape
+from mbsgen.tape.writer import Ref
 
 Gradient = dict[int, Scalar]  # nonzero derivatives of one value, by column: the position among all input nonzeros
 
@@ -45,24 +46,35 @@ def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Seque
 
 def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequence[Gradient]) -> list[Gradient]:
     """Compute the nonzero derivatives of every value of a replayed tape from the derivatives of its input nonzeros."""
-    gradients = [*given, *({} for _ in tape.literals)]
+    gradients: list[_Refs] = [{column: x.ref for column, x in own.items()} for own in given]
+    gradients += ({} for _ in tape.literals)
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-        operands = (a, b)[: op.arity]
-        if not any(gradients[x] for x in operands):
+        first, second = gradients[a], gradients[b] if b >= 0 else _NOTHING
+        if not first and not second:
             gradients.append({})
             continue
         slopes = partials(builder, op, values[a], values[b] if b >= 0 else None, values[value])
-        gradients.append(_combine([(s, gradients[x]) for s, x in zip(slopes, operands, strict=True)]))
-    return gradients
+        gradients.append(_combine(builder, slopes, (first, second)))
+    return [{column: Scalar(builder, ref) for column, ref in own.items()} for own in gradients]
 
 
-def _combine(terms: Sequence[tuple[Scalar, Gradient]]) -> Gradient:
-    total: Gradient = {}
-    for slope, gradient in terms:
+_Refs = dict[int, Ref]  # a gradient by references
+_NOTHING: _Refs = {}
+
+
+def _combine(builder: Builder, slopes: Sequence[Scalar], gradients: Sequence[_Refs]) -> _Refs:
+    add, mul = builder.add, builder.mul
+    total: _Refs = {}
+    has_zeros = False
+    for slope, gradient in zip(slopes, gradients, strict=False):
+        factor = slope.ref
         for column, derivative in gradient.items():
-            product = slope * derivative
-            total[column] = total[column] + product if column in total else product
-    return {column: derivative for column, derivative in total.items() if not derivative.is_zero}
+            found = mul(factor, derivative)
+            if column in total:
+                found = add(total[column], found)
+            total[column] = found
+            has_zeros = has_zeros or not found
+    return {column: ref for column, ref in total.items() if ref} if has_zeros else total
 
 
 def write_block(

@@ -16,9 +16,11 @@ def declare_inputs(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:
 
 def replay(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]]) -> list[Scalar]:
     """Compute every value of `tape` in `builder` from the given nonzeros of its inputs; index by value."""
-    values = leaves(tape, builder, inputs)
+    refs = [value.ref for value in leaves(tape, builder, inputs)]
+    operate = builder.operate
     for op, a, b in tape.operations:
-        values.append(operate(builder, op, values[a], values[b] if b >= 0 else None))
+        refs.append(operate(op, refs[a], refs[b] if b >= 0 else 0))
+    values = [Scalar(builder, ref) for ref in refs]
     labelled = sorted(tape.labels.items())
     builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
     return values
@@ -32,19 +34,7 @@ def leaves(tape: Tape, builder: Builder, inputs: Mapping[str, Sequence[Scalar]])
 
 def operate(builder: Builder, op: Op, a: Scalar, b: Scalar | None) -> Scalar:
     """Apply one operation in the builder."""
-    if b is None:
-        return -a if op is Op.NEG else builder.apply(op, a)
-    match op:
-        case Op.ADD:
-            return a + b
-        case Op.SUB:
-            return a - b
-        case Op.MUL:
-            return a * b
-        case Op.DIV:
-            return a / b
-        case _:
-            return builder.apply(op, a, b)
+    return Scalar(builder, builder.operate(op, a.ref, 0 if b is None else b.ref))
 
 
 def replay_lengths(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> None:

@@ -62,16 +62,17 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
 
 def sweep(tape: Tape, builder: Builder, values: Sequence[Scalar], seeds: Mapping[int, Scalar]) -> dict[int, Scalar]:
     """Propagate adjoints of values back to the inputs of a replayed tape; unreached inputs are left out."""
-    adjoints = dict(seeds)
-    start = max((v for v in seeds), default=-1)
-    for value in range(start, tape.first_operation - 1, -1):
-        own = adjoints.pop(value, None)
-        if own is None or own.is_zero:
+    adjoints = {value: x.ref for value, x in seeds.items()}
+    add, mul, operations = builder.add, builder.mul, tape.operations
+    first, end = tape.first_literal, tape.first_operation
+    for value in range(max(seeds, default=-1), end - 1, -1):
+        own = adjoints.pop(value, 0)
+        if not own:
             continue
-        op, a, b = tape.operations[value - tape.first_operation]
+        op, a, b = operations[value - end]
         slopes = partials(builder, op, values[a], values[b] if b >= 0 else None, values[value])
         for operand, slope in zip((a, b), slopes, strict=False):
-            if not tape.first_literal <= operand < tape.first_operation:
-                product = own * slope
-                adjoints[operand] = adjoints[operand] + product if operand in adjoints else product
-    return {value: a for value, a in adjoints.items() if value < tape.first_literal and not a.is_zero}
+            if not first <= operand < end:
+                product = mul(own, slope.ref)
+                adjoints[operand] = add(adjoints[operand], product) if operand in adjoints else product
+    return {value: Scalar(builder, ref) for value, ref in adjoints.items() if value < first and ref}

@@ -177,8 +177,8 @@ class Tape:
     def __post_init__(self) -> None:
         first = self.first_operation
         for value, (op, a, b) in enumerate(self.operations, first):
-            operands = (a, b)[: op.arity]
-            if any(not 0 <= x < value for x in operands) or (op.arity == 1 and b != -1):
+            if not (0 <= a < value and (0 <= b < value if op.arity == 2 else b == -1)):
+                operands = (a, b)[: op.arity]
                 raise TapeError(
                     f"{self.name}: value {value} = {op.name}{operands} uses a value that does not precede it"
                 )

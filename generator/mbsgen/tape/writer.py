@@ -49,6 +49,7 @@ class Writer:
     ) -> None:
         self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
         self._tests = tests
+        self._literal_nodes = bytearray(node is not None and node.__class__ is not tuple for node in nodes)
         self._uses = self._count_uses()
         self._turned = self._choose_turned()
         self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
@@ -59,10 +60,11 @@ class Writer:
         """Write the operations, then number the values."""
         for source, first in self._inputs:
             self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
+        nodes, write = self._nodes, self._write
         for node in sorted(self._uses):  # operands have smaller numbers than their users
-            key = self._nodes[node]
-            if isinstance(key, tuple):
-                self._write(node, *key)
+            key = nodes[node]
+            if key.__class__ is tuple:
+                write(node, *key)  # type: ignore[misc]
         outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
         tested = [(self._as_kept(test.value), self._with_sign(test.scale)) for test in self._tests]
         order = (
@@ -113,8 +115,12 @@ class Writer:
                 continue
             uses[node] = 1
             key = nodes[node]
-            if isinstance(key, tuple):
-                stack += [abs(operand) for operand in key[1:] if operand]
+            if key.__class__ is tuple:
+                _, a, b = key  # type: ignore[misc]
+                if a:
+                    stack.append(a if a > 0 else -a)
+                if b:
+                    stack.append(b if b > 0 else -b)
 
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
@@ -140,22 +146,23 @@ class Writer:
     # -- operations with their signs settled ------------------------------------------------------------------
 
     def _write(self, node: int, op: Op, a: Ref, b: Ref) -> None:
-        sign = -1 if node in self._turned else 1
-        if op in (Op.ADD, Op.SUB):
-            x, y = self._keep(a), self._keep(b)
-            first, second = sign * sign_of(x), sign * sign_of(y) * (1 if op is Op.ADD else -1)
-            if first < 0 and second < 0:  # both are subtracted: store the sum with the other sign
-                sign, first, second = -sign, 1, 1
-            if first < 0:
-                x, y, first, second = y, x, second, first
-            self._record(sign * node, Op.ADD if second > 0 else Op.SUB, x, y)
-        elif op in (Op.MUL, Op.DIV):
-            x, y = self._keep(a), self._keep(b)
-            if sign_of(x) * sign_of(y) != sign and self._is_literal(a):
-                x = -x
-            elif sign_of(x) * sign_of(y) != sign and self._is_literal(b):
-                y = -y
-            self._record(sign_of(x) * sign_of(y) * node, op, x, y)
+        turned, literals, kept = node in self._turned, self._literal_nodes, self._kept
+        if op is Op.MUL or op is Op.DIV:
+            x, y = a if literals[a] else kept[a], b if literals[b] else kept[b]
+            if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right
+                if literals[a]:
+                    x = -x
+                elif literals[b]:
+                    y = -y
+            self._record(node if (x > 0) is (y > 0) else -node, op, x, y)
+        elif op is Op.ADD or op is Op.SUB:
+            x, y = a if literals[a] else kept[a], b if literals[b] else kept[b]
+            first, second = (x > 0) is not turned, (y > 0) is not ((op is Op.SUB) is not turned)
+            if not first and not second:  # both are subtracted: store the sum with the other sign
+                turned, first, second = not turned, True, True
+            if not first:
+                x, y, second = y, x, first
+            self._record(-node if turned else node, Op.ADD if second else Op.SUB, x, y)
         elif op in ODD or op in EVEN:
             x = self._keep(a)
             self._record(sign_of(x) * node if op in ODD else node, op, x, 0)
@@ -167,12 +174,14 @@ class Writer:
         return node if self._is_literal(node) else self._kept[node]
 
     def _record(self, result: Ref, op: Op, a: Ref, b: Ref) -> None:
-        for ref in (a, b):
-            if ref and self._is_literal(ref):
-                self._literals[ref] = None
+        literals = self._literal_nodes
+        if literals[a if a > 0 else -a]:
+            self._literals[a] = None
+        if literals[b if b > 0 else -b]:  # no operand is node 0, which is no literal
+            self._literals[b] = None
         # A literal is written with its sign; any other operand is written with its stored sign.
         self._written[result] = (op, a, b)
-        self._kept[abs(result)] = result
+        self._kept[result if result > 0 else -result] = result
 
     def _with_sign(self, ref: Ref) -> Ref:
         """Refer to a value with the given sign; spend an operation on the sign where the stored sign differs."""
@@ -189,8 +198,7 @@ class Writer:
         return self._with_sign(ref if ref == 0 or self._is_literal(ref) else self._kept[abs(ref)])
 
     def _is_literal(self, ref: Ref) -> bool:
-        found = self._nodes[abs(ref)]
-        return found is not None and not isinstance(found, tuple)
+        return bool(self._literal_nodes[abs(ref)])
 
     def _literal(self, ref: Ref) -> mpf:
         found = self._nodes[abs(ref)] if ref else LITERALS.mpf(0)

@@ -113,7 +113,7 @@ class Body:
 def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     """Write a tape's operations and results as expressions of a language; equal tapes give equal text."""
     uses, named = count_uses(tape), named_values(tape)
-    going_on = find_sums(tape, uses)
+    going_on = find_sums(tape)
     names = _choose_names(tape, syntax)
     texts = _write_leaves(tape, syntax)  # of every value, ready as an operand
     places = [0] * len(texts)  # the number of statements after which a value is known
