@@ -49,7 +49,7 @@ class Writer:
     ) -> None:
         self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
         self._tests = tests
-        self._literal_nodes = bytearray(node is not None and node.__class__ is not tuple for node in nodes)
+        self._is_literal = bytearray(node is not None and node.__class__ is not tuple for node in nodes)
         self._uses = self._count_uses()
         self._turned = self._choose_turned()
         self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
@@ -60,11 +60,7 @@ class Writer:
         """Write the operations, then number the values."""
         for source, first in self._inputs:
             self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
-        nodes, write = self._nodes, self._write
-        for node in sorted(self._uses):  # operands have smaller numbers than their users
-            key = nodes[node]
-            if key.__class__ is tuple:
-                write(node, *key)  # type: ignore[misc]
+        self._write_operations()
         outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
         tested = [(self._as_kept(test.value), self._with_sign(test.scale)) for test in self._tests]
         order = (
@@ -76,9 +72,9 @@ class Writer:
             function,
             tuple(source for source, _ in self._inputs),
             tuple(self._literal(ref) for ref in self._literals),
-            tuple((op, place[a], place[b] if op.arity == 2 else -1) for op, a, b in self._written.values()),
+            tuple([(op, place[a], place[b] if b or op.arity == 2 else -1) for op, a, b in self._written.values()]),
             tuple(
-                Output(result.port, result.sparsity, tuple(place[ref] for ref in refs))
+                Output(result.port, result.sparsity, tuple([place[ref] for ref in refs]))
                 for result, refs in zip(self._results, outputs, strict=True)
             ),
             tuple(
@@ -97,30 +93,31 @@ class Writer:
 
     # -- which nodes are needed, and which are turned round ---------------------------------------------------
 
-    def _count_uses(self) -> dict[int, int]:
-        """Count the uses of each needed node; a guard takes a value with either sign."""
-        uses: dict[int, int] = {}
-        self._walk(uses, [ref for result in self._results for ref in result.refs])
+    def _count_uses(self) -> list[int]:
+        """Count the uses of each node, 0 for one that is not needed; a guard takes a value with either sign."""
+        uses, done = [0] * len(self._nodes), bytearray(len(self._nodes))
+        self._walk(uses, done, [ref for result in self._results for ref in result.refs])
         tested = [ref for test in self._tests for ref in (test.value, test.scale)]
-        self._walk(uses, [ref for ref in tested if abs(ref) not in uses])
+        self._walk(uses, done, [ref for ref in tested if not uses[abs(ref)]])
         return uses
 
-    def _walk(self, uses: dict[int, int], refs: Iterable[Ref]) -> None:
-        stack = [abs(ref) for ref in refs if ref]
-        nodes = self._nodes
-        while stack:
-            node = stack.pop()
-            if node in uses:
+    def _walk(self, uses: list[int], done: bytearray, refs: Iterable[Ref]) -> None:
+        """Add the uses by `refs`, and by the nodes that they need; operands have smaller numbers than their users."""
+        nodes, last = self._nodes, 0
+        for node in map(abs, refs):
+            if node:
                 uses[node] += 1
-                continue
-            uses[node] = 1
-            key = nodes[node]
-            if key.__class__ is tuple:
-                _, a, b = key  # type: ignore[misc]
-                if a:
-                    stack.append(a if a > 0 else -a)
-                if b:
-                    stack.append(b if b > 0 else -b)
+                last = max(last, node)
+        for node in range(last, 0, -1):
+            if uses[node] and not done[node]:
+                done[node] = 1
+                key = nodes[node]
+                if key.__class__ is tuple:
+                    _, a, b = key  # type: ignore[misc]
+                    if a:
+                        uses[a if a > 0 else -a] += 1
+                    if b:
+                        uses[b if b > 0 else -b] += 1
 
     def _choose_turned(self) -> set[int]:
         turned: set[int] = set()
@@ -136,56 +133,57 @@ class Writer:
         if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
             return False
         op, a, b = key
-        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal(a) or self._is_literal(b)))
+        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal[a] or self._is_literal[b]))
         operands = (a, b)[: op.arity]
-        if free or any(self._uses[x] == 1 and self._turn(x, turned) for x in operands):
+        if free or any(self._uses[abs(x)] == 1 and self._turn(x, turned) for x in operands):
             turned.add(node)
             return True
         return False
 
     # -- operations with their signs settled ------------------------------------------------------------------
 
-    def _write(self, node: int, op: Op, a: Ref, b: Ref) -> None:
-        turned, literals, kept = node in self._turned, self._literal_nodes, self._kept
-        if op is Op.MUL or op is Op.DIV:
-            x, y = a if literals[a] else kept[a], b if literals[b] else kept[b]
-            if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right
-                if literals[a]:
-                    x = -x
-                elif literals[b]:
-                    y = -y
-            self._record(node if (x > 0) is (y > 0) else -node, op, x, y)
-        elif op is Op.ADD or op is Op.SUB:
-            x, y = a if literals[a] else kept[a], b if literals[b] else kept[b]
-            first, second = (x > 0) is not turned, (y > 0) is not ((op is Op.SUB) is not turned)
-            if not first and not second:  # both are subtracted: store the sum with the other sign
-                turned, first, second = not turned, True, True
-            if not first:
-                x, y, second = y, x, first
-            self._record(-node if turned else node, Op.ADD if second else Op.SUB, x, y)
-        elif op in ODD or op in EVEN:
-            x = self._keep(a)
-            self._record(sign_of(x) * node if op in ODD else node, op, x, 0)
-        else:
-            self._record(node, op, self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0)
-
-    def _keep(self, node: int) -> Ref:
-        """Refer to a node with its stored sign; a literal can have either, and starts with its own."""
-        return node if self._is_literal(node) else self._kept[node]
-
-    def _record(self, result: Ref, op: Op, a: Ref, b: Ref) -> None:
-        literals = self._literal_nodes
-        if literals[a if a > 0 else -a]:
-            self._literals[a] = None
-        if literals[b if b > 0 else -b]:  # no operand is node 0, which is no literal
-            self._literals[b] = None
-        # A literal is written with its sign; any other operand is written with its stored sign.
-        self._written[result] = (op, a, b)
-        self._kept[result if result > 0 else -result] = result
+    def _write_operations(self) -> None:
+        """Write the needed nodes in order: a literal with its sign, other operands with their stored ones."""
+        nodes, turned_nodes, is_literal = self._nodes, self._turned, self._is_literal
+        kept, literals, written = self._kept, self._literals, self._written
+        for node, used in enumerate(self._uses):
+            key = nodes[node]
+            if not used or key.__class__ is not tuple:
+                continue
+            op, a, b = key  # type: ignore[misc]
+            turned = node in turned_nodes
+            if op is Op.MUL or op is Op.DIV:
+                x, y = a if is_literal[a] else kept[a], b if is_literal[b] else kept[b]
+                if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right
+                    if is_literal[a]:
+                        x = -x
+                    elif is_literal[b]:
+                        y = -y
+                turned = (x > 0) is not (y > 0)
+            elif op is Op.ADD or op is Op.SUB:
+                x, y = a if is_literal[a] else kept[a], b if is_literal[b] else kept[b]
+                first, second = (x > 0) is not turned, (y > 0) is not ((op is Op.SUB) is not turned)
+                if not first and not second:  # both are subtracted: store the sum with the other sign
+                    turned, first, second = not turned, True, True
+                if not first:
+                    x, y, second = y, x, first
+                op = Op.ADD if second else Op.SUB
+            elif op in ODD or op in EVEN:
+                x, y = a if is_literal[a] else kept[a], 0
+                turned = x < 0 and op in ODD
+            else:
+                x, y, turned = self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0, False
+            if is_literal[x if x > 0 else -x]:
+                literals[x] = None
+            if is_literal[y if y > 0 else -y]:  # node 0 is no literal
+                literals[y] = None
+            result = -node if turned else node
+            written[result] = (op, x, y)
+            kept[node] = result
 
     def _with_sign(self, ref: Ref) -> Ref:
         """Refer to a value with the given sign; spend an operation on the sign where the stored sign differs."""
-        if ref == 0 or self._is_literal(ref):
+        if ref == 0 or self._is_literal[abs(ref)]:
             self._literals[ref] = None
             return ref
         kept = self._kept[abs(ref)]
@@ -195,10 +193,7 @@ class Writer:
 
     def _as_kept(self, ref: Ref) -> Ref:
         """Refer to a value with its stored sign."""
-        return self._with_sign(ref if ref == 0 or self._is_literal(ref) else self._kept[abs(ref)])
-
-    def _is_literal(self, ref: Ref) -> bool:
-        return bool(self._literal_nodes[abs(ref)])
+        return self._with_sign(ref if ref == 0 or self._is_literal[abs(ref)] else self._kept[abs(ref)])
 
     def _literal(self, ref: Ref) -> mpf:
         found = self._nodes[abs(ref)] if ref else LITERALS.mpf(0)
