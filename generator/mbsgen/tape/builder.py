@@ -95,7 +95,7 @@ class Builder:
         self._nodes: list[Key | mpf | None] = [None]  # node 0 is never used; None: an entry of an input
         self._bases: list[int] = [-1]  # of each node: the node that its literal factor multiplies; of a literal: 0
         self._one = -1  # the node of the literal 1, if there is one
-        self._known: dict[Key, Ref] = {}
+        self._known: dict[Key, Ref] = {}  # quotients and functions
         self._sums: dict[tuple[Ref, Ref], Ref] = {}  # of x > 0 and y with |x| <= |y|; likewise the
         self._products: dict[tuple[Ref, Ref], Ref] = {}  # products of 0 < x <= y: most are asked for many times
         self._literals: dict[mpf, Ref] = {}
@@ -243,7 +243,9 @@ class Builder:
         if self._fold and (base := self._bases[x]) == self._bases[abs(y)]:
             factor = self.literal(self._factor(x) + self._factor(y))
             return self.mul(factor, base) if base else factor
-        return self._node(Op.ADD if y > 0 else Op.SUB, x, abs(y))
+        self._nodes.append((Op.ADD, x, y) if y > 0 else (Op.SUB, x, -y))
+        self._bases.append(len(self._bases))
+        return len(self._bases) - 1
 
     def _find_left(self, x: Ref, y: Ref) -> Ref:
         """Refer to b where y is a sum -x + b, so that x + y = b; return 0 where y is no such sum."""
@@ -280,7 +282,9 @@ class Builder:
                 if base != y:
                     factor = self.literal(self._factor(x) * self._factor(y))
                     return self.mul(factor, base) if base else factor
-        return self._node(Op.MUL, x, y)
+        self._nodes.append((Op.MUL, x, y))
+        self._bases.append(y if self._bases[x] == 0 else len(self._bases))
+        return len(self._bases) - 1
 
     def div(self, x: Ref, y: Ref) -> Ref:
         """Refer to x / y; for a literal y, to the product with its inverse."""
@@ -352,7 +356,7 @@ class Builder:
         if ref is None:
             ref = self._known[key] = len(self._nodes)
             self._nodes.append(key)
-            self._bases.append(b if op is Op.MUL and self._bases[a] == 0 else ref)
+            self._bases.append(ref)
         return ref
 
     def cost(self, values: Iterable[Scalar], constant: Set[Role] = frozenset()) -> int:
@@ -371,7 +375,7 @@ class Builder:
             done[node] = 1
             key = nodes[node]
             if key.__class__ is tuple:
-                _, a, b = key  # type: ignore[misc]
+                _, a, b = key
                 count += 1
                 put(a if a > 0 else -a)
                 if b:
@@ -395,7 +399,7 @@ class Builder:
 
     def build(self, function: Function | str) -> Tape:
         """Build the tape of the declared inputs and outputs, without operations that no output needs."""
-        return Writer(self._nodes, self._inputs, self._results, self._tests, self._labels).tape(
+        return Writer(self._nodes, self._bases, self._inputs, self._results, self._tests, self._labels).tape(
             Function(function) if isinstance(function, str) else function
         )
 

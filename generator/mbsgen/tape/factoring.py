@@ -60,7 +60,9 @@ class _Factoring:
                 refs.append(self._write_sum(builder, refs, value))
             else:
                 refs.append(operate(op, refs[a], refs[b] if b >= 0 else 0))
-        values = [Scalar(builder, ref) for ref in refs]
+        tested = {v for g in self.tape.guards for v in (g.value, g.scale)}
+        shown = tested.union(self.tape.labels, *(o.values for o in self.tape.outputs))
+        values = {v: Scalar(builder, refs[v]) for v in shown}
         labelled = [(v, text) for v, text in sorted(self.tape.labels.items()) if v not in self.inner]
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in self.tape.outputs:

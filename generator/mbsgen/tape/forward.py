@@ -7,6 +7,7 @@ For v = op(a, b): dv = d op/da da + d op/db db, with da, db the sparse gradients
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import overload
 
 from mbsgen.roles import Order
 from mbsgen.tape.builder import Builder, Scalar
@@ -34,7 +35,7 @@ def jacobian(tape: Tape, wrt: Sequence[str]) -> Tape:
     return builder.build(tape.function.to(Order.JACOBIAN))
 
 
-def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Sequence[str]) -> list[Gradient]:
+def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Sequence[str]) -> Gradients:
     """Compute the nonzero derivatives of every value of a replayed tape by the nonzeros of the inputs `wrt`."""
     one = builder.number(1.0)
     given: list[Gradient] = []
@@ -44,7 +45,7 @@ def propagate(tape: Tape, builder: Builder, values: Sequence[Scalar], wrt: Seque
     return carry(tape, builder, values, given)
 
 
-def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequence[Gradient]) -> list[Gradient]:
+def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequence[Gradient]) -> Gradients:
     """Compute the nonzero derivatives of every value of a replayed tape from the derivatives of its input nonzeros."""
     gradients: list[_Refs] = [{column: x.ref for column, x in own.items()} for own in given]
     gradients += ({} for _ in tape.literals)
@@ -54,27 +55,51 @@ def carry(tape: Tape, builder: Builder, values: Sequence[Scalar], given: Sequenc
             gradients.append({})
             continue
         slopes = partials(builder, op, values[a], values[b] if b >= 0 else None, values[value])
-        gradients.append(_combine(builder, slopes, (first, second)))
-    return [{column: Scalar(builder, ref) for column, ref in own.items()} for own in gradients]
+        found = _scale(builder, slopes[0].ref, first)
+        if second:
+            found = _add(builder, found, slopes[1].ref, second)
+        gradients.append(found)
+    return Gradients(builder, gradients)
 
 
 _Refs = dict[int, Ref]  # a gradient by references
 _NOTHING: _Refs = {}
 
 
-def _combine(builder: Builder, slopes: Sequence[Scalar], gradients: Sequence[_Refs]) -> _Refs:
-    add, mul = builder.add, builder.mul
-    total: _Refs = {}
-    has_zeros = False
-    for slope, gradient in zip(slopes, gradients, strict=False):
-        factor = slope.ref
-        for column, derivative in gradient.items():
-            found = mul(factor, derivative)
-            if column in total:
-                found = add(total[column], found)
-            total[column] = found
-            has_zeros = has_zeros or not found
-    return {column: ref for column, ref in total.items() if ref} if has_zeros else total
+class Gradients(Sequence[Gradient]):
+    """The gradients of all values; few are read."""
+
+    def __init__(self, builder: Builder, refs: Sequence[_Refs]) -> None:
+        self._builder, self._refs = builder, refs
+
+    def __len__(self) -> int:
+        return len(self._refs)
+
+    @overload
+    def __getitem__(self, value: int) -> Gradient: ...
+    @overload
+    def __getitem__(self, value: slice) -> list[Gradient]: ...
+    def __getitem__(self, value: int | slice) -> Gradient | list[Gradient]:
+        if isinstance(value, slice):
+            return [self[k] for k in range(*value.indices(len(self)))]
+        return {column: Scalar(self._builder, ref) for column, ref in self._refs[value].items()}
+
+
+def _scale(builder: Builder, slope: Ref, gradient: _Refs) -> _Refs:
+    mul = builder.mul
+    return {column: mul(slope, derivative) for column, derivative in gradient.items()}
+
+
+def _add(builder: Builder, total: _Refs, slope: Ref, gradient: _Refs) -> _Refs:
+    """Add a multiple of a gradient, and leave out what cancels."""
+    add, mul, cancels = builder.add, builder.mul, False
+    for column, derivative in gradient.items():
+        found = mul(slope, derivative)
+        if column in total:
+            found = add(total[column], found)
+            cancels = cancels or not found
+        total[column] = found
+    return {column: ref for column, ref in total.items() if ref} if cancels else total
 
 
 def write_block(

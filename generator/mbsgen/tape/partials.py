@@ -12,6 +12,8 @@ def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scal
     The derivative of |x| is the sign of x, and 0 at 0.
     """
     one = builder.number(1.0)
+    if b is not None:
+        return _partials_of_two(builder, op, a, b, result)
     match op:
         case Op.NEG:
             return (-one,)
@@ -37,19 +39,20 @@ def partials(builder: Builder, op: Op, a: Scalar, b: Scalar | None, result: Scal
             return (one - result * result,)
         case Op.ABS:
             return (builder.apply(Op.SIGN, a),)
-        case Op.SIGN:
+        case _:
             return (builder.zero,)
-    assert b is not None, f"{op.name} has two operands"
-    match op:
-        case Op.ADD:
-            return one, one
-        case Op.SUB:
-            return one, -one
-        case Op.MUL:
-            return b, a
-        case Op.DIV:
-            inverse = one / b
-            return inverse, -(result * inverse)
-        case _:  # the angle of (b, a)
-            squared = a * a + b * b
-            return b / squared, -(a / squared)
+
+
+def _partials_of_two(builder: Builder, op: Op, a: Scalar, b: Scalar, result: Scalar) -> tuple[Scalar, ...]:
+    one = builder.number(1.0)
+    if op is Op.MUL:
+        return b, a
+    if op is Op.ADD:
+        return one, one
+    if op is Op.SUB:
+        return one, -one
+    if op is Op.DIV:
+        inverse = one / b
+        return inverse, -(result * inverse)
+    squared = a * a + b * b  # the angle of (b, a)
+    return b / squared, -(a / squared)

@@ -45,7 +45,9 @@ def replay_lengths(tape: Tape, builder: Builder, values: Sequence[Scalar]) -> No
             builder.guard(length, values[guard.scale], guard.tolerance, guard.joint)
 
 
-def replay_guards(tape: Tape, builder: Builder, values: Sequence[Scalar], *, only_early: bool = False) -> None:
+def replay_guards(
+    tape: Tape, builder: Builder, values: Sequence[Scalar] | Mapping[int, Scalar], *, only_early: bool = False
+) -> None:
     """Guard the same pivots in the builder, or only the divisions by parameters."""
     for guard in tape.guards:
         if guard.early or not only_early:

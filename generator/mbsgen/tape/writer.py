@@ -42,6 +42,7 @@ class Writer:
     def __init__(
         self,
         nodes: Sequence[Key | mpf | None],
+        bases: Sequence[int],
         inputs: Sequence[tuple[Input, int]],
         results: Sequence[Result],
         tests: Sequence[Test],
@@ -49,7 +50,7 @@ class Writer:
     ) -> None:
         self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
         self._tests = tests
-        self._is_literal = bytearray(node is not None and node.__class__ is not tuple for node in nodes)
+        self._is_literal = [base == 0 for base in bases]
         self._uses = self._count_uses()
         self._turned = self._choose_turned()
         self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
@@ -113,7 +114,7 @@ class Writer:
                 done[node] = 1
                 key = nodes[node]
                 if key.__class__ is tuple:
-                    _, a, b = key  # type: ignore[misc]
+                    _, a, b = key
                     if a:
                         uses[a if a > 0 else -a] += 1
                     if b:
@@ -150,7 +151,7 @@ class Writer:
             key = nodes[node]
             if not used or key.__class__ is not tuple:
                 continue
-            op, a, b = key  # type: ignore[misc]
+            op, a, b = key
             turned = node in turned_nodes
             if op is Op.MUL or op is Op.DIV:
                 x, y = a if is_literal[a] else kept[a], b if is_literal[b] else kept[b]
