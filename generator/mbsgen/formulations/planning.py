@@ -194,6 +194,7 @@ class PlanTrials:
 
     def __init__(self, tree: Tree, reductions: Reductions) -> None:
         builder = Builder()
+        builder.memory = {}  # plans differ in one body; what the others compute without it is the same
         self.state = declare_state(tree, builder)
         self.chain = write_chain(tree, builder, self.state)
         self.segments = align(self.chain, group=reductions.share_frames)

@@ -8,7 +8,8 @@ difference or a literal that can take the sign.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence, Set
+from typing import Any, TypeVar
 
 from mpmath import mpf
 
@@ -17,6 +18,8 @@ from mbsgen.roles import Role
 from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import EVEN, LARGEST_THRESHOLD, LITERALS, ODD, Input, Op, Sparsity, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, sign_of
+
+T = TypeVar("T")
 
 _ONE = LITERALS.mpf(1)
 
@@ -105,6 +108,21 @@ class Builder:
         self._results: list[Result] = []
         self._tests: list[Test] = []
         self._labels: dict[int, str] = {}
+        self.memory: dict[tuple[object, ...], tuple[object, Any]] | None = None  # of `remember`; None: it forgets
+
+    def remember(self, key: tuple[object, ...], parts: tuple[object, ...], write: Callable[[], T]) -> T:
+        """Return what `write` gave for an equal key and the very same parts before, or call it.
+
+        What it gives must follow from the key, the parts and this builder. Then it would write the same nodes again.
+        """
+        if self.memory is None:
+            return write()
+        place = (*key, *map(id, parts))
+        known = self.memory.get(place)
+        if known is None:
+            known = self.memory[place] = (parts, write())  # parts stay alive, so that no other object gets their id
+        found: T = known[1]
+        return found
 
     # -- what goes in and out ---------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.chain import Chain, check_pivot
@@ -75,7 +75,11 @@ def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -
         force = segment.signed(Q[i - 1])
         bias = join_loads(kinematics, segment, inertias[i], movements[i], loads)
         force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
-        loads[i] = _hook(segment, bias, bodies[i], force_residual[i], force)
+        loads[i] = kinematics.builder.remember(
+            ("hook", force_residual[i].ref, force.ref),
+            (segment, bias, bodies[i]),
+            partial(_hook, segment, bias, bodies[i], force_residual[i], force),
+        )
     return _accelerate(kinematics, bodies, force_residual), bodies
 
 
@@ -84,8 +88,13 @@ def articulate(writing: Writing) -> dict[int, Body]:
     kinematics = writing.kinematics
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
-        parts = _gather(kinematics, segment, writing.inertias[segment.number], bodies)
-        bodies[segment.number] = _free(writing.chain, segment, parts)
+        inertia, beyond = writing.inertias[segment.number], children(kinematics.segments, segment.number)
+        parts = (*(bodies[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
+        bodies[segment.number] = kinematics.builder.remember(
+            ("articulate",),
+            (segment, inertia, kinematics.frames[segment.number], *parts),
+            lambda: _free(writing.chain, segment, _gather(kinematics, segment, inertia, bodies)),  # noqa: B023  # now
+        )
     return bodies
 
 

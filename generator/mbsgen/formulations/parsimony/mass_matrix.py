@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
 from mbsgen.formulations.parsimony.motion import Kinematics
@@ -56,7 +57,11 @@ def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
     for segment in reversed(kinematics.segments):
         body = compose(kinematics, segment, inertias[segment.number], composites)
         composites[segment.number] = body
-        M |= _column(kinematics, segment, body, absolute=absolute)
+        M |= kinematics.builder.remember(
+            ("column", absolute),
+            (segment, body, *(kinematics.frames[i] for i in list_path(kinematics, segment))),
+            partial(_column, kinematics, segment, body, absolute=absolute),
+        )
         own = segment.number, segment.number
         M[own] = M[own] + writing.chain.armatures[segment.number - 1]
     return M
@@ -66,6 +71,18 @@ def compose(
     kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, composites: dict[int, Composite]
 ) -> Composite:
     """Add to a body what its joints carry."""
+    beyond = [c.number for c in children(kinematics.segments, segment.number)]
+    parts = (*(composites[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
+    return kinematics.builder.remember(
+        ("composite",),
+        (segment, inertia, kinematics.frames[segment.number], *parts),
+        lambda: _compose(kinematics, segment, inertia, composites),
+    )
+
+
+def _compose(
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, composites: dict[int, Composite]
+) -> Composite:
     b, axis = kinematics.builder, segment.axis
     axes = kinematics.frames[segment.number].directions
     m, S, J = inertia.m, kinematics.fixed(segment.number, inertia.S), own_inertia(b, segment, inertia, axes)
@@ -86,6 +103,14 @@ def compose(
         J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     return Composite(m, S, J, alone)
+
+
+def list_path(kinematics: Kinematics, segment: Segment) -> list[int]:
+    """List the numbers of the bodies from one down to the base."""
+    path = [segment.number]
+    while (parent := kinematics.segments[path[-1] - 1].parent) != 0:
+        path.append(parent)
+    return path
 
 
 def sum_across(segment: Segment, a: Vector[Scalar], b: Vector[Scalar]) -> Scalar:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.parsimony.plan import Plan
@@ -129,7 +130,12 @@ class Kinematics:
         self.builder, self.segments, self.plan, self._q = builder, segments, plan, q
         self.frames: dict[int, BodyFrame] = {}
         for segment in segments:
-            self.frames[segment.number] = self._place(segment)
+            before = None if segment.opens_group else self.frames.get(segment.parent)
+            self.frames[segment.number] = builder.remember(
+                ("place", plan[segment.number].own_frame, q[segment.number - 1].ref),
+                (segment, before),
+                partial(self._place, segment),
+            )
 
     # -- where bodies are written -------------------------------------------------------------------------------
 
@@ -195,10 +201,17 @@ class Kinematics:
         """Compute the movement of every body; the base is accelerated against gravity."""
         zero = self.builder.zero
         still = Vector(zero, zero, zero)
-        movements = {0: Movement(zero, zero, zero, zero, still, -gravity, Matrix((still, still, still)))}
+        base = Movement(zero, zero, zero, zero, still, -gravity, Matrix((still, still, still)))
+        movements = {0: self.builder.remember(("base", *(x.ref for x in gravity)), (), lambda: base)}
         for segment in self.segments:
-            rates = (segment.signed(x[segment.number - 1]) for x in (qd, qdd))
-            movements[segment.number] = self._move(segment, movements[segment.parent], *rates)
+            parent, frames = movements[segment.parent], (self.frames[segment.number], self.frames.get(segment.parent))
+            rates = [segment.signed(x[segment.number - 1]) for x in (qd, qdd)]
+            scaled = bool(segment.parent) and self.plan[segment.parent].scaled
+            movements[segment.number] = self.builder.remember(
+                ("move", scaled, *(x.ref for x in rates)),
+                (segment, parent, *frames),
+                partial(self._move, segment, parent, *rates),
+            )
         return movements
 
     def _move(self, segment: Segment, parent: Movement, qd: Scalar, qdd: Scalar) -> Movement:

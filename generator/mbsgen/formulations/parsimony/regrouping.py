@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
@@ -70,12 +70,31 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
         beyond, balancing = _carried(segments, segment, plan)
         own = gathered[segment.number]
         for child in (*beyond, *balancing):
-            inertias[child.number], transfer = _part(builder, child, gathered[child.number], plan, own, total)
-            own = transfer.join(own)
+            inertias[child.number], own = _move(builder, child, gathered[child.number], plan, own, total)
         gathered[segment.number] = own
     for segment in children(segments, 0):
-        inertias[segment.number] = _rest_on_base(builder, segment, gathered[segment.number], plan[segment.number])
+        own, choice = gathered[segment.number], plan[segment.number]
+        inertias[segment.number] = builder.remember(
+            ("rest", choice.mass, choice.spin_from),
+            (segment, own),
+            partial(_rest_on_base, builder, segment, own, choice),
+        )
     return inertias
+
+
+def _move(
+    builder: Builder, child: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
+) -> tuple[RegroupedInertia, Moments]:
+    """Split a body's moments: return the rest, and the moments of the parent with what it gets."""
+    choice = plan[child.number]
+
+    def move() -> tuple[RegroupedInertia, Moments]:
+        rest, transfer = _part(builder, child, own, plan, parent, total)
+        return rest, transfer.join(parent)
+
+    return builder.remember(
+        ("part", choice.mass, choice.spin_from, plan.by_runtime, total.ref), (child, own, parent), move
+    )
 
 
 def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fits) -> Plan:

@@ -83,6 +83,24 @@ def join_loads(
     kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement, loads: dict[int, Load]
 ) -> Load:
     """Add to a body's own load what its joints carry, and what acts on it from outside."""
+
+    def write() -> Load:
+        return _join_loads(kinematics, segment, inertia, movement, loads)
+
+    if segment.wrenches:  # components in the base frame need the frames of all bodies before
+        return write()
+    beyond = [c.number for c in children(kinematics.segments, segment.number)]
+    parts = (*(loads[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
+    return kinematics.builder.remember(
+        ("loads", kinematics.plan[segment.number].scaled, kinematics.plan.by_runtime),
+        (segment, inertia, movement, kinematics.frames[segment.number], *parts),
+        write,
+    )
+
+
+def _join_loads(
+    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement, loads: dict[int, Load]
+) -> Load:
     directions = directions_of(kinematics, segment, inertia, movement)
     F, N, V = inertial_load(kinematics.builder, segment, inertia, movement, directions)
     zero = kinematics.builder.zero

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Protocol, Self, TypeVar
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.parsimony.mass_matrix import Entries, link, own_inertia, shift_inertia
+from mbsgen.formulations.parsimony.mass_matrix import Entries, link, list_path, own_inertia, shift_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, join_loads
@@ -110,7 +110,7 @@ class Recursion:
         self.builder = writing.chain.builder
         self.two = self.builder.number(2.0)
         self.movements = self.kinematics.move(writing.chain.gravity, qd, qdd)
-        self.axes = {s.number: self._axis(s, self.movements[s.number]) for s in self.kinematics.segments}
+        self.axes = {s.number: self._find_axis(s, self.movements[s.number]) for s in self.kinematics.segments}
         self.composites: dict[int, Composite] = {}
         self.found = Sensitivities({}, {}, {}, {})
 
@@ -125,6 +125,9 @@ class Recursion:
         return self.found
 
     # -- the state of bodies ------------------------------------------------------------------------------------
+
+    def _find_axis(self, segment: Segment, movement: Movement) -> Axis:
+        return self.builder.remember(("axis",), (segment, movement), lambda: self._axis(segment, movement))
 
     def _axis(self, segment: Segment, movement: Movement) -> Axis:
         e = unit_vector(self.builder, segment.axis)
@@ -153,6 +156,16 @@ class Recursion:
 
     def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
         """Add the composites of its children to a body."""
+        k, i = self.kinematics, segment.number
+        beyond = [c.number for c in children(k.segments, i)]
+        parts = (*(self.composites[c] for c in beyond), *(k.frames[c] for c in beyond))
+        return self.builder.remember(
+            ("sensitive composite", *(self.qd[c - 1].ref for c in beyond)),
+            (segment, inertia, self.movements[i], k.frames[i], *parts),
+            lambda: self._compose(segment, inertia),
+        )
+
+    def _compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
         k, own = self.kinematics, self.own(segment, inertia)
         m, S, J, p, L = own.m, own.S, own.J, own.p, own.L
         for child in children(k.segments, segment.number):
@@ -168,10 +181,23 @@ class Recursion:
 
     def differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
         """Write the column of a joint in the rows of its ancestors, and its row in their columns."""
+        path = list_path(self.kinematics, segment)
+        parts = (group[i] for i in path for group in (self.axes, self.movements, self.kinematics.frames))
+        found = self.builder.remember(
+            ("differentiate", *(self.qd[i - 1].ref for i in path)),
+            (segment, body, load, *parts),
+            lambda: self._differentiate(segment, body, load),
+        )
+        for entries, more in ((self.found.q, found.q), (self.found.qd, found.qd), (self.found.qdd, found.qdd)):
+            entries |= more
+
+    def _differentiate(self, segment: Segment, body: Composite, load: Load) -> Sensitivities:
+        found = Sensitivities({}, {}, {}, {})
         for below, by, through in self.descend(segment, Loads.of(segment, body, self.axes[segment.number], load)):
-            self._write_column(below, segment, by)
+            _write_column(found, below, segment, by)
             if below is not segment:
-                self._write_row(below, segment, by, through)
+                self._write_row(found, below, segment, by, through)
+        return found
 
     def descend(self, segment: Segment, by: L) -> Iterator[tuple[Segment, L, Step | None]]:
         """Carry loads from a body down to the base; also yield the last step, if it was between parallel axes."""
@@ -184,20 +210,13 @@ class Recursion:
             yield below, by, None if at.opens_group else Step(at, self.axes[below.number].e.cross(d))
             at = below
 
-    def _write_column(self, row: Segment, column: Segment, by: Loads) -> None:
-        place, same = (row.number, column.number), row.sense == column.sense
-        for entries, load in ((self.found.q, by.q), (self.found.qd, by.qd), (self.found.qdd, by.qdd)):
-            felt = (load.N if row.is_revolute else load.F)[row.axis]
-            entries[place] = felt if same else -felt
-        self.found.qdd[column.number, row.number] = self.found.qdd[place]
-
-    def _write_row(self, column: Segment, row: Segment, by: Loads, through: Step | None) -> None:
+    def _write_row(self, found: Sensitivities, column: Segment, row: Segment, by: Loads, through: Step | None) -> None:
         """Write the entries of a row in the column of an ancestor."""
         axis, first, same = self.axes[column.number], by.qdd, row.sense == column.sense
         if through:
             field = self.movements[column.number].field(through.change)
             turning = self.doubled_velocity(column).cross(through.change)
-            for entries, more in ((self.found.q, field.dot(first.F)), (self.found.qd, turning.dot(first.F))):
+            for entries, more in ((found.q, field.dot(first.F)), (found.qd, turning.dot(first.F))):
                 add_to(entries, through, column, row, more, by_column=True)
             return
         if column.is_revolute:
@@ -205,8 +224,16 @@ class Recursion:
             qd = axis.doubled_rate.dot(first.N) + by.K[column.axis]
         else:
             q, qd = axis.acceleration.dot(first.F), axis.doubled_rate.dot(first.F)
-        self.found.q[row.number, column.number] = q if same else -q
-        self.found.qd[row.number, column.number] = qd if same else -qd
+        found.q[row.number, column.number] = q if same else -q
+        found.qd[row.number, column.number] = qd if same else -qd
+
+
+def _write_column(found: Sensitivities, row: Segment, column: Segment, by: Loads) -> None:
+    place, same = (row.number, column.number), row.sense == column.sense
+    for entries, load in ((found.q, by.q), (found.qd, by.qd), (found.qdd, by.qdd)):
+        felt = (load.N if row.is_revolute else load.F)[row.axis]
+        entries[place] = felt if same else -felt
+    found.qdd[column.number, row.number] = found.qdd[place]
 
 
 def add_to(
