@@ -33,7 +33,8 @@ def _follow_results(tape: Tape, operands: Operands) -> list[int]:
     first = tape.first_operation
     depths = [0] * first  # the operations between each value and the leaves
     for used in operands:
-        depths.append(1 + max(depths[x] for x in used))
+        a, b = used[0], used[-1]
+        depths.append(1 + max(depths[a], depths[b]))
     roots = [v for g in tape.guards for v in (g.value, g.scale)] + [v for o in tape.outputs for v in o.values]
     done = [False] * len(operands)
     order: list[int] = []
@@ -44,9 +45,13 @@ def _follow_results(tape: Tape, operands: Operands) -> list[int]:
             if k < 0 or done[k]:
                 stack.pop()
                 continue
-            missing = [x - first for x in operands[k] if x >= first and not done[x - first]]
-            if missing:
-                stack.append(max(missing, key=lambda x: depths[first + x]))  # the deepest operand is taken first
+            used = operands[k]
+            a, b = used[0] - first, used[-1] - first
+            lacks_a, lacks_b = a >= 0 and not done[a], b >= 0 and not done[b]
+            if lacks_a and (not lacks_b or depths[first + a] >= depths[first + b]):
+                stack.append(a)  # the deepest operand is taken first
+            elif lacks_b:
+                stack.append(b)
             else:
                 done[k] = True
                 order.append(k)
@@ -62,14 +67,16 @@ def _find_stages(tape: Tape, operands: Operands) -> list[int]:
     are_sines = [op in _TRIGONOMETRIC for op, _, _ in tape.operations]
     levels = [0] * first  # the length of the chain of sines, each an argument of the next, below a value
     for is_sine, used in zip(are_sines, operands, strict=True):
-        levels.append(max(levels[x] for x in used) + is_sine)
+        levels.append(max(levels[used[0]], levels[used[-1]]) + is_sine)
     last = 1 + max(levels, default=0)
     groups = [last] * len(levels)  # the group that a value belongs to, or is needed for
     for k in range(len(operands) - 1, -1, -1):
         if are_sines[k]:
             groups[first + k] = levels[first + k]
+        own = groups[first + k]
         for x in operands[k]:
-            groups[x] = min(groups[x], groups[first + k])
+            if own < groups[x]:
+                groups[x] = own
     return [2 * group + is_sine for group, is_sine in zip(groups[first:], are_sines, strict=True)]
 
 
@@ -93,6 +100,6 @@ def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
     ends = Counter(last.values())
     kept = total = 0
     for n, k in enumerate(order):
-        kept += (first + k in last) - ends[n]
+        kept += (first + k in last) - ends.get(n, 0)
         total += kept
     return total

@@ -36,6 +36,8 @@ _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_sym
 _FACTORS = "Where the factors of M have their entries, and the results their nonzeros in M^-1 B."
 _PLACES = "Where nonzeros stand in full arrays, and what is gathered."
 
+LONGEST = 108  # characters of a line of C
+
 
 @dataclass(frozen=True)
 class CFunction:
@@ -311,7 +313,9 @@ def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
 
 def _break(line: str) -> list[str]:
     """Break a long line where it has spaces."""
-    return textwrap.wrap(line, 108, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+    if len(line) <= LONGEST:  # most are; wrapping takes longer than writing them
+        return [line]
+    return textwrap.wrap(line, LONGEST, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 
 
 def _write_turns(turns: Turns, suffix: str) -> list[str]:

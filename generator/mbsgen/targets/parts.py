@@ -96,6 +96,8 @@ def order_lines(body: Body) -> tuple[Line, ...]:
 
 def _find_kept(slices: Sequence[Sequence[Line]]) -> dict[str, None]:
     """Find the values that other parts read, in the order in which they are computed."""
+    if len(slices) == 1:
+        return {}
     defined = [{name: None for line in part for name in _names(line)} for part in slices]
     outside: set[str] = set()
     for part, own in zip(slices, defined, strict=True):
@@ -122,7 +124,7 @@ def _write_line(line: Line, kept: Mapping[str, str], words: Words) -> Line:
         return name and (kept.get(name) or words.declared.format(name=name))
 
     def take(text: str) -> str:
-        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text)
+        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text) if kept else text
 
     match line:
         case Statement():
