@@ -111,6 +111,7 @@ class Plans:
 def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:
     """Align the bodies of a tree, with the parameters at their values."""
     builder = Builder()
+    builder.memory = {}
     known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     chain = write_chain(known, builder, declare_state(known, builder))
     return chain, align(chain, group=reductions.share_frames)

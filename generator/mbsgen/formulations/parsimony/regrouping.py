@@ -70,7 +70,7 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
         beyond, balancing = _carried(segments, segment, plan)
         own = gathered[segment.number]
         for child in (*beyond, *balancing):
-            inertias[child.number], own = _move(builder, child, gathered[child.number], plan, own, total)
+            inertias[child.number], _, own = _move(builder, child, gathered[child.number], plan, own, total)
         gathered[segment.number] = own
     for segment in children(segments, 0):
         own, choice = gathered[segment.number], plan[segment.number]
@@ -84,13 +84,13 @@ def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[i
 
 def _move(
     builder: Builder, child: Segment, own: Moments, plan: Plan, parent: Moments, total: Scalar
-) -> tuple[RegroupedInertia, Moments]:
-    """Split a body's moments: return the rest, and the moments of the parent with what it gets."""
+) -> tuple[RegroupedInertia, Moments, Moments]:
+    """Split a body's moments: return the rest, what moves to the parent, and the parent's moments with it."""
     choice = plan[child.number]
 
-    def move() -> tuple[RegroupedInertia, Moments]:
+    def move() -> tuple[RegroupedInertia, Moments, Moments]:
         rest, transfer = _part(builder, child, own, plan, parent, total)
-        return rest, transfer.join(parent)
+        return rest, transfer.moments, transfer.join(parent)
 
     return builder.remember(
         ("part", choice.mass, choice.spin_from, plan.by_runtime, total.ref), (child, own, parent), move
@@ -111,12 +111,12 @@ def restrain(builder: Builder, segments: Sequence[Segment], plan: Plan, fits: Fi
         for child in (*beyond, *balancing):
             for choice in _alternatives(plan[child.number]):
                 plan = plan.put(child.number, choice)
-                _, transfer = _part(builder, child, gathered[child.number], plan, own, total)
-                if fits(child.number, transfer.moments):
+                _, moved, joined = _move(builder, child, gathered[child.number], plan, own, total)
+                if fits(child.number, moved):
                     break
             else:
                 plan = plan.put(child.number, replace(choice, mass=Mass.KEPT))
-            own = transfer.join(own)
+            own = joined
         gathered[segment.number] = own
     return plan
 
