@@ -89,7 +89,7 @@ _RULES = (
         ("bounds", "input_rates"),
         f"{_REMEMBERS} a period before, and the length of a period is free here",
         "give the horizon, or price rates by cost.input_rates",
-        lambda problem: problem.bounds.rates and problem.horizon_range is not None,
+        lambda problem: problem.bounds.rates and not problem.is_timed,
     ),
     _rule(
         ("forces",),

@@ -165,7 +165,7 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
     """
     named, open_ones = references.list_names(problem.references), set()
     for reference in problem.references:
-        if problem.horizon_range is not None and not reference.is_normalised:
+        if not (problem.is_timed or reference.is_normalised):
             open_ones.add(reference.name)
             finding = f"the horizon is free, and the reference {reference.name} is in seconds"
             remedy = "write time: normalised into it, or give the horizon"
@@ -324,7 +324,7 @@ def _find_wrong_refinement(problem: Problem) -> Iterator[Finding]:
 def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
-    chooses_motion = problem.unknowns or (manifest.driven and problem.horizon_range)
+    chooses_motion = problem.unknowns or (manifest.driven and not problem.is_timed)
     if not (m or problem.controls or problem.every_component or chooses_motion):
         yield _UNCONTROLLED
     if left := list_open_inputs(manifest):

@@ -150,8 +150,7 @@ def _list_variables(transcription: Transcription, manifest: Manifest) -> Iterato
         for part in parts:
             for k, text in enumerate(texts if part.shape[-1] else ()):
                 yield part[..., k], f"the bounds of {text}"
-    if layout.horizon is not None:
-        yield np.array([layout.horizon]), "the range of the horizon"
+    yield layout.horizons, "the range of the horizon"
     yield from _name(layout.unknowns, (f"the range of {name}" for name in shape.added.unknowns))
 
 

@@ -51,7 +51,7 @@ def derive(text: str) -> tuple[Expression, Expression, Expression]:
 def varies(text: str, problem: Problem) -> bool:
     """Return whether a motion depends on numbers that the solver chooses: a free horizon, unknowns."""
     chosen = {unknown.name for unknown in problem.unknowns}
-    if problem.horizon_range is not None:
+    if not problem.is_timed:
         chosen |= {TIME, HORIZON}
     return bool(names(parse(text)) & chosen)
 
@@ -184,7 +184,7 @@ def _find_excess(t: Array, values: Array, limits: Range, found: Conflict) -> Ite
 def _varies_at_start(guide: Guide, k: int, problem: Problem) -> bool:
     """Return whether motion k begins in another place, or at another velocity, where the solver chooses others."""
     values = np.array([unknown.guess for unknown in problem.unknowns])
-    stretch = 1.0 if problem.horizon_range is None else OTHER
+    stretch = 1.0 if problem.is_timed else OTHER
     pairs = ((problem.horizon, values), (stretch * problem.horizon, OTHER * values + 1.0))
     one, other = (np.array(guide.read(np.zeros(1), *pair)[:2])[:, 0, k] for pair in pairs)
     return not np.allclose(one, other, rtol=SAME, atol=SAME)

@@ -134,6 +134,11 @@ class Layout:
     extras: Extras
 
     @property
+    def horizons(self) -> Indices:
+        """Return T as a list, which is empty where it is given."""
+        return np.array([] if self.horizon is None else [self.horizon], dtype=np.int64)
+
+    @property
     def nq(self) -> int:
         """Count the coordinates."""
         return self.motions.nq

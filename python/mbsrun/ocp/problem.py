@@ -356,9 +356,24 @@ class Problem:
 
     def __repr__(self) -> str:
         """Return the name, the horizon and its grid, and the way of writing the equations."""
-        horizon = f"{self.horizon:g} s" + (" (free)" if self.horizon_range is not None else "")
+        horizon = f"{self.horizon:g} s" + ("" if self.is_timed else " (free)")
         ways = f"{self.representation.value}, {self.form.value}, {self.solver.method or 'mbs'}"
         return f"Problem({self.name}: {horizon}, {self.intervals} intervals of degree {self.degree}, {ways})"
+
+    @property
+    def is_timed(self) -> bool:
+        """Return whether the horizon is given, and none that the solver chooses."""
+        return self.horizon_range is None
+
+    @property
+    def horizon_limits(self) -> Range:
+        """Return the range of the horizon, a point where it is given."""
+        return self.horizon_range or (self.horizon, self.horizon)
+
+    def with_duration(self, seconds: float) -> Problem:
+        """Return the same problem with a guess of the horizon as near to a duration as its range permits."""
+        lower, upper = self.horizon_limits
+        return replace(self, horizon=min(max(seconds, lower), upper))
 
     @property
     def asked_accuracy(self) -> float:
@@ -490,7 +505,7 @@ def _has_rates(problem: Problem) -> bool:
 def _find_delays(problem: Problem) -> list[Conflict]:
     """Find delays that no grid of the problem can have."""
     found = []
-    if problem.delays and problem.horizon_range is not None:
+    if problem.delays and not problem.is_timed:
         finding = "the horizon is free, so the mesh points move, and a delay ends at one of them"
         place = _place_delay(problem, problem.delays[0])
         return [Conflict(place[0], finding, "give the horizon, or leave the delay out", place[1:])]
@@ -525,7 +540,7 @@ def _find_slopes(problem: Problem) -> list[Conflict]:
     if form is Form.STANDARD or problem.integrator != SECOND_ORDER:
         return []
     found = []
-    if problem.horizon_range is not None:
+    if not problem.is_timed:
         found.append(("a horizon that is free", "give the horizon"))
     if form is Form.SHOOTING and problem.mesh is not None:
         found.append(("intervals of unequal length", "give their number"))

@@ -63,8 +63,7 @@ def find_guess(path: Path, problem: Problem, plant: Plant) -> Trajectory:
 def recall(recording: Recording, problem: Problem, plant: Plant) -> Trajectory:
     """Read a recorded motion on the grid of a problem. Raises InputError where it lacks a coordinate or the times."""
     start, end = choose_times(recording, problem)
-    if problem.horizon_range is not None:
-        problem = replace(problem, horizon=float(np.clip(end - start, *problem.horizon_range)))
+    problem = problem.with_duration(end - start)
     ends, pace = np.array([start, end]), (end - start) / problem.horizon
     t, point_t = problem.grid.times(problem.horizon, schemes.build(problem.family, problem.degree).points)
     mesh, points = start + t * pace, start + point_t * pace

@@ -53,7 +53,7 @@ def _list_groups(own: Transcription) -> Iterator[Indices]:
         (extras.states, extras.point_states),
         (extras.controls, extras.point_controls),
         (layout.unknowns,),
-        *([(np.array([layout.horizon]),)] if layout.horizon is not None else []),
+        (layout.horizons,),
     ):
         for i in range(max(part.shape[-1] for part in parts)):
             yield np.concatenate([part[..., i].ravel() for part in parts if part.shape[-1]])

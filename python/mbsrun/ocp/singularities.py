@@ -124,7 +124,7 @@ class _Points:
         values = Values(every, self._problem, self._plant)(self._parts)
         chosen = slice(-1, None) if stated.is_terminal else slice(0, 1) if stated.is_initial else slice(None)
         fixed = {"t", "T", *(name for name, _ in self._problem.constants)}
-        if self._problem.horizon_range is not None:
+        if not self._problem.is_timed:
             fixed.discard("T")
         varied = [name for name in every if name not in fixed and not name.startswith("ref_")]
         n = max(len(varied), 1)

@@ -85,7 +85,7 @@ def structure(problem: Problem) -> Structure:
     states = problem.bounds.q + problem.bounds.qd
     bounded = [i for i, bounds in enumerate(states) if np.isfinite(bounds).any()]
     return Structure(
-        horizon=problem.horizon if problem.horizon_range is None else None,
+        horizon=problem.horizon if problem.is_timed else None,
         intervals=problem.intervals,
         family=problem.family,
         degree=problem.degree,

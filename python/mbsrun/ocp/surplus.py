@@ -78,7 +78,7 @@ def free_targets(problem: Problem, plant: Plant, q: Array) -> Problem:
     """
     manifest, end = plant.manifest, problem.end
     given = [(k, axis) for k, (_, target) in enumerate(end.sensors) for axis in range(3) if target[axis] is not None]
-    if not manifest.driven or problem.horizon_range is not None or problem.unknowns or not given:
+    if not manifest.driven or not problem.is_timed or problem.unknowns or not given:
         return problem
     from scipy.linalg import null_space  # here, and late: it takes long to load
 

@@ -107,8 +107,7 @@ class Transcription:
         given = self._list_given_states(problem)
         lower[given], upper[given] = -np.inf, np.inf
         self._limit_first_inputs(problem, lower, upper)
-        if problem.horizon_range is not None:
-            lower[self.layout.horizon], upper[self.layout.horizon] = problem.horizon_range
+        lower[self.layout.horizons], upper[self.layout.horizons] = problem.horizon_limits
         lower[self._fixed] = upper[self._fixed] = self.fixed
         bounds = np.array([unknown.bounds for unknown in problem.unknowns]).reshape(-1, 2)
         lower[self.layout.unknowns], upper[self.layout.unknowns] = bounds.T
@@ -271,8 +270,7 @@ class Transcription:
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
         x[layout.extras.point_states] = trajectory.point_states.reshape(layout.extras.point_states.shape)
-        if layout.horizon is not None:
-            x[layout.horizon] = trajectory.t[-1]
+        x[layout.horizons] = trajectory.t[-1]
         x[layout.unknowns] = trajectory.unknowns
         x[self._fixed] = self.fixed
         if layout.accelerations.size and not self.program.solved:

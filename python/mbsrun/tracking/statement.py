@@ -355,7 +355,7 @@ class _Reading(Reading):
     def horizon(self, section: _HorizonSection | None, period: float) -> Horizon | None:
         """Read how the horizon shrinks."""
         if section is None:
-            if self.problem.horizon_range is not None:
+            if not self.problem.is_timed:
                 self.fault(("horizon",), "the problem's horizon is free", "give it a fixed one, or end and least here")
             return None
         return Horizon(

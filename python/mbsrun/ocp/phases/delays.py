@@ -131,7 +131,7 @@ def find_misfits(shift: Shift, before: Half, after: Half) -> Iterator[tuple[str,
     text = f"{shift.name} acts {shift.after:g} s later, and {shift.before:g} s later in phase {before.name}"
     if before.find(shift) is None:
         yield f"{text}, which has no such input, or one of another course", USUAL
-    elif source.horizon_range is not None:
+    elif not source.is_timed:
         yield f"{text}, whose horizon is free, so its mesh points move", f"give that horizon; or {USUAL}"
     elif shift.seconds > source.horizon * (1 + SAME_TIME):
         finding = f"{text}, which lasts {source.horizon:g} s, less than the difference"

@@ -62,9 +62,7 @@ def adapt_guess(problem: PhasedProblem, guess: Guess) -> Guess:
 
 def adapt_motion(own: Problem, motion: Trajectory) -> Trajectory:
     """Read a motion on the grid of a phase, whose horizon it guesses where that is free."""
-    if own.horizon_range is not None:
-        own = replace(own, horizon=float(np.clip(motion.t[-1], *own.horizon_range)))
-    return adapt(motion, own, schemes.build(own.family, own.degree))
+    return adapt(motion, own.with_duration(float(motion.t[-1])), schemes.build(own.family, own.degree))
 
 
 def _carry_on(

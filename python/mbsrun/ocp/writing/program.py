@@ -104,8 +104,7 @@ def list_inputs(sheet: Sheet) -> Indices:
 
 def list_common(sheet: Sheet) -> Indices:
     """List the variables of the whole horizon."""
-    horizon = [] if sheet.layout.horizon is None else [sheet.layout.horizon]
-    return np.union1d(np.array(horizon, dtype=np.int64), np.union1d(sheet.layout.unknowns, sheet.layout.design))
+    return np.union1d(sheet.layout.horizons, np.union1d(sheet.layout.unknowns, sheet.layout.design))
 
 
 def read_design(sheet: Sheet, blocks: Sequence[Block]) -> tuple[Block, ...]:
