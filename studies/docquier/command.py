@@ -209,7 +209,7 @@ def study_command(
     representations = tuple(Representation(name) for name in names) or tuple(Representation)
     for representation in representations:
         if conflicts := find_conflicts(replace(problem, representation=representation)):
-            raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
+            raise click.UsageError("; ".join(f"{c.place[0]}: {c.finding}; {c.remedy}" for c in conflicts))
     bumped = tuple(subject.plant.manifest.actuated)
     turning = list_turning(problem, subject.plant.manifest)
     sensor = find_sensor(problem, file)

@@ -21,9 +21,8 @@ from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
 from mbsgen.assembly.mechanism import Array, Mechanism, place_roughly
 from mbsgen.assembly.poses import NEAR, OPEN, Attempt, close, find_pose, rank, walk
 from mbsgen.assembly.readings import Reading, is_weak, list_readings
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.errors import MbsError
-from mbsgen.model.findings import Finding
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Closure, Cut, Kind, Tree, coordinate_symbol
 

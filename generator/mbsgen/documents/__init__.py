@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from mbsgen.documents.kinds import expect
 from mbsgen.documents.numbers import read_number
-from mbsgen.documents.places import Data, Place, abbreviate, lies_under, nearest, refuse, write_path
+from mbsgen.documents.places import Data, Finding, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document, read_bytes, read_document
 from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, take, validate
 
@@ -17,6 +17,7 @@ __all__ = [
     "Data",
     "Document",
     "Examination",
+    "Finding",
     "Place",
     "Section",
     "WrongValueError",

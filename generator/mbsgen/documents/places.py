@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Container, Sequence
+from dataclasses import dataclass
 
 from mbsgen.errors import Fault, InputError
 
@@ -15,6 +16,15 @@ MAX_CANDIDATES = 200  # words that a misspelt one is compared with
 
 Data = dict[str, "Data"] | list["Data"] | str | int | float | bool | None
 Place = tuple[str | int, ...]  # keys and indices from the top of a document
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding at one place of a document, or of a value that was read from it, and the remedy."""
+
+    place: Place
+    finding: str
+    remedy: str
 
 
 def lies_under(place: Place, places: Container[Place]) -> bool:

@@ -12,12 +12,11 @@ from decimal import Decimal
 
 import numpy as np
 
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model import tree
 from mbsgen.model.elimination import check_constraints
 from mbsgen.model.expansion import list_steps
-from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers
 from mbsgen.model.force_checks import State, check_bodies, check_forces, check_law, list_state
 from mbsgen.model.joints.quaternions import is_pure

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from mpmath import mpf
 
+from mbsgen.documents import Finding
 from mbsgen.expressions import (
     PRIMITIVES,
     Algebra,
@@ -33,7 +34,6 @@ from mbsgen.expressions import (
     names,
 )
 from mbsgen.model.expansion import list_steps
-from mbsgen.model.findings import Finding
 from mbsgen.model.following import check_followers, find_rules, list_joints
 from mbsgen.model.model import Body, Constraint, Follow, Joint, Model
 from mbsgen.model.symbols import DIGITS

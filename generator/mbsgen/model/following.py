@@ -10,10 +10,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from mbsgen.documents import abbreviate, nearest
+from mbsgen.documents import Finding, abbreviate, nearest
 from mbsgen.expressions import Expression, Operation
 from mbsgen.model.expansion import Step, list_steps
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import ONE, ZERO, Follow, Model
 from mbsgen.model.valuation import Valuation
 

@@ -7,10 +7,9 @@ from types import MappingProxyType
 
 from sympy import Expr, Symbol
 
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression, names, write
 from mbsgen.model.elements import POWERS
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import (
     BASE,
     LENGTH,

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbsgen.documents import Place, abbreviate, lies_under, nearest, write_path
+from mbsgen.documents import Finding, Place, abbreviate, lies_under, nearest, write_path
 from mbsgen.expressions import names, write
 from mbsgen.model.expansion import Step
-from mbsgen.model.findings import Finding
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import BASE, UNITS, ZERO, Constraint, Loop, Model, Triple
 from mbsgen.model.symbols import to_double

@@ -10,11 +10,10 @@ import unicodedata
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 
-from mbsgen.documents import Place, abbreviate, lies_under
+from mbsgen.documents import Finding, Place, abbreviate, lies_under
 from mbsgen.expressions import is_free_name
 from mbsgen.manifest import TIME
 from mbsgen.model.expansion import list_steps
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import BASE, COORDINATE, FREE, LENGTH, LENGTH_RATE, RATE, Model
 from mbsgen.model.quantities import find_read_signals, list_quantities
 

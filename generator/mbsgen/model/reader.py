@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mbsgen.documents import Place, examine, expect, read_document, refuse
+from mbsgen.documents import Finding, Place, examine, expect, read_document, refuse
 from mbsgen.expressions import Expression
 from mbsgen.model import schema
 from mbsgen.model.checks import find_doubts, find_faults
-from mbsgen.model.findings import Finding
 from mbsgen.model.joints.dh import DhSection, place_tail
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection

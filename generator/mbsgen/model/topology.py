@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
 
-from mbsgen.documents import Place, abbreviate, lies_under, nearest
-from mbsgen.model.findings import Finding
+from mbsgen.documents import Finding, Place, abbreviate, lies_under, nearest
 from mbsgen.model.model import BASE, Fixed, Model
 
 

@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression
 from mbsgen.model.expansion import Expansion, expand
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import Fixed, Joint, Model, Placement, Triple
 from mbsgen.model.placements import centre_inertia
 from mbsgen.model.symbols import DIGITS

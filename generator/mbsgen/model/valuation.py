@@ -10,9 +10,8 @@ from mpmath import mpf
 from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
-from mbsgen.documents import Place, abbreviate, lies_under
+from mbsgen.documents import Finding, Place, abbreviate, lies_under
 from mbsgen.expressions import MAX_DEGREE, Expression, ExpressionError, Measure, evaluate, measure, names
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import Parameter, Placement, Triple
 from mbsgen.model.symbols import check_powers, exact, round_number, symbolic, to_digits, to_double
 from mbsgen.model.tree import Kind

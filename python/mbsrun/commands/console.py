@@ -121,7 +121,7 @@ def find_sensor(problem: Problem, argument: str) -> str:
 def check_conflicts(problem: Problem) -> None:
     """Refuse what does not go together."""
     if conflicts := find_conflicts(problem):
-        raise click.UsageError("; ".join(f"{c.key}: {c.finding}; {c.remedy}" for c in conflicts))
+        raise click.UsageError("; ".join(f"{c.place[0]}: {c.finding}; {c.remedy}" for c in conflicts))
 
 
 def keep_grid(problem: Problem) -> Problem:

@@ -12,7 +12,7 @@ from functools import cache
 
 from pydantic import TypeAdapter, ValidationError
 
-from mbsgen.documents import abbreviate
+from mbsgen.documents import Finding, abbreviate, write_path
 from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError, is_free_name, names, parse
 from mbsgen.manifest import Manifest
@@ -27,7 +27,6 @@ from mbsrun.ocp.memory import Memory
 from mbsrun.ocp.methods import METHODS
 from mbsrun.ocp.methods import choose as choose_method
 from mbsrun.ocp.problem import (
-    Conflict,
     Control,
     Form,
     Loops,
@@ -53,11 +52,11 @@ MAX_ROUNDS = 100  # of a refinement
 MAX_THREADS = 64  # of a solve
 FRACTIONS_SUM = 1e-9  # how far from 1 the sum of all fractions may be
 
-Finding = tuple[str, str, str]  # part of the problem, what was found, what to do
+Line = tuple[str, str, str]  # of an error: the part of the problem, what was found, what to do
 
 
-_FREE_OF_COST: Finding = ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
-_UNCONTROLLED: Finding = (
+_FREE_OF_COST: Line = ("cost", "every weight is 0", "give inputs or input_rates a positive weight")
+_UNCONTROLLED: Line = (
     "model",
     "the model has no actuated coordinate",
     "give it one, or the problem controls: there is nothing to control",
@@ -67,7 +66,7 @@ _UNCONTROLLED: Finding = (
 class ProblemError(MbsError, ValueError):
     """A problem with faults: one a line."""
 
-    def __init__(self, name: object, findings: Sequence[Finding]) -> None:
+    def __init__(self, name: object, findings: Sequence[Line]) -> None:
         self.findings = tuple(findings)
         lines = (f"problem {name}: {place}: {finding}; {remedy}" for place, finding, remedy in self.findings)
         super().__init__("\n".join(lines))
@@ -92,7 +91,7 @@ def _check(problem: Problem, manifest: Manifest, *, is_phase: bool) -> None:
         conflicts = [*find_conflicts(problem), *find_loop_conflicts(problem, manifest), *find_open_references(problem)]
         conflicts += find_unknown_conflicts(problem, manifest)
         conflicts += find_phase_conflicts(manifest) if is_phase else driving.find_conflicts(problem, manifest)
-        findings = [(c.key, c.finding, c.remedy) for c in conflicts]
+        findings = [(str(c.place[0]), c.finding, c.remedy) for c in conflicts]
         findings += _find_divided_quaternions(problem, manifest)
     if findings:
         raise ProblemError(getattr(problem, "name", "?"), findings)
@@ -116,49 +115,49 @@ def list_open_inputs(manifest: Manifest) -> list[str]:
     return [i.name for i in inputs if i.role not in own and i.nnz]
 
 
-def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find what a problem asks for that closed loops, or the form that they have, do not give."""
     loops, form, representation = problem.loops, problem.form, problem.representation
     if not has_loops(manifest):
         if loops is not None:
-            yield Conflict("loops", "the model has no closed loops", "leave this out")
+            yield Finding(("loops",), "the model has no closed loops", "leave this out")
         return
     if form is not Form.STANDARD and loops is Loops.MULTIPLIERS:
         finding = f"the {form.value} form has no multipliers of loops, and no corrections, at its points"
         remedy = "take standard, or loops: reduced where independent coordinates determine the others along the motion"
-        yield Conflict("form", finding, remedy)
+        yield Finding(("form",), finding, remedy)
     if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
         finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
-        yield Conflict("loops", finding, "take scheme: radau, or loops: reduced")
+        yield Finding(("loops",), finding, "take scheme: radau, or loops: reduced")
     if loops is Loops.MULTIPLIERS and problem.integrator == SECOND_ORDER:
         finding = "corrections of the rates of coordinates, which second-order collocation does not have"
-        yield Conflict("loops", finding, "take integrator: collocation, or loops: reduced")
+        yield Finding(("loops",), finding, "take integrator: collocation, or loops: reduced")
     if loops is Loops.REDUCED or (loops is None and form is not Form.STANDARD):
         # other forms are reduced without being asked
         key, other = ("form", "form: standard") if loops is None else ("loops", "loops: multipliers")
         other += ", in form: standard" if loops is not None and form is not Form.STANDARD else ""
         if representation in _WITHOUT_REDUCTION:
             finding = f"{representation.value} has no reduced form"
-            yield Conflict(key, finding, f"take representation: IMPL or EXP1-O, or {other}")
+            yield Finding((key,), finding, f"take representation: IMPL or EXP1-O, or {other}")
         if divided := list_divided(manifest, manifest.independent):
             named = ", ".join(dict.fromkeys(manifest.positions[i].rpartition(".")[0] for i in divided))
             finding = f"some velocities of {named} are independent and some are not; the reduced form takes all or none"
-            yield Conflict(key, finding, f"take {other}")
+            yield Finding((key,), finding, f"take {other}")
         if named := _find_dependent_accelerations(problem, manifest):
             finding = f"the problem reads the acceleration of {named}, which the reduced form does not compute"
-            yield Conflict(key, finding, f"take {other}")
+            yield Finding((key,), finding, f"take {other}")
 
 
-def find_phase_conflicts(manifest: Manifest) -> Iterator[Conflict]:
+def find_phase_conflicts(manifest: Manifest) -> Iterator[Finding]:
     """Find models that no phase of a problem takes."""
     if manifest.driven:
         named = ", ".join(manifest.coordinates[i].name for i in manifest.driven)
         finding = f"the model drives {named}, and a problem of phases takes no driven joints"
         remedy = "give these joints actuators, and their motion as constraints along the path"
-        yield Conflict("model", finding, remedy)
+        yield Finding(("model",), finding, remedy)
 
 
-def find_open_references(problem: Problem) -> Iterator[Conflict]:
+def find_open_references(problem: Problem) -> Iterator[Finding]:
     """Find references in seconds under a free horizon, and expressions that read a reference where it is unknown.
 
     An expression that reads known_NAME beside ref_NAME minds the gaps itself.
@@ -169,7 +168,7 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
             open_ones.add(reference.name)
             finding = f"the horizon is free, and the reference {reference.name} is in seconds"
             remedy = "write time: normalised into it, or give the horizon"
-            yield Conflict("references", finding, remedy, (reference.name,))
+            yield Finding(("references", reference.name), finding, remedy)
     for text in [text for _, texts in list_expressions(problem) for text in texts]:
         read = names(parse(text)) & set(named)
         for name in sorted(read):
@@ -183,22 +182,22 @@ def find_open_references(problem: Problem) -> Iterator[Conflict]:
                 spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in unknown[:3]) + (", ..." if unknown[3:] else "")
                 finding = f"{name} is unknown at {spans} of its recording, and {abbreviate(text)} reads it"
                 remedy = f"multiply by {minded}, which is 0 there, or bridge longer gaps"
-                yield Conflict("references", finding, remedy, (reference.name,))
+                yield Finding(("references", reference.name), finding, remedy)
 
 
-def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+def find_unknown_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find unknowns and parameters that a model does not allow."""
     changeable, given = list_changeable(manifest), dict(problem.parameters)
     for name in given:
         if name not in changeable:
             finding = f"{manifest.model} has no parameter {abbreviate(name)} that may be changed"
-            yield Conflict("parameters", finding, f"there are {', '.join(changeable) or 'none'}", (name,))
+            yield Finding(("parameters", name), finding, f"there are {', '.join(changeable) or 'none'}")
     for name in (unknown.name for unknown in problem.unknowns):
         if name in given:
-            yield Conflict("unknowns", f"{name} has a value in parameters, too", "leave one of them out", (name,))
+            yield Finding(("unknowns", name), f"{name} has a value in parameters, too", "leave one of them out")
         if changeable.get(name) is False:
             finding = f"{name} is a run-time parameter, by which kernels have no derivatives"
-            yield Conflict("unknowns", finding, "write kind: differentiated in the model", (name,))
+            yield Finding(("unknowns", name), finding, "write kind: differentiated in the model")
 
 
 _WITHOUT_REDUCTION = (Representation.SEMI, Representation.EXP2_O, Representation.EXP2_A)
@@ -218,7 +217,7 @@ def _adapter() -> TypeAdapter[Problem]:
     return TypeAdapter(Problem)
 
 
-def _find_wrong_types(problem: Problem) -> Iterator[Finding]:
+def _find_wrong_types(problem: Problem) -> Iterator[Line]:
     try:
         plain = asdict(replace(problem, references=()))  # which may hold many thousand numbers
     except TypeError:
@@ -236,7 +235,7 @@ def _find_wrong_types(problem: Problem) -> Iterator[Finding]:
             yield (place, f"found {abbreviate(str(fault['input']))} ({kind})", f"{fault['msg']}")
 
 
-def _find_unknown_names(problem: Problem) -> Iterator[Finding]:
+def _find_unknown_names(problem: Problem) -> Iterator[Line]:
     """Find names of methods that no registry has."""
     for place, name, known in (
         ("integrator", problem.integrator, INTEGRATORS),
@@ -246,7 +245,7 @@ def _find_unknown_names(problem: Problem) -> Iterator[Finding]:
             yield (place, f"found {abbreviate(name)}", f"give one of {', '.join(known)}")
 
 
-def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
+def _find_wrong_values(problem: Problem) -> Iterator[Line]:
     solver, cost = problem.solver, problem.cost
     for place, whole, least, most in (
         ("intervals", problem.intervals, 1, MAX_INTERVALS),
@@ -296,7 +295,7 @@ def _find_wrong_values(problem: Problem) -> Iterator[Finding]:
             yield (f"solver.options.{name}", f"found {abbreviate(option)}", f"give {known[name].wanted}")
 
 
-def _find_wrong_mesh(problem: Problem) -> Iterator[Finding]:
+def _find_wrong_mesh(problem: Problem) -> Iterator[Line]:
     mesh = problem.mesh
     if mesh is None:
         return
@@ -310,7 +309,7 @@ def _find_wrong_mesh(problem: Problem) -> Iterator[Finding]:
         yield ("mesh", f"the fractions sum to {math.fsum(mesh):.12g}", "divide them by their sum")
 
 
-def _find_wrong_refinement(problem: Problem) -> Iterator[Finding]:
+def _find_wrong_refinement(problem: Problem) -> Iterator[Line]:
     asked = problem.refine
     if asked is None:
         return
@@ -321,7 +320,7 @@ def _find_wrong_refinement(problem: Problem) -> Iterator[Finding]:
         yield ("refine.rounds", f"found {asked.rounds}", f"give a whole number from 1 to {MAX_ROUNDS}")
 
 
-def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     """Find lengths, indices and names that do not fit the model."""
     nq, n, m = len(manifest.positions), len(manifest.coordinates), len(manifest.actuated)
     chooses_motion = problem.unknowns or (manifest.driven and not problem.is_timed)
@@ -364,8 +363,8 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         yield ("end", "a value is not finite", "give finite numbers")
     yield from _find_unknown_frames(problem, manifest)
     known = [*(name for name, _ in problem.constants), *(unknown.name for unknown in problem.unknowns)]
-    for number, finding, remedy in driving.find_wrong_motions(problem.driven, known, manifest):
-        yield ("driven" if number is None else f"driven[{number}]", finding, remedy)
+    for found in driving.find_wrong_motions(problem.driven, known, manifest):
+        yield write_path(found.place), found.finding, found.remedy
     yield from _find_wrong_rates(problem, m)
     yield from _find_wrong_additions(problem, manifest)
     yield from _find_wrong_wrenches(problem, manifest)
@@ -374,7 +373,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     yield from _find_wrong_expressions(problem, manifest)
 
 
-def _find_wrong_rates(problem: Problem, m: int) -> Iterator[Finding]:
+def _find_wrong_rates(problem: Problem, m: int) -> Iterator[Line]:
     """Find prices of rates and delays without a control or an input, and histories out of bounds."""
     controls, given = [control.name for control in problem.controls], {force.input for force in problem.forces}
     for name, weight in problem.cost.control_rates:
@@ -399,7 +398,7 @@ def _find_wrong_rates(problem: Problem, m: int) -> Iterator[Finding]:
             yield (f"delays[{i}].history", finding, "give a history within the bounds, or None")
 
 
-def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_unknown_frames(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     frames = [frame.name for frame in manifest.frames]
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
     for place, kind, wanted, known in (
@@ -425,7 +424,7 @@ def list_expressions(problem: Problem) -> Iterator[tuple[str, tuple[str, ...]]]:
     yield "wrenches", tuple(part.expression or "0" for part in problem.wrenches)
 
 
-def _find_wrong_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_wrong_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     """Find inputs and components of wrenches that the model has not, that are given twice, or not at all."""
     m = len(manifest.actuated)
     inputs = [force.input for force in problem.forces]
@@ -449,7 +448,7 @@ def _find_wrong_wrenches(problem: Problem, manifest: Manifest) -> Iterator[Findi
         yield ("wrenches", finding, "give each an expression, or let it be an unknown")
 
 
-def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     """Find states and controls with names that are taken, or numbers that do not fit each other."""
     taken = {*list_quantities(manifest, Added()), *(name for name, _ in problem.constants)}
     named: list[tuple[str, State | Control | Unknown]] = [
@@ -471,7 +470,7 @@ def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Find
                 yield (f"states[{i}].{place}", finding, "give limits that leave room")
 
 
-def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     motion = {*list_quantities(manifest, problem.added), *(name for name, _ in problem.constants)}
     motion |= set(references.list_names(problem.references))
     yield from _find_wrong_functions(problem, motion)
@@ -488,7 +487,7 @@ def _find_wrong_expressions(problem: Problem, manifest: Manifest) -> Iterator[Fi
                 yield (own, f"unknown name {abbreviate(name)}", "there are t, T, q_NAME, u_NAME, x_SENSOR, constants")
 
 
-def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Finding]:
+def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Line]:
     """Find functions in CasADi that read unknown names or have no code, and methods that cannot call them."""
     named = [function.name for function in problem.functions]
     for i, function in enumerate(problem.functions):
@@ -505,7 +504,7 @@ def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Finding
         yield ("solver.method", finding, "take ipopt, or write the expression as text")
 
 
-def _find_divided_quaternions(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def _find_divided_quaternions(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     for quaternion in list_quaternions(manifest):
         for key, named in (("free_start", problem.free_start), ("end.coordinates", dict(problem.end.coordinates))):
             if 0 < len([i for i in quaternion.entries if i in named]) < 4:

@@ -35,7 +35,7 @@ ROUNDED = 1e-3  # N: of the cone's apex
 SAME = 1e-9  # relative difference of a force's power, by two kernels
 AXES = "xyz"
 
-Finding = tuple[str, str, str]
+Line = tuple[str, str, str]  # as in `checks`
 
 
 def list_held(contacts: Sequence[Contact], manifest: Manifest) -> tuple[int, ...]:
@@ -92,7 +92,7 @@ def write_friction(contact: Contact, manifest: Manifest) -> tuple[str, ...]:
     return (f"{contact.friction!r}*{normal} + {ROUNDED!r} - sqrt({squares} + {ROUNDED**2!r})",)
 
 
-def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
+def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Line]:
     """Find contacts that the model or the rest of the problem does not go together with."""
     sensors = [frame.name for frame in manifest.frames if frame.sensor]
     wrenches = {wrench.name: wrench for wrench in manifest.wrenches}
@@ -130,7 +130,7 @@ def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
         yield ("contacts", f"the {problem.form.value} form takes no contacts", "take form: standard")
 
 
-def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Finding]:
+def find_stray_forces(problem: Problem, plant: Plant) -> Iterator[Line]:
     """Find contacts whose force acts at another point than their sensor's, by its power; and starts that slip."""
     manifest = plant.manifest
     n = len(manifest.coordinates)

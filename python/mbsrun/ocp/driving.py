@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.documents import abbreviate, nearest
+from mbsgen.documents import Finding, abbreviate, nearest
 from mbsgen.expressions import Expression, ExpressionError, Program, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.closure import RANK, find_closure
 from mbsrun.differentiation import differentiate_by
 from mbsrun.ocp import schemes
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Conflict, Drive, Form, Problem, Range
+from mbsrun.ocp.problem import Drive, Form, Problem, Range
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.quaternions import list_entries
 from mbsrun.simulation.drive import ARRAYS, TIME
@@ -36,8 +36,6 @@ Array = NDArray[np.float64]
 HORIZON = "T"
 SAME = 1e-9  # relative, and absolute below 1: numbers of a motion that count as equal
 OTHER = 1.37  # times the guess of a number that the solver chooses: another one
-
-Finding = tuple[int | None, str, str]  # the number of a motion, if it is one; finding, remedy
 
 
 @cache
@@ -111,30 +109,30 @@ def find_wrong_motions(drives: Sequence[Drive], known: Sequence[str], manifest: 
     for i in manifest.driven:
         if i not in joints:
             name = manifest.coordinates[i].name
-            yield (
-                None,
+            yield Finding(
+                ("driven",),
                 f"the model drives {name}, and the problem gives no motion of it",
                 f"give it under driven, as {name}: 0.1*t",
             )
     for i, drive in enumerate(drives):
         if drive.joint not in manifest.driven or drive.joint in joints[:i]:
             finding = "the joint has a motion already" if drive.joint in joints[:i] else "the model does not drive it"
-            yield i, finding, "leave it out"
+            yield Finding(("driven", i), finding, "leave it out")
             continue
         try:
             read = names(parse(drive.expression))
             derive(drive.expression)
         except ExpressionError as error:
-            yield i, error.finding, error.remedy
+            yield Finding(("driven", i), error.finding, error.remedy)
             continue
         for name in sorted(read - {TIME, HORIZON, *known}):
             every = [TIME, HORIZON, *known]
             meant = nearest(name, every)
             remedy = f"did you mean {abbreviate(meant)}?" if meant else f"a motion reads {', '.join(every)}"
-            yield i, f"unknown name {abbreviate(name)}", remedy
+            yield Finding(("driven", i), f"unknown name {abbreviate(name)}", remedy)
 
 
-def find_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
+def find_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
     """Find what a problem with driven joints asks for that their motions do not give; the motions are right."""
     if not manifest.driven:
         return
@@ -142,7 +140,7 @@ def find_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
     if problem.form is not Form.STANDARD:
         named = ", ".join(coordinates[i] for i in manifest.driven)
         finding = f"the {problem.form.value} form takes no driven joints, and the model drives {named}"
-        yield Conflict("form", finding, "take standard")
+        yield Finding(("form",), finding, "take standard")
     places = list_entries(manifest, manifest.driven)
     for key, given, entries, labels in (
         ("pose", problem.end.coordinates, places, manifest.positions),
@@ -151,7 +149,7 @@ def find_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
     ):
         for i, _ in given:
             if i in entries:
-                yield Conflict("end", "its motion is given under driven", "leave it out", (key, labels[i]))
+                yield Finding(("end", key, labels[i]), "its motion is given under driven", "leave it out")
     guide = Guide.of(problem, manifest)
     t = list_times(problem, schemes.build(problem.family, problem.degree).points)
     motion = guide.read(t, problem.horizon)
@@ -161,17 +159,17 @@ def find_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Conflict]:
         wrong = np.flatnonzero(~np.isfinite([part[:, k] for part in motion]).all(axis=0))
         if wrong.size:
             finding = f"the motion has no finite value or derivative at t = {t[wrong[0]]:.6g} s"
-            yield Conflict("driven", finding, "mend its expression", entry)
+            yield Finding(("driven", *entry), finding, "mend its expression")
         elif not varies(text, problem):
-            yield from _find_excess(t, q, problem.bounds.q[place], Conflict("driven", "the motion", "", entry))
-            yield from _find_excess(t, qd, problem.bounds.qd[i], Conflict("driven", "the velocity", "", entry))
+            yield from _find_excess(t, q, problem.bounds.q[place], Finding(("driven", *entry), "the motion", ""))
+            yield from _find_excess(t, qd, problem.bounds.qd[i], Finding(("driven", *entry), "the velocity", ""))
         elif manifest.dependent and _varies_at_start(guide, k, problem):
             finding = "the loops would start in a pose or at a velocity that the solver chooses"
             remedy = "let the motion start without t/T and unknowns, or give the horizon"
-            yield Conflict("driven", finding, remedy, entry)
+            yield Finding(("driven", *entry), finding, remedy)
 
 
-def _find_excess(t: Array, values: Array, limits: Range, found: Conflict) -> Iterator[Conflict]:
+def _find_excess(t: Array, values: Array, limits: Range, found: Finding) -> Iterator[Finding]:
     """Find where a known motion leaves the bounds of its joint; `found` names the motion as its finding."""
     lower, upper = limits
     excess = np.maximum(lower - values, values - upper)

@@ -177,9 +177,9 @@ class PartReading(Reading):
             i = self.find(("driven", name), name, names, "joint")
             found += [] if i is None else [Drive(i, text)]
         known = [*self.constants, *(unknown.name for unknown in unknowns)]
-        for number, finding, remedy in find_wrong_motions(found, known, self.manifest):
-            place: Place = ("driven",) if number is None else ("driven", names[found[number].joint])
-            self.fault(place, finding, remedy)
+        for wrong in find_wrong_motions(found, known, self.manifest):
+            numbers = [int(number) for number in wrong.place[1:]]
+            self.fault(("driven", *(names[found[number].joint] for number in numbers)), wrong.finding, wrong.remedy)
         return tuple(sorted(found, key=lambda drive: drive.joint))
 
     def wrenches(self, given: Mapping[str, WrenchSection]) -> tuple[WrenchComponent, ...]:

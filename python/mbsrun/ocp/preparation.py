@@ -8,7 +8,7 @@ import numpy as np
 
 from mbsgen.manifest import Manifest
 from mbsrun.closure import find_closure
-from mbsrun.ocp.checks import Finding, find_loop_conflicts
+from mbsrun.ocp.checks import Line, find_loop_conflicts
 from mbsrun.ocp.conditions import find_open_states
 from mbsrun.ocp.contacts import find_stray_forces
 from mbsrun.ocp.guess import Pose
@@ -41,17 +41,17 @@ def find_crossed_bounds(problem: Problem, manifest: Manifest) -> str | None:
     return None
 
 
-def find_wrong_states(problem: Problem, plant: Plant) -> list[Finding]:
+def find_wrong_states(problem: Problem, plant: Plant) -> list[Line]:
     """Find a start or an end that closed loops contradict, and contacts whose forces act elsewhere or that slip."""
 
-    def find() -> list[Finding]:
+    def find() -> list[Line]:
         findings, closure = list(find_stray_forces(problem, plant)), find_closure(plant)
         return findings if closure is None else [*findings, *find_open_states(problem, closure)]
 
     return _WRONG_STATES.find(find, problem, plant)
 
 
-_WRONG_STATES: Memory[list[Finding]] = Memory()
+_WRONG_STATES: Memory[list[Line]] = Memory()
 
 
 def describe_unreachable(pose: Pose) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer
 
+from mbsgen.documents import Finding
 from mbsgen.expressions import Expression, names, parse
 from mbsrun.ocp.grid import Grid
 from mbsrun.ocp.integrators import INTEGRATORS, SECOND_ORDER, IntegratorName
@@ -450,50 +451,40 @@ def count_delayed(delay: Delay, problem: Problem) -> int | None:
     return next((k for k, t in enumerate(times) if abs(t - delay.seconds) <= SAME_TIME * problem.horizon), None)
 
 
-@dataclass(frozen=True)
-class Conflict:
-    """A part of a problem that does not go together with the rest."""
-
-    key: str  # the part of a file that says it
-    finding: str
-    remedy: str
-    entry: tuple[str, ...] = ()  # of this part, if it is one
-
-
-def find_conflicts(problem: Problem) -> list[Conflict]:
+def find_conflicts(problem: Problem) -> list[Finding]:
     """Find conflicts among form, integrator, representation, horizon and kinds of coordinates."""
     form, representation, found = problem.form, problem.representation, []
     if form is not Form.STANDARD and (problem.every_state or problem.controls):
         finding = f"the {form.value} form takes no states, controls and integrals beside the mechanism's"
-        found.append(Conflict("form", finding, "take standard"))
+        found.append(Finding(("form",), finding, "take standard"))
     if form is not Form.STANDARD and (problem.forces or problem.wrenches):
         finding = f"the {form.value} form takes no forces and wrenches by expressions"
-        found.append(Conflict("form", finding, "take standard"))
+        found.append(Finding(("form",), finding, "take standard"))
     if form is not Form.STANDARD and problem.inputs != "constant":
         finding = f"the {form.value} form takes no inputs that change within an interval"
-        found.append(Conflict("inputs", finding, "take constant ones, or form: standard"))
+        found.append(Finding(("inputs",), finding, "take constant ones, or form: standard"))
     if problem.cost.input_rates and problem.inputs != "constant":
         finding = "cost.input_rates prices steps of inputs from interval to interval, and these change within them"
-        found.append(Conflict("inputs", finding, "take constant ones; or let a control be the rate of a state"))
+        found.append(Finding(("inputs",), finding, "take constant ones; or let a control be the rate of a state"))
     if form is Form.SHOOTING and representation.is_explicit and not representation.is_ode:
         finding = f"{representation.value} has accelerations as variables, shooting has none"
         ode = representation.as_ode
-        found.append(Conflict("representation", finding, f"take {ode.value if ode else 'form: standard'}"))
+        found.append(Finding(("representation",), finding, f"take {ode.value if ode else 'form: standard'}"))
     if problem.integrator == SECOND_ORDER and problem.has_quaternions:
         finding = "a quaternion is not the integral of a velocity, as coordinates of second-order collocation are"
-        found.append(Conflict("integrator", finding, "take integrator: collocation"))
+        found.append(Finding(("integrator",), finding, "take integrator: collocation"))
     found += _find_slopes(problem)
     found += _find_delays(problem)
     if problem.inputs != "constant" and _has_rates(problem):
         finding = "rates are differences of constant inputs over time, and these inputs change within an interval"
-        found.append(Conflict("inputs", finding, "let a control be the rate of a state, as `lift_inputs` does"))
+        found.append(Finding(("inputs",), finding, "let a control be the rate of a state, as `lift_inputs` does"))
     if form is not Form.SHOOTING and (not INTEGRATORS[problem.integrator].is_collocation or problem.steps != 1):
         finding = f"{problem.integrator} with {problem.steps} steps is for shooting, and the form is {form.value}"
         key = "steps" if INTEGRATORS[problem.integrator].is_collocation else "integrator"
-        found.append(Conflict(key, finding, "take form: shooting, or integrator: collocation and 1 step"))
+        found.append(Finding((key,), finding, "take form: shooting, or integrator: collocation and 1 step"))
     elif INTEGRATORS[problem.integrator].is_explicit and not representation.is_explicit:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
-        found.append(Conflict("integrator", finding, "take representation: EXP2-O, or integrator: collocation"))
+        found.append(Finding(("integrator",), finding, "take representation: EXP2-O, or integrator: collocation"))
     return found
 
 
@@ -502,24 +493,24 @@ def _has_rates(problem: Problem) -> bool:
     return bool(problem.cost.control_rates) or any(map(math.isfinite, (x for limits in ranges for x in limits)))
 
 
-def _find_delays(problem: Problem) -> list[Conflict]:
+def _find_delays(problem: Problem) -> list[Finding]:
     """Find delays that no grid of the problem can have."""
     found = []
     if problem.delays and not problem.is_timed:
         finding = "the horizon is free, so the mesh points move, and a delay ends at one of them"
         place = _place_delay(problem, problem.delays[0])
-        return [Conflict(place[0], finding, "give the horizon, or leave the delay out", place[1:])]
+        return [Finding((place[0], *place[1:]), finding, "give the horizon, or leave the delay out")]
     for delay in problem.delays:
         key, *entry = _place_delay(problem, delay)
         if not 0 < delay.seconds < problem.horizon:
             finding = f"a delay of {delay.seconds:g} s, and the horizon is {problem.horizon:g} s"
-            found.append(Conflict(key, finding, "give a positive delay below the horizon", tuple(entry)))
+            found.append(Finding((key, *tuple(entry)), finding, "give a positive delay below the horizon"))
         elif count_delayed(delay, problem) is None:
             times = problem.grid.mesh(problem.horizon).tolist()
             k = next(k for k, t in enumerate(times) if t > delay.seconds)
             finding = f"a delay of {delay.seconds:g} s ends within an interval, from {times[k - 1]:g} to {times[k]:g} s"
             remedy = "let it end at a mesh point: give a multiple of the intervals' length, or lengths of intervals"
-            found.append(Conflict(key, finding, remedy, tuple(entry)))
+            found.append(Finding((key, *tuple(entry)), finding, remedy))
     return found
 
 
@@ -534,7 +525,7 @@ def _place_delay(problem: Problem, delay: Delay) -> tuple[str, ...]:
     return ("controls", lifted, "delay") if name == f"rate_{lifted}" else ("inputs",)
 
 
-def _find_slopes(problem: Problem) -> list[Conflict]:
+def _find_slopes(problem: Problem) -> list[Finding]:
     """Find what makes forms with slopes of first order, where second-order collocation is asked for."""
     form = problem.form
     if form is Form.STANDARD or problem.integrator != SECOND_ORDER:
@@ -548,7 +539,7 @@ def _find_slopes(problem: Problem) -> list[Conflict]:
         found.append((f"accelerations that are no variables, as in {problem.representation.value}", "take IMPL"))
     finding = f"second-order collocation in the {form.value} form does not go with"
     remedy = "take form: standard, or integrator: collocation"
-    return [Conflict("integrator", f"{finding} {what}", f"{other}, or {remedy}") for what, other in found]
+    return [Finding(("integrator",), f"{finding} {what}", f"{other}, or {remedy}") for what, other in found]
 
 
 def cylindrical(radius: float, azimuth: float, height: float) -> Point:

@@ -341,7 +341,7 @@ class _Reading(PartReading):
             *find_open_references(problem),
             *find_unknown_conflicts(problem, self.manifest),
         ):
-            self.fault((conflict.key, *conflict.entry), conflict.finding, conflict.remedy)
+            self.fault(conflict.place, conflict.finding, conflict.remedy)
         return problem
 
     def read_start(

@@ -423,7 +423,7 @@ def transcribe(problem: Problem, plant: Plant) -> Transcription:
     Raises ValueError where parts of the problem do not go together.
     """
     for conflict in find_conflicts(problem):
-        raise ValueError(f"{conflict.key}: {conflict.finding}")
+        raise ValueError(f"{conflict.place[0]}: {conflict.finding}")
     for quaternion in list_quaternions(plant.manifest):
         for key, named in (("start", problem.free_start), ("end", dict(problem.end.coordinates))):
             if 0 < len([i for i in quaternion.entries if i in named]) < 4:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbsgen.documents import Data, Place, write_path
-from mbsrun.ocp.checks import Finding, ProblemError
+from mbsrun.ocp.checks import Line, ProblemError
 from mbsrun.reading import overlay
 
 
@@ -20,7 +20,7 @@ def make_plain(name: str, values: Mapping[str, Any]) -> dict[str, Data]:
 
     Arrays and tuples become lists. In a range, an infinite bound becomes no bound.
     """
-    findings: list[Finding] = []
+    findings: list[Line] = []
     data = {key: _convert(value, (key,), findings) for key, value in values.items()}
     if findings:
         raise ProblemError(name, findings)
@@ -38,7 +38,7 @@ def merge(data: Mapping[str, Data], changes: Mapping[str, Data]) -> dict[str, Da
     return merged
 
 
-def _convert(value: Any, place: Place, findings: list[Finding]) -> Data:
+def _convert(value: Any, place: Place, findings: list[Line]) -> Data:
     match value:
         case Enum():
             return _convert(value.value, place, findings)

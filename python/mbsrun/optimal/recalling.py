@@ -9,7 +9,7 @@ import numpy as np
 
 from mbsgen.documents import nearest
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import Finding, ProblemError
+from mbsrun.ocp.checks import Line, ProblemError
 from mbsrun.ocp.problem import Problem
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import Column, Recording
@@ -27,7 +27,7 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     given = {str(name): values[name] for name in values}
     if "t" not in given and not isinstance(values, Mapping):
         given["t"] = values.index  # of a frame
-    findings: list[Finding] = []
+    findings: list[Line] = []
     arrays = {}
     for name, numbers in given.items():
         if name not in known:

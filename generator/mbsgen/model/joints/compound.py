@@ -9,9 +9,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, JsonValue
 
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.model.expansion import label_joints
-from mbsgen.model.findings import Finding
 from mbsgen.model.joints.section import Description, JointSection
 from mbsgen.model.model import HERE, UNITS, Carrier, Joint, Placement, Triple
 from mbsgen.model.sections import SettingSection

@@ -13,9 +13,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from mbsgen.documents import Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import FLOATS, ExpressionError, Number, evaluate, names
-from mbsgen.model.findings import Finding
 from mbsgen.model.joints.compound import CompoundSection, is_alike, slide, turn
 from mbsgen.model.joints.section import Description
 from mbsgen.model.model import Carrier, Joint, Triple

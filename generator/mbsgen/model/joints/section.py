@@ -17,9 +17,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import get_args
 
-from mbsgen.documents import Place
+from mbsgen.documents import Finding, Place
 from mbsgen.expressions import Expression
-from mbsgen.model.findings import Finding
 from mbsgen.model.model import Carrier, Joint, Placement, Triple
 from mbsgen.model.sections import PlacementSection
 

@@ -10,8 +10,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from mbsgen.documents import Place
-from mbsgen.model.findings import Finding
+from mbsgen.documents import Finding, Place
 from mbsgen.model.joints.compound import CompoundSection, is_alike, turn
 from mbsgen.model.joints.section import Description
 from mbsgen.model.joints.turns import Pair, make_turns

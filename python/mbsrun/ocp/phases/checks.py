@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from mbsgen.documents import Place, abbreviate, nearest, write_path
+from mbsgen.documents import Finding, Place, abbreviate, nearest, write_path
 from mbsgen.expressions import ExpressionError, names, parse
 from mbsgen.manifest import Manifest
 from mbsrun.differentiation import DerivativeError, differentiate
-from mbsrun.ocp.checks import Finding, ProblemError, check_problem
+from mbsrun.ocp.checks import Line, ProblemError, check_problem
 from mbsrun.ocp.methods import METHODS, choose
 from mbsrun.ocp.phases.delays import Half, Shift, find_misfits, find_shifts
 from mbsrun.ocp.phases.impacts import AXES, find_axes, find_wrench
@@ -40,18 +40,9 @@ APART = 1e-9  # m: a wrench that acts farther from a sensor than this is not the
 SHOWN = 8  # names
 
 
-@dataclass(frozen=True)
-class PhaseFault:
-    """A fault: its place in a file, what was found, what to do."""
-
-    place: Place
-    finding: str
-    remedy: str
-
-
 def check_phases(problem: PhasedProblem, plants: Plants) -> None:
     """Raise ProblemError with every fault of a problem of phases."""
-    findings: list[Finding] = []
+    findings: list[Line] = []
     for phase, plant in zip(problem.phases, plants.phases, strict=True):
         try:
             check_problem(phase.problem, plant.manifest, is_phase=not problem.is_single)
@@ -63,13 +54,13 @@ def check_phases(problem: PhasedProblem, plants: Plants) -> None:
         raise ProblemError(problem.name, findings)
 
 
-def name_phase(phase: Phase, finding: Finding) -> Finding:
+def name_phase(phase: Phase, finding: Line) -> Line:
     """Return a finding in a phase as one in the whole problem."""
     place, found, remedy = finding
     return f"{phase.title}{place}", found, remedy
 
 
-def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:
+def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[Finding]:
     """Find the faults of phases among each other, and of links; each phase by itself has none."""
     yield from _check_whole(problem)
     known = [phase.name for phase in problem.phases]
@@ -79,34 +70,34 @@ def find_faults(problem: PhasedProblem, plants: Plants) -> Iterator[PhaseFault]:
         for key, name in missing:
             remedy = _suggest(name, known) or f"there are {', '.join(known)}"
             finding = f"there is no phase {abbreviate(name)}" if name else "missing"
-            yield PhaseFault((*place, key), finding, remedy)
+            yield Finding((*place, key), finding, remedy)
         if link.target in [other.target for other in problem.links[:i]]:
             finding = f"a second link leads to the start of {link.target}"
-            yield PhaseFault((*place, "to"), finding, "leave one out: one link gives a start")
+            yield Finding((*place, "to"), finding, "leave one out: one link gives a start")
         if not missing:
             yield from _Link(problem, plants, i).check()
 
 
-def _check_whole(problem: PhasedProblem) -> Iterator[PhaseFault]:
+def _check_whole(problem: PhasedProblem) -> Iterator[Finding]:
     if not problem.phases:
-        yield PhaseFault(("phases",), "there are none", "give at least one phase")
+        yield Finding(("phases",), "there are none", "give at least one phase")
         return
     if not problem.weight:
-        yield PhaseFault(("phases",), "every weight of every phase's cost is 0", "give one of them a cost")
+        yield Finding(("phases",), "every weight of every phase's cost is 0", "give one of them a cost")
     for k, phase in enumerate(problem.phases):
         place: Place = ("phases", k)
         if not re.fullmatch(r"[A-Za-z]\w*", phase.name, re.ASCII):
-            yield PhaseFault((*place, "name"), f"found {abbreviate(phase.name)}", "give a word of letters and digits")
+            yield Finding((*place, "name"), f"found {abbreviate(phase.name)}", "give a word of letters and digits")
         if phase.name in [other.name for other in problem.phases[:k]]:
-            yield PhaseFault((*place, "name"), f"a second phase {phase.name}", "give it another name")
+            yield Finding((*place, "name"), f"a second phase {phase.name}", "give it another name")
     calls_casadi = any(phase.problem.functions for phase in problem.phases)
     method = choose(problem.solver, calls_casadi=calls_casadi)
     if calls_casadi and not METHODS[method].calls_casadi:
         finding = f"{method} takes no expressions of CasADi, which a phase has"
-        yield PhaseFault(("solver", "method"), finding, "take ipopt")
+        yield Finding(("solver", "method"), finding, "take ipopt")
     if problem.solver.threads > 1 and not METHODS[method].has_threads:
         finding = f"found {problem.solver.threads}, but {method} has one thread"
-        yield PhaseFault(("solver", "threads"), finding, "leave it out, or choose mbs")
+        yield Finding(("solver", "threads"), finding, "leave it out, or choose mbs")
 
 
 @dataclass(frozen=True)
@@ -133,7 +124,7 @@ class _Link:
             *(unknown.name for unknown in self.problem.every_unknown),
         ]
 
-    def check(self) -> Iterator[PhaseFault]:
+    def check(self) -> Iterator[Finding]:
         """Find the faults."""
         link, problem = self.link, self.problem
         source, target = problem.find(link.source), problem.find(link.target)
@@ -162,21 +153,21 @@ class _Link:
         for i, term in enumerate(link.cost):
             yield from _check_expression((*self.place, "cost", i, "expression"), term.expression, known)
             if not math.isfinite(term.weight):
-                yield PhaseFault((*self.place, "cost", i, "weight"), f"found {term.weight:g}", "give a finite number")
+                yield Finding((*self.place, "cost", i, "weight"), f"found {term.weight:g}", "give a finite number")
         for i, condition in enumerate(link.conditions):
             place = (*self.place, "conditions", i)
             yield from _check_expression((*place, "expression"), condition.expression, known)
             lower, upper = condition.range
             if lower > upper:
-                yield PhaseFault(
+                yield Finding(
                     (*place, "range"), f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound"
                 )
 
-    def check_speeds(self, target: Problem) -> Iterator[PhaseFault]:
+    def check_speeds(self, target: Problem) -> Iterator[Finding]:
         """Refuse a mechanism that reads velocities which the reduced form of loops leaves out."""
         if target.loops is not Loops.REDUCED:
             finding = f"phase {self.link.source} has loops: reduced, phase {self.link.target} has all velocities"
-            yield PhaseFault(self.place, finding, "take loops: multipliers in both, or reduced in both")
+            yield Finding(self.place, finding, "take loops: multipliers in both, or reduced in both")
 
     def check_map(
         self,
@@ -187,7 +178,7 @@ class _Link:
         velocities: Map = (),
         states_before: Sequence[str] = (),
         states_after: Sequence[str] = (),
-    ) -> Iterator[PhaseFault]:
+    ) -> Iterator[Finding]:
         """Check the coordinates and states that a map gives, and the ones that it does not."""
         known = [*spell_coordinates(before), *states_before, *self.free]
         plain = list_plain(after)
@@ -197,7 +188,7 @@ class _Link:
                     yield from _check_expression((*place, name), text, known)
             elif name not in plain:
                 remedy = _suggest(name, plain) or f"there are {', '.join(plain)}"
-                yield PhaseFault((*place, name), f"{after.model} has no such coordinate to map", remedy)
+                yield Finding((*place, name), f"{after.model} has no such coordinate to map", remedy)
             elif text is not None:
                 yield from _check_expression((*place, name), text, known)
                 yield from _check_rate((*place, name), text, before)
@@ -206,11 +197,11 @@ class _Link:
         missing += [x.joint for x in list_quaternions(after) if x.joint not in joints]
         if missing:
             finding = f"{before.model} has no coordinate {', '.join(missing)}, which {after.model} has"
-            yield PhaseFault(place, finding, "give each an expression, or null where it is free")
+            yield Finding(place, finding, "give each an expression, or null where it is free")
         twice = sorted({name for name in known if known.count(name) > 1} | (set(plain) & set(states_after)))
         if twice:
             finding = f"{', '.join(twice)} has two meanings, among coordinates, states, constants and unknowns"
-            yield PhaseFault(place, finding, "rename one of them")
+            yield Finding(place, finding, "rename one of them")
         speeds = [c.name for c in before.coordinates]
         lost = [
             c.name
@@ -219,9 +210,9 @@ class _Link:
         ]
         if lost and not missing:
             finding = f"{before.model} has no velocity of {', '.join(lost)}"
-            yield PhaseFault((*place[:-1], "velocities"), finding, "give each an expression, or null where it is free")
+            yield Finding((*place[:-1], "velocities"), finding, "give each an expression, or null where it is free")
 
-    def check_velocities(self, given: Map, before: Manifest, after: Manifest) -> Iterator[PhaseFault]:
+    def check_velocities(self, given: Map, before: Manifest, after: Manifest) -> Iterator[Finding]:
         """Check velocities that are not the rates of the map."""
         known = [*spell_velocities(before), *self.free]
         joints = [c.name for c in after.coordinates]
@@ -229,11 +220,11 @@ class _Link:
             place = (*self.place, "velocities", name)
             if name not in joints:
                 remedy = _suggest(name, joints) or f"there are {', '.join(joints)}"
-                yield PhaseFault(place, f"{after.model} has no such velocity", remedy)
+                yield Finding(place, f"{after.model} has no such velocity", remedy)
             elif text is not None:
                 yield from _check_expression(place, text, known)
 
-    def check_ends(self, source: Problem, target: Problem, before: Plant, after: Plant) -> Iterator[PhaseFault]:
+    def check_ends(self, source: Problem, target: Problem, before: Plant, after: Plant) -> Iterator[Finding]:
         """Refuse coordinates that the end before, the start after and the link all give."""
         given, chosen = dict(source.end.coordinates), dict(self.link.map)
         plain = list_plain(after.manifest)
@@ -243,9 +234,9 @@ class _Link:
                 continue
             if after.manifest.positions.index(name) not in target.free_start:
                 finding = f"{name} has a value at the end of {self.link.source} and at the start of {self.link.target}"
-                yield PhaseFault(self.place, finding, "leave one out: the link gives the other")
+                yield Finding(self.place, finding, "leave one out: the link gives the other")
 
-    def check_delays(self, source: Problem, target: Problem, before: Manifest, after: Manifest) -> Iterator[PhaseFault]:
+    def check_delays(self, source: Problem, target: Problem, before: Manifest, after: Manifest) -> Iterator[Finding]:
         """Refuse histories by this link which the phase before cannot give."""
         halves = Half(self.link.source, source, before), Half(self.link.target, target, after)
         k = self.problem.find(self.link.target)
@@ -253,36 +244,36 @@ class _Link:
             if not shift.repeats:
                 continue
             for finding, remedy in find_misfits(shift, *halves):
-                yield PhaseFault(("phases", k, *_place_history(shift)), finding, remedy)
+                yield Finding(("phases", k, *_place_history(shift)), finding, remedy)
             if shift.kind == "state" and shift.name in dict(self.link.map):
                 finding = "inputs of the phase before give it, since it has history: link and a longer delay"
-                yield PhaseFault((*self.place, "map", shift.name), finding, "leave it out, or give another history")
+                yield Finding((*self.place, "map", shift.name), finding, "leave it out, or give another history")
 
-    def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[PhaseFault]:
+    def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[Finding]:
         """Check the contacts of an impact, and its model."""
         place, manifest = (*self.place, "impact"), plant.manifest
         if not impact.contacts:
-            yield PhaseFault((*place, "contacts"), "there are none", "name the sensors that hit the ground")
+            yield Finding((*place, "contacts"), "there are none", "name the sensors that hit the ground")
         if not 0 <= impact.restitution <= 1:
             finding = f"found {impact.restitution:g}"
-            yield PhaseFault((*place, "restitution"), finding, "give a number from 0 to 1")
+            yield Finding((*place, "restitution"), finding, "give a number from 0 to 1")
         if own.loops is Loops.REDUCED:
             finding = f"phase {self.link.source} has loops: reduced, and an impact changes all velocities"
-            yield PhaseFault(place, finding, "take loops: multipliers")
+            yield Finding(place, finding, "take loops: multipliers")
         if manifest is not before or impact.map:
             yield from self.check_map((*place, "map"), impact.map, before, manifest)
         sensors = [frame.name for frame in manifest.frames if frame.sensor]
         for i, contact in enumerate(impact.contacts):
             yield from _check_contact((*place, "contacts", i), contact, plant, sensors)
 
-    def check_rebound(self, impact: Impact, after: Problem) -> Iterator[PhaseFault]:
+    def check_rebound(self, impact: Impact, after: Problem) -> Iterator[Finding]:
         """Refuse contacts that leave the ground after an impact, and that the phase after holds."""
         held = {(contact.sensor, contact.normal) for contact in after.contacts}
         for contact in impact.contacts if impact.restitution else ():
             if contact.normal in contact.axes and (contact.sensor, contact.normal) in held:
                 finding = f"{contact.sensor} rebounds, and phase {self.link.target} holds it"
                 remedy = "give restitution: 0, or leave the contact out of that phase"
-                yield PhaseFault((*self.place, "impact", "restitution"), finding, remedy)
+                yield Finding((*self.place, "impact", "restitution"), finding, remedy)
 
 
 def _place_history(shift: Shift) -> Place:
@@ -291,19 +282,19 @@ def _place_history(shift: Shift) -> Place:
     return ("controls", shift.name, "history") if is_control else ("inputs", "history")
 
 
-def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[PhaseFault]:
+def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequence[str]) -> Iterator[Finding]:
     manifest = plant.manifest
     if contact.sensor not in sensors:
         remedy = _suggest(contact.sensor, sensors) or f"there are {', '.join(sensors) or 'none'}"
-        yield PhaseFault(place, f"{manifest.model} has no sensor {abbreviate(contact.sensor)}", remedy)
+        yield Finding(place, f"{manifest.model} has no sensor {abbreviate(contact.sensor)}", remedy)
         return
     if contact.friction is not None and not contact.friction >= 0:
-        yield PhaseFault((*place, "friction"), f"found {contact.friction:g}", "give a number that is not negative")
+        yield Finding((*place, "friction"), f"found {contact.friction:g}", "give a number that is not negative")
     moving = find_axes(plant, contact.sensor)
     still = [AXES[axis] for axis in contact.axes if axis not in moving]
     if still:
         finding = f"{contact.sensor} cannot move along {', '.join(still)}"
-        yield PhaseFault((*place, "axes"), finding, f"give axes: {''.join(AXES[axis] for axis in moving)}")
+        yield Finding((*place, "axes"), finding, f"give axes: {''.join(AXES[axis] for axis in moving)}")
     first = find_wrench(manifest, contact.wrench)
     if first is None:
         open_ones = [x.name for x in manifest.wrenches if x.force and x.in_base]
@@ -311,12 +302,12 @@ def _check_contact(place: Place, contact: Contact, plant: Plant, sensors: Sequen
         remedy = "give the model wrenches: [{name: NAME, body: ..., position: ..., frame: base, force: input}]"
         if open_ones:
             remedy = f"there are {', '.join(open_ones)}"
-        yield PhaseFault(place, finding, remedy)
+        yield Finding(place, finding, remedy)
         return
     apart = _measure_distance(plant, sensors.index(contact.sensor), first)
     if apart > APART:
         finding = f"the wrench {contact.wrench} does not act at the sensor {contact.sensor}"
-        yield PhaseFault(place, finding, "give both the same body and position in the model")
+        yield Finding(place, finding, "give both the same body and position in the model")
 
 
 def _measure_distance(plant: Plant, sensor: int, first: int) -> float:
@@ -335,25 +326,25 @@ def _measure_distance(plant: Plant, sensor: int, first: int) -> float:
 _STATE = ("q", "qd", "qdd", "u", "w", "lam")
 
 
-def _check_expression(place: Place, text: str, known: Sequence[str]) -> Iterator[PhaseFault]:
+def _check_expression(place: Place, text: str, known: Sequence[str]) -> Iterator[Finding]:
     """Check the names that an expression reads."""
     try:
         read = sorted(names(parse(text)))
     except ExpressionError as error:
-        yield PhaseFault(place, error.finding, error.remedy)
+        yield Finding(place, error.finding, error.remedy)
         return
     for name in read:
         if name not in known:
             some = ", ".join(known[:SHOWN]) + (", ..." if len(known) > SHOWN else "")
             remedy = _suggest(name, known) or f"known here are {some}"
-            yield PhaseFault(place, f"unknown name {abbreviate(name)}", remedy)
+            yield Finding(place, f"unknown name {abbreviate(name)}", remedy)
 
 
-def _check_rate(place: Place, text: str, before: Manifest) -> Iterator[PhaseFault]:
+def _check_rate(place: Place, text: str, before: Manifest) -> Iterator[Finding]:
     try:
         differentiate(parse(text), {name: parse("1") for name in spell_coordinates(before)})
     except DerivativeError as error:
-        yield PhaseFault(place, error.finding, error.remedy)
+        yield Finding(place, error.finding, error.remedy)
     except ExpressionError:
         return  # another check refuses what cannot be read
 

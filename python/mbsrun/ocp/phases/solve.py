@@ -19,7 +19,7 @@ from mbsrun.ocp.assembly import find_other_assembly
 from mbsrun.ocp.backends.numpy import evaluate
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.branches import find_jump, find_singular
-from mbsrun.ocp.checks import Finding, ProblemError
+from mbsrun.ocp.checks import Line, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe, describe_point, name_parts, see_solver
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
@@ -504,7 +504,7 @@ def _check_states(problem: PhasedProblem, plants: Plants) -> None:
 
 def settle_phases(problem: PhasedProblem, plants: Plants, guess: Guess | None = None) -> PhasedProblem:
     """Settle what phases leave open, along a guess if there is one. Raises ProblemError with every fault of them."""
-    settled, findings = [], list[Finding]()
+    settled, findings = [], list[Line]()
     motions = [None] * len(problem.phases) if guess is None else guess.trajectories
     for phase, plant, motion in zip(problem.phases, plants.phases, motions, strict=True):
         try:
