@@ -7,6 +7,7 @@
 #include "mbs_jax.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "c_api.h" /* of the installed jaxlib */
@@ -83,28 +84,74 @@ static void mark_failed(const mbs_jax_kernel *entry, casadi_int states, const in
     }
 }
 
+/* Call the kernel on some states, one after the other. */
+static casadi_int call_each(const mbs_jax_kernel *entry, casadi_int rows, casadi_real *const *given,
+                            const casadi_int *step, casadi_real *const *wanted, int *status)
+{
+    const casadi_real *arg[MBS_JAX_MOST];
+    casadi_real *res[MBS_JAX_MOST];
+    casadi_int arg_step[MBS_JAX_MOST], res_step[MBS_JAX_MOST], k;
+    for (k = 0; k < entry->n_in; ++k)
+        arg[k] = 0;
+    for (k = 0; k < entry->n_out; ++k)
+        res[k] = 0;
+    for (k = 0; k < entry->given; ++k) {
+        arg[entry->in_place[k]] = given[k];
+        arg_step[entry->in_place[k]] = step[k];
+    }
+    for (k = 0; k < entry->wanted; ++k) {
+        res[entry->out_place[k]] = wanted[k];
+        res_step[entry->out_place[k]] = entry->out_size[k];
+    }
+    return mbs_batch(entry->kernel, rows, entry->n_in, arg, arg_step, entry->n_out, res, res_step, status);
+}
+
+/* The same, several at once. */
+static casadi_int call_several(const mbs_jax_kernel *entry, casadi_int rows, casadi_real *const *given,
+                               const casadi_int *step, casadi_real *const *wanted, int *status, void *room)
+{
+    static const mbs_given no_input;
+    static const mbs_found no_output;
+    mbs_given in[MBS_JAX_MOST], *input;
+    mbs_found out[MBS_JAX_MOST], *output;
+    casadi_int k;
+    for (k = 0; k < entry->n_in; ++k)
+        in[k] = no_input;
+    for (k = 0; k < entry->n_out; ++k)
+        out[k] = no_output;
+    for (k = 0; k < entry->given; ++k) {
+        input = in + entry->in_place[k];
+        input->first = given[k];
+        input->step = step[k];
+        input->nonzeros = entry->in_size[k];
+    }
+    for (k = 0; k < entry->wanted; ++k) {
+        output = out + entry->out_place[k];
+        output->first = wanted[k];
+        output->step = output->nonzeros = output->numbers = entry->out_size[k];
+        output->apart = 1;
+    }
+    return entry->many(entry->kernel, entry->several, rows, 0, rows, entry->n_in, in, entry->n_out, out, room, status);
+}
+
 /* Call the kernel on all states, some at a time. */
 static void call(const mbs_jax_kernel *entry, casadi_int states, casadi_real *const *given, const casadi_int *step,
-                 casadi_real *const *wanted, int *statuses)
+                 casadi_real *const *wanted, int *statuses, void *room)
 {
-    const casadi_real *arg[MBS_JAX_MOST] = {0};
-    casadi_real *res[MBS_JAX_MOST] = {0}, *part[MBS_JAX_MOST];
-    casadi_int arg_step[MBS_JAX_MOST] = {0}, res_step[MBS_JAX_MOST] = {0};
-    casadi_int first, rows, k;
+    casadi_real *from[MBS_JAX_MOST], *to[MBS_JAX_MOST];
+    casadi_int first, rows, failures, k;
     int own[ROWS], *status;
-    for (k = 0; k < entry->given; ++k)
-        arg_step[entry->in_place[k]] = step[k];
-    for (k = 0; k < entry->wanted; ++k)
-        res_step[entry->out_place[k]] = entry->out_size[k];
     for (first = 0; first < states; first += ROWS) {
         rows = states - first < ROWS ? states - first : ROWS;
         status = statuses ? statuses + first : own;
         for (k = 0; k < entry->given; ++k)
-            arg[entry->in_place[k]] = given[k] + first * step[k];
+            from[k] = given[k] + first * step[k];
         for (k = 0; k < entry->wanted; ++k)
-            res[entry->out_place[k]] = part[k] = wanted[k] + first * entry->out_size[k];
-        if (entry->batch(entry->kernel, rows, entry->n_in, arg, arg_step, entry->n_out, res, res_step, status))
-            mark_failed(entry, rows, status, part);
+            to[k] = wanted[k] + first * entry->out_size[k];
+        failures = entry->many ? call_several(entry, rows, from, step, to, status, room)
+                               : call_each(entry, rows, from, step, to, status);
+        if (failures)
+            mark_failed(entry, rows, status, to);
     }
 }
 
@@ -126,6 +173,7 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     casadi_real *given[MBS_JAX_MOST], *wanted[MBS_JAX_MOST];
     casadi_int step[MBS_JAX_MOST], states, k;
     int *statuses = 0;
+    void *room = 0;
     long long key;
     if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata)
         return describe(frame);
@@ -145,6 +193,9 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     }
     for (k = 0; k < entry->wanted; ++k)
         wanted[k] = (casadi_real *)((XLA_FFI_Buffer *)frame->rets.rets[k])->data;
-    call(entry, states, given, step, wanted, statuses);
+    if (entry->many && !(room = malloc((size_t)entry->room)))
+        return refuse(frame, "no memory is left for a batch");
+    call(entry, states, given, step, wanted, statuses, room);
+    free(room);
     return 0;
 }

@@ -3,21 +3,25 @@
 #define MBS_JAX_H
 
 #include "mbs_batch.h"
+#include "mbs_many.h"
 
 #define MBS_JAX_MOST 512 /* arguments on either side of a kernel */
 
-/* The meaning of mbs_batch. */
-typedef casadi_int (*mbs_batch_function)(mbs_kernel f, casadi_int states, casadi_int n_in, const casadi_real **arg,
-                                         const casadi_int *arg_step, casadi_int n_out, casadi_real **res,
-                                         const casadi_int *res_step, int *status);
+/* mbs_compute_many, compiled for some number of states at once. */
+typedef casadi_int (*mbs_many_function)(mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states,
+                                        casadi_int begin, casadi_int end, casadi_int n_in, const mbs_given *in,
+                                        casadi_int n_out, const mbs_found *out, void *room, int *status);
 
 typedef struct mbs_jax_kernel mbs_jax_kernel;
 
-/* A kernel, and the places and sizes of the arguments that programs pass: inputs `given`, at least one output `wanted`. */
+/* A kernel, and the places and sizes of the arguments that programs pass: inputs `given`, at least one output `wanted`.
+ * With `many`, it computes several states at once in batches that are large enough. */
 struct mbs_jax_kernel {
     long long key;
-    mbs_batch_function batch;
     mbs_kernel kernel;
+    mbs_many_function many; /* NULL: one state at a time */
+    mbs_kernel_of_several several;
+    long long room; /* bytes that `many` needs */
     casadi_int n_in, n_out, given, wanted;
     const casadi_int *in_place, *in_size, *out_place, *out_size;
     mbs_jax_kernel *next;

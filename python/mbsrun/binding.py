@@ -6,7 +6,7 @@ description of the arguments is compared with the manifest before anything is ca
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -138,36 +138,6 @@ class Entry:
         status = self.function(desk.arg, desk.res, NULL, NULL, 0)
         results = {} if status else desk.read()
         self.free.append(desk)
-        return status, results
-
-    def call(
-        self,
-        batch: Any,
-        inputs: Sequence[tuple[Port, Array]],
-        states: int,
-        outputs: Sequence[Port] | None = None,
-    ) -> tuple[Status, list[Array]]:
-        """Call `mbs_batch` of the library `batch`; inputs by nonzeros, a row for each state or one for all.
-
-        Returns the status of each state, shape (states,), and nonzeros of the outputs, of all by default, shapes
-        (states, nnz): NaN where the status is not 0.
-        """
-        outputs = self.outputs if outputs is None else outputs
-        ffi = self.ffi
-        arg, arg_step = ffi.new(f"const {_POINTERS}", self.n_in), ffi.new(_STEPS, self.n_in)
-        res, res_step = ffi.new(_POINTERS, self.n_out), ffi.new(_STEPS, self.n_out)
-        for port, nonzeros in inputs:
-            arg[port.position] = ffi.from_buffer("double[]", nonzeros.data)
-            arg_step[port.position] = nonzeros.shape[1] if nonzeros.shape[0] == states else 0
-        results = [np.empty((states, port.argument.nnz)) for port in outputs]
-        for port, nonzeros in zip(outputs, results, strict=True):
-            res[port.position] = ffi.from_buffer("double[]", nonzeros.data)
-            res_step[port.position] = nonzeros.shape[1]
-        status = np.zeros(states, dtype=np.int32)
-        told = ffi.from_buffer("int[]", status.data)
-        if batch.mbs_batch(self.function, states, self.n_in, arg, arg_step, self.n_out, res, res_step, told):
-            for nonzeros in results:
-                nonzeros[status != 0] = np.nan
         return status, results
 
 

@@ -114,9 +114,13 @@ class Kernels:
         self.describe(name)
         return self
 
-    def bind(self, name: str) -> tuple[Entry, Any]:
-        """Return a kernel that is bound to its C function, and the library of `mbs_batch`, which calls it often."""
-        return self._binder.bind(name), self._binder.batch
+    def bind(self, name: str) -> Entry:
+        """Return a kernel that is bound to its C function."""
+        return self._binder.bind(name)
+
+    def choose_loop(self, name: str, states: int) -> tuple[Loop, Several | None]:
+        """Return the loop over so many states, and the kernel for several states at once where that is worth it."""
+        return self._binder.choose_loop(self._binder.bind(name), states)
 
     def describe(self, name: str) -> Kernel:
         """Return the manifest's description of a kernel. Raises ArgumentError with the names of the kernels."""
@@ -358,11 +362,6 @@ class _Binder:
             library = compile_library(self.folder, self.manifest.prefix, kernel.sources, compiler)
             self._several[kernel.name] = many.load_several(library, kernel, width) if width > 1 else None
         return self._several[kernel.name]
-
-    @cached_property
-    def batch(self) -> Any:
-        """The loop over the states of a batch."""
-        return many.load_batch(self._compiler)
 
     @cached_property
     def _width(self) -> int:

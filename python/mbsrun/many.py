@@ -35,11 +35,6 @@ long long mbs_compute_many{0}(void *one, void *several, long long states, long l
                               long long n_in, const mbs_given *in, long long n_out, const mbs_found *out,
                               void *room, int *status);
 """
-_BATCH = """
-long long mbs_batch(int (*f)(const double **arg, double **res, long long *iw, double *w, int mem), long long states,
-                    long long n_in, const double **arg, const long long *arg_step,
-                    long long n_out, double **res, const long long *res_step, int *status);
-"""
 _ITEM = np.dtype(np.float64).itemsize
 
 
@@ -76,13 +71,6 @@ def load_loop(compiler: Compiler, width: int) -> Loop:
     library = compile_library(resources.folder("csrc"), "mbs_many", ["mbs_many.c"], for_states(compiler, width))
     ffi = declare(_DECLARED.format(_end(width)))
     return Loop(ffi, open_library(ffi, library), width)
-
-
-def load_batch(compiler: Compiler) -> Any:
-    """Compile and load the library of `mbs_batch`, which other programs call. Raises CompileError."""
-    return open_library(
-        declare(_BATCH), compile_library(resources.folder("csrc"), "mbs_batch", ["mbs_batch.c"], compiler)
-    )
 
 
 def load_several(library: Path, kernel: Kernel, width: int) -> Several | None:
@@ -147,6 +135,50 @@ def compute(
         for array in results.values():
             array[status != 0] = np.nan
     return status
+
+
+def compute_nonzeros(
+    loop: Loop,
+    entry: Entry,
+    several: Several | None,
+    inputs: Sequence[tuple[Port, Array]],
+    outputs: Sequence[Port],
+    states: int,
+) -> tuple[Status, list[Array]]:
+    """Call a kernel on nonzeros, contiguous: a row for each state, or one for all.
+
+    Returns the status of each state, shape (states,), and the nonzeros of the outputs, shapes (states, nnz): NaN where
+    the status is not 0.
+    """
+    ffi = loop.ffi
+    given, found = ffi.new("mbs_given[]", entry.n_in), ffi.new("mbs_found[]", entry.n_out)
+    for port, rows in inputs:
+        size = rows.shape[1]
+        step = size if rows.shape[0] == states else 0
+        given[port.position] = (ffi.cast("double *", rows.ctypes.data), step, size, NULL)
+    results = [np.empty((states, port.argument.nnz)) for port in outputs]
+    for port, rows in zip(outputs, results, strict=True):
+        size = rows.shape[1]
+        found[port.position] = (ffi.cast("double *", rows.ctypes.data), size, 1, size, size, NULL)
+    status = np.zeros(states, dtype=np.int32)
+    arguments = (entry.n_in, given, entry.n_out, found)
+    one, wide = (ffi.cast("void *", f) for f in (entry.function, several.function if several else NULL))
+    room = ffi.new("char[]", loop.get("mbs_room_of_many")(*arguments))
+    if loop.get("mbs_compute_many")(
+        one, wide, states, 0, states, *arguments, room, ffi.from_buffer("int[]", status.data)
+    ):
+        for rows in results:
+            rows[status != 0] = np.nan
+    return status, results
+
+
+def find_room(loop: Loop, entry: Entry, inputs: Sequence[Port], outputs: Sequence[Port]) -> int:
+    """Return how many bytes the loop needs for these arguments."""
+    given, found = loop.ffi.new("mbs_given[]", entry.n_in), loop.ffi.new("mbs_found[]", entry.n_out)
+    for ports, items in ((inputs, given), (outputs, found)):
+        for port in ports:
+            items[port.position].nonzeros = port.argument.nnz
+    return int(loop.get("mbs_room_of_many")(entry.n_in, given, entry.n_out, found))
 
 
 def _end(width: int) -> str:

@@ -13,16 +13,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
 from mbsgen.roles import Order, Role, name_adjoint
+from mbsrun import many
 from mbsrun.binding import ArgumentError, Array, Entry, Port, Status
 from mbsrun.external import INTEGER, Mechanism
+from mbsrun.many import Loop, Several
 
 Places = NDArray[np.intp]
 
@@ -32,7 +33,7 @@ class Call:
     """A kernel, and the arguments that arrays are passed for: all that have entries."""
 
     entry: Entry
-    batch: Any  # the library of `mbs_batch`
+    choose_loop: Callable[[int], tuple[Loop, Several | None]]  # for so many states
     given: tuple[Port, ...]
     wanted: tuple[Port, ...]
     key: int  # by the content of its library
@@ -47,8 +48,9 @@ class Call:
 
         Returns the status of each state, and the nonzeros of the wanted results: NaN where the status is not 0.
         """
+        loop, several = self.choose_loop(states)
         given = list(zip(self.given, rows, strict=True))
-        return self.entry.call(self.batch, given, states, self.wanted)
+        return many.compute_nonzeros(loop, self.entry, several, given, self.wanted, states)
 
 
 @dataclass(frozen=True)
@@ -177,12 +179,13 @@ class Operator:
 
     def _bind(self, kernel: Kernel, by: Container[str] | None = None) -> Call:
         library = self.kernels.compile(kernel.name)
-        entry, batch = self.kernels.bind(kernel.name)
+        entry = self.kernels.bind(kernel.name)
         given = sorted((port for port in entry.inputs if port.argument.nnz), key=_find_turn)  # h follows weights there
         wanted = tuple(port for port in entry.outputs if port.argument.nnz and (by is None or port.argument.by in by))
         names = ",".join(port.argument.name for port in wanted)
         digest = hashlib.sha256(f"{library.name} {kernel.symbol} {names}".encode()).digest()
-        return Call(entry, batch, tuple(given), wanted, int.from_bytes(digest[:8], "big", signed=True))
+        choose_loop = partial(self.kernels.choose_loop, kernel.name)
+        return Call(entry, choose_loop, tuple(given), wanted, int.from_bytes(digest[:8], "big", signed=True))
 
     def _find_blocks(
         self, call: Call, of: Mapping[str, int], by: Mapping[str, int], sides: Sequence[Port]

@@ -148,6 +148,21 @@ def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -
     assert np.isnan(hessian[1:, :2, :2]).all()  # f does not depend on y2, which scales a guard alone
 
 
+def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> None:
+    """Several states are computed at once, and the batch in parts: 1003 states are no multiple of either."""
+    face, rng = mbsrun.jax.load(guarded), np.random.default_rng(8)
+    x, y = rng.uniform(1, 2, (1003, 2)), rng.uniform(1, 2, (1003, 3))
+    wrong = rng.choice(1003, 50, replace=False)
+    y[wrong, 0] = 0.0
+    results, status = face.attempt("impl", x=x, y=y)
+    assert np.flatnonzero(status).tolist() == sorted(wrong)
+    assert np.array_equal(np.isnan(results["f"]).any(1), status != 0)
+    expected, _ = guarded.attempt("impl", x=x, y=y)
+    assert np.array_equal(results["f"], expected["f"], equal_nan=True)
+    single = [guarded.attempt("impl", x=x[i], y=y[i])[0]["f"] for i in range(1003)]
+    np.testing.assert_allclose(results["f"], single, rtol=4 * np.finfo(float).eps)
+
+
 def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
     """`p` gives each state its own; the reference is the NumPy face with these parameters."""
     face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 7, 2)

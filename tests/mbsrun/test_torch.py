@@ -144,6 +144,18 @@ def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -
     assert gradient[1:].isnan().all()
 
 
+def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> None:
+    """Several states are computed at once; 1003 states are no multiple of them."""
+    face, rng = mbsrun.torch.load(guarded), np.random.default_rng(8)
+    x, y = rng.uniform(1, 2, (1003, 2)), rng.uniform(1, 2, (1003, 3))
+    y[rng.choice(1003, 50, replace=False), 0] = 0.0
+    results, status = face.attempt("impl", x=torch.from_numpy(x), y=torch.from_numpy(y))
+    expected, statuses = guarded.attempt("impl", x=x, y=y)
+    assert np.array_equal(status, statuses)
+    assert np.array_equal(results["f"], expected["f"], equal_nan=True)
+    assert np.array_equal(results["f"].isnan().any(1), statuses != 0)
+
+
 def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
     """`p` gives each state its own; the reference is the NumPy face with these parameters."""
     face, inputs = mbsrun.torch.load(sample), draw(sample, "impl", 7, 2)
