@@ -72,12 +72,25 @@ class Port:
             return None
         return np.array(a.row, dtype=np.intp), np.repeat(np.arange(a.cols), np.diff(a.colind))
 
-    def list_nonzeros(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of the nonzeros, in their order."""
-        a = self.argument
-        if self.places is not None:
-            return self.places
-        return np.tile(np.arange(a.rows), a.cols), np.repeat(np.arange(a.cols), a.rows)
+    @cached_property
+    def entries(self) -> NDArray[np.int64] | None:
+        """Which nonzero each number is, row by row, -1 for none; None where they are all the numbers, in turn."""
+        entries = self.spread().astype(np.int64)
+        return None if np.array_equal(entries, np.arange(entries.size)) else entries
+
+    def find_places(self, strides: tuple[int, ...]) -> NDArray[np.int64] | None:
+        """Return where the nonzeros of one state stand in an array, counted in numbers; None: one after the other."""
+        if strides not in self._places:
+            a = self.argument
+            rows, cols = self.places or (np.tile(np.arange(a.rows), a.cols), np.repeat(np.arange(a.cols), a.rows))
+            places = (rows * strides[0] + cols * (strides[1] if len(strides) > 1 else 0)).astype(np.int64)
+            self._places[strides] = None if np.array_equal(places, np.arange(places.size)) else places
+        return self._places[strides]
+
+    @cached_property
+    def _places(self) -> dict[tuple[int, ...], NDArray[np.int64] | None]:
+        """Found places, by the strides of arrays."""
+        return {}
 
     def spread(self) -> NDArray[np.intp]:
         """Return, for each entry, row by row, the index of its nonzero; -1: none."""

@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cffi
 import numpy as np
-from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsgen.manifest import Kernel
@@ -193,10 +191,10 @@ def _point(ffi: cffi.FFI, given: Any, port: Port, array: Array) -> list[Any]:
         array = array.copy()
     has_batch = array.ndim > len(port.shape)
     strides = tuple(stride // _ITEM for stride in array.strides)
-    given.first = ffi.cast("double *", array.ctypes.data)
+    given.first = ffi.cast("double *", _address(array))
     given.step = strides[0] if has_batch and array.shape[0] > 1 else 0
     given.nonzeros = port.argument.nnz
-    places = _place(port, strides[has_batch:])
+    places = port.find_places(strides[has_batch:])
     given.places = NULL if places is None else ffi.from_buffer("long long[]", places.data)
     return [array, places]
 
@@ -205,24 +203,14 @@ def _point_result(ffi: cffi.FFI, found: Any, port: Port, array: Array, *, sparse
     """Describe a result likewise."""
     if not array.size:
         return []
-    entries = None if sparse else _spread(port)
-    found.first = ffi.cast("double *", array.ctypes.data)
+    entries = None if sparse else port.entries
+    found.first = ffi.cast("double *", _address(array))
     found.step = found.numbers = array[0].size
     found.apart, found.nonzeros = 1, port.argument.nnz
     found.entries = NULL if entries is None else ffi.from_buffer("long long[]", entries.data)
     return [entries]
 
 
-@lru_cache(maxsize=4096)
-def _place(port: Port, strides: tuple[int, ...]) -> NDArray[np.int64] | None:
-    """Return where the nonzeros of one state stand, counted in numbers; None where one follows the other."""
-    rows, cols = port.list_nonzeros()
-    places = (rows * strides[0] + (cols * strides[1] if len(strides) > 1 else 0)).astype(np.int64)
-    return None if np.array_equal(places, np.arange(places.size)) else places
-
-
-@lru_cache(maxsize=4096)
-def _spread(port: Port) -> NDArray[np.int64] | None:
-    """Return which nonzero each number of one state is, row by row, -1 for none; None where they are all, in turn."""
-    entries = port.spread().astype(np.int64)
-    return None if np.array_equal(entries, np.arange(entries.size)) else entries
+def _address(array: Array) -> int:
+    address: int = array.__array_interface__["data"][0]  # `array.ctypes` takes longer than a kernel
+    return address
