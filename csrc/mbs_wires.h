@@ -41,17 +41,6 @@ static inline void mbs_copy(int count, const mbs_real *from, mbs_real *to)
         to[k] = from[k];
 }
 
-/* Exchange rows of `width` numbers. */
-static inline void mbs_exchange_rows(int width, mbs_real *a, mbs_real *b)
-{
-    int k;
-    for (k = 0; k < width; ++k) {
-        const mbs_real x = a[k];
-        a[k] = b[k];
-        b[k] = x;
-    }
-}
-
 /* Subtract a multiple of one row from another. */
 static inline void mbs_subtract_row(int width, mbs_real factor, const mbs_real *a, mbs_real *b)
 {

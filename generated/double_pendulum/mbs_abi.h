@@ -86,14 +86,19 @@
 #define MBS_TANH MBS_PASTE(MBS_TANH_, MBS_REAL)
 #define MBS_ABS_double fabs
 #define MBS_ABS_float fabsf
-#define MBS_ABS MBS_PASTE(MBS_ABS_, MBS_REAL)
+#define MBS_ABS_OF_ONE MBS_PASTE(MBS_ABS_, MBS_REAL)
+#define MBS_ABS MBS_ABS_OF_ONE
 #define MBS_SIGN(x) ((x) > 0 ? (mbs_real)1 : (x) < 0 ? -(mbs_real)1 : (x)) /* not a number stays what it is */
 
 #ifdef MBS_STATES
 #include "mbs_states.h"
 #else
 typedef MBS_REAL mbs_real;
+#define MBS_ABREAST 1 /* states */
+#define MBS_EVERY(x) ((mbs_real)(x))
+#define MBS_OF_STATE(x, state) (x)
 #define MBS_EXCEEDS(a, b) ((a) > (b))
+#define MBS_LARGER(a, b) ((a) <= (b) ? (b) : (a))
 #endif
 
 /* A function in CasADi's contract with the functions that describe it. Any arg[k] may be NULL (zeros), any res[k] may

@@ -59,12 +59,15 @@ typedef MBS_PASTE(MBS_FLAG_, MBS_REAL) mbs_flags __attribute__((vector_size(MBS_
 #endif
 #define MBS_HAS_VECTOR MBS_PASTE(MBS_HAS_VECTOR_, MBS_REAL)
 
-/* A number in all states. */
+#define MBS_ABREAST MBS_STATES
+#define MBS_EVERY(x) ((x) - (mbs_real){0}) /* in all states */
+#define MBS_OF_STATE(x, state) (x)[state]
 #undef MBS_C
-#define MBS_C(x) (MBS_PASTE(MBS_C_, MBS_REAL)(x) - (mbs_real){0})
+#define MBS_C(x) MBS_EVERY(MBS_PASTE(MBS_C_, MBS_REAL)(x))
 #undef MBS_THRESHOLD
 #define MBS_THRESHOLD(t) mbs_lesser((t) * MBS_EPSILON, MBS_C(3e-5))
 #define MBS_EXCEEDS(a, b) mbs_exceeds(a, b)
+#define MBS_LARGER(a, b) mbs_select((a) <= (b), b, a)
 
 static inline mbs_real mbs_select(mbs_flags which, mbs_real yes, mbs_real no)
 {

@@ -31,7 +31,7 @@ from mbsgen.targets.layout import lay_out
 from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
 
-WIRES, COLUMNS, ANGLES = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h"
+WIRES, COLUMNS, ANGLES, NEWTON = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h", "mbs_newton.h"
 _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_symmetric.h", General: "mbs_general.h"}
 _FACTORS = "Where the factors of M have their entries, and the results their nonzeros in M^-1 B."
 _PLACES = "Where nonzeros stand in full arrays, and what is gathered."
@@ -123,7 +123,7 @@ class Writer:
         plain = [f"{self.name(w)}[{_size(w)}]" for w in own if not (w.is_whole or self.is_laid_out(w))]
         if plain:
             self.locals.append(f"mbs_real {', '.join(plain)};")
-        self.locals += [f"int {self.name(w)}[{_size(w)}];" for w in own if w.is_whole]
+        self.locals += [f"int {self.name(w)}[{_size(w)} * MBS_ABREAST];" for w in own if w.is_whole]
         for w in own:
             if self.is_laid_out(w):
                 aligned = "MBS_ALIGNED " if self._is_wide(w) else ""
@@ -346,7 +346,6 @@ class _System:
 
 def _describe(writer: Writer, pattern: Pattern, factors: Sequence[str], name: str) -> _System:
     kind, n = type(pattern).__name__.lower(), pattern.size
-    writer.has_lanes &= isinstance(pattern, Tree)  # pivots are chosen in each state
     scales = f"mbs_real {name}_scales[{n}];"
     if isinstance(pattern, Tree):
         full = f"{name}_full"
@@ -443,14 +442,17 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
 
 
 def _write_newton(writer: Writer, stage: Newton) -> None:
-    writer.has_lanes = False
+    writer.headers[NEWTON] = None
     tape, n = stage.residual, stage.pattern.size
     residual, jacobian = (o.name for o in tape.outputs)
     written = writer.write_tape(tape, f"mbs_{stage.name}_residual")
     inner = Factor("mbs", stage.jacobian, stage.pattern, stage.status, stage.tolerance)
     factors = [wire.name for wire in inner.gives]
     declared, factorise = _write_factorise(writer, inner, factors, jacobian)
-    arrays = [f"{'int' if w.is_whole else 'mbs_real'} {w.name}[{_size(w)}];" for w in inner.gives]
+    arrays = [
+        f"int {w.name}[{_size(w)} * MBS_ABREAST];" if w.is_whole else f"mbs_real {w.name}[{_size(w)}];"
+        for w in inner.gives
+    ]
     right = Wire(residual, Sparsity.dense(1, n))
     solve, arguments = _call_solve(writer, Solve("mbs", stage.pattern, inner.gives, right, ()), factors, residual)
     wires = [w for w in stage.wires if w.sparsity.nnz]
