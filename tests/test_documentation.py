@@ -29,11 +29,12 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FEWER = {
     "--starts 20": "--starts 3",
     "--azimuths 0.8 1.2 3": "--azimuths 0.8 1.2 2",
+    "4096, 256, 45, 120, 0.025": "64, 32, 1, 20, 0.025",
     " --emulate": "",  # the tests of controllers run it
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
 TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES), "docs/rust.md": ("cargo",)}  # skipped without them
-LIBRARIES = {"docs/learning.md": ("jax", "torch")}  # skipped without them
+LIBRARIES = {"docs/learning.md": ("jax", "torch"), "docs/tutorials/learn.md": ("jax",)}  # skipped without them
 SHELL = ("bash", "-euo", "pipefail", "-c")
 SEPARATE = "README.md"  # its commands are started as a user starts them, each in a new process
 

@@ -119,7 +119,7 @@ class Kernels:
         return self._binder.bind(name)
 
     def choose_loop(self, name: str, states: int) -> tuple[Loop, Several | None]:
-        """Return the loop over so many states, and the kernel for several states at once where that is worth it."""
+        """Return the loop over a number of states, and the kernel for several at once where that is worth it."""
         return self._binder.choose_loop(self._binder.bind(name), states)
 
     def describe(self, name: str) -> Kernel:

@@ -33,7 +33,7 @@ class Call:
     """A kernel, and the arguments that arrays are passed for: all that have entries."""
 
     entry: Entry
-    choose_loop: Callable[[int], tuple[Loop, Several | None]]  # for so many states
+    choose_loop: Callable[[int], tuple[Loop, Several | None]]  # by the number of states
     given: tuple[Port, ...]
     wanted: tuple[Port, ...]
     key: int  # by the content of its library
