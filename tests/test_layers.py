@@ -195,7 +195,7 @@ MBSRUN = Package(
         "lab",
         "commands.console",
         "commands.searching commands.failures commands.columns",
-        "commands.phases commands.recorded commands.animated commands.robots",
+        "commands.recorded commands.animated commands.robots",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
         "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
         "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",

@@ -25,9 +25,10 @@ from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
 from mbsrun.ocp import pictures
+from mbsrun.ocp.phases import solve as phases_solve
+from mbsrun.ocp.phases.solution import PhasedSolution
 from mbsrun.ocp.problem import Form, Refinement
-from mbsrun.ocp.solution import Solution, read_solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.solution import read_solution
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trials import COUNTS
 from tests.mbsrun.peer_arm import peer_arm
@@ -200,7 +201,7 @@ def test_what_a_search_does_not_take_is_told(quick: Run, arguments: tuple[str, .
 
 def test_a_check_that_does_not_finish_is_told(quick: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The solution is written, and does not count as accurate."""
-    monkeypatch.setattr(solving, "resimulate", partial(solving.resimulate, limits=Limits(steps=3)))
+    monkeypatch.setattr(phases_solve, "resimulate", partial(phases_solve.resimulate, limits=Limits(steps=3)))
     result = quick("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 1
     assert (
@@ -273,12 +274,12 @@ def test_an_inaccurate_solution_is_written_with_a_warning(quick: Run) -> None:
 
 
 def test_an_acceptable_solution_is_written_with_a_warning(quick: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop_short(*arguments: Any) -> Solution:
-        outcome = solve(*arguments)
-        assert isinstance(outcome, Solution)
+    def stop_short(*arguments: Any) -> PhasedSolution:
+        outcome = phases_solve.solve_phases(*arguments)
+        assert isinstance(outcome, PhasedSolution)
         return replace(outcome, run=replace(outcome.run, status=ACCEPTABLE))
 
-    monkeypatch.setattr(solving, "solve", stop_short)
+    monkeypatch.setattr(solving, "solve_phases", stop_short)
     result = quick("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 1
     assert "warning: the solver stopped at an acceptable level" in result.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,40 +29,25 @@ from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
 from mbsrun.ocp.integrators import INTEGRATORS
 from mbsrun.ocp.methods import METHODS as SOLVERS
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.placing import name_lines, naming_guess
-from mbsrun.ocp.phases.statement import has_phases
+from mbsrun.ocp.phases.placing import name_guesses, name_lines, naming_guess
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants, list_one
+from mbsrun.ocp.phases.recorded import find_phased_guess
+from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution, list_solution
+from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
+from mbsrun.ocp.phases.statement import has_phases, read_phased_problem
+from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, cylindrical
+from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, SolverName, cylindrical
 from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import (
-    DISTRIBUTION,
-    MECHANISM,
-    SOLUTION,
-    TRAJECTORIES,
-    Failure,
-    Round,
-    Solution,
-    write_solution,
-)
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.solution import STARTS, Failure, Round, Solution
 from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import list_shortcomings, summarise, write_line
-from mbsrun.ocp.table import write_table
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.summary import write_line
 
 if TYPE_CHECKING:
     from mbsrun.ocp.multistart import Wish
 
-ANIMATION = "animation.html"
-MESH = "mesh.png"  # of a refinement
-TABLE = "solution.csv"
-PLAIN_FILES = (SOLUTION, TABLE, TRAJECTORIES)  # of a problem without a mechanism
-FILES = (*PLAIN_FILES, MECHANISM, ANIMATION)
-STARTS = "starts.sqlite"  # of a search from many starts
 MAX_STARTS = 100_000
-SINGLE = ("target", "hops", "workers", "sensitivities")  # options that a problem in phases does not take
 
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
@@ -87,8 +73,9 @@ A solver finds a local minimum near its guess. --starts 20 solves from 20 starts
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
-For a problem with `phases` or `links`, an option holds for every phase; there is no --target, --hops, --workers and
---sensitivities, and a search keeps no starts.sqlite. Each phase has a table NAME.csv.
+For a problem with `phases` or `links`, an option holds for every phase, and --target for the one phase that has a
+target; there is no --hops, --workers and --sensitivities, and a search keeps no starts.sqlite. Each phase has a table
+NAME.csv.
 
 \b
 Exit codes
@@ -199,32 +186,26 @@ def solve_command(
         from mbsrun.ocp.multistart import Wish  # here and below: what takes long to load, and few solves need
 
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
-    if has_phases(file):
-        left_out = {"target": target, "hops": hops, "workers": workers, "sensitivities": sensitivities or None}
-        context.exit(_solve_phases(file, out, other, wish, columns, {**left_out, **choices}))
+    is_phased = has_phases(file)
+    given = [name for name, value in (("hops", hops), ("workers", workers), ("sensitivities", sensitivities)) if value]
+    if is_phased and given:
+        raise click.UsageError(f"{', '.join(f'--{name}' for name in given)}: for problems of one phase")
     models: list[Path] = []
 
     def load_model(model: Path) -> Plant:
         models.append(model)
         return load_on_demand(model)
 
-    problem, plant = read_problem(file, load_model, NO_MECHANISM)
+    problem, plants = read_phased_problem(file, load_model) if is_phased else _read(file, load_model)
     if target is not None:
         problem = _retarget(problem, target)
     problem = _choose(problem, **choices)
-    check_columns(columns, [(problem, plant)])
-    is_own = other is None and problem.guess.solution is not None
-    if other is None and problem.guess.solution is not None:
-        other = file.parent / problem.guess.solution
-    if starts is not None and other is not None:
+    check_columns(columns, [(own.problem, plant) for own, plant in zip(problem.phases, plants.phases, strict=True)])
+    if starts is not None and (other is not None or any(own.problem.guess.solution for own in problem.phases)):
         raise click.UsageError("--starts makes its own starts; it takes no solution to start from")
-    with naming_guess(file, is_own=is_own):
-        guess = None if other is None else find_guess(other, problem, plant)
+    guess = _find_guess(problem, plants, file, other)
     out = out or Path(f"{problem.name}.solution")
-    if wish is None:
-        outcome: Solution | Failure | None = _solve(problem, plant, guess)
-    else:
-        outcome = _search(problem, plant, models[-1] if models else None, wish, out)
+    outcome = _solve(problem, plants, guess) if wish is None else _search(problem, plants, models, wish, out)
     if outcome is None:
         say("the time was over before the first start ended")
         context.exit(NOT_SOLVED)
@@ -232,25 +213,27 @@ def solve_command(
         print_failure(outcome, file, out)
         context.exit(NOT_SOLVED)
     with show_status("integrating again") as status:
-        outcome = resimulate(outcome, plant)
-        if problem.refine is not None:
-            from mbsrun.ocp.refinement import refine
+        outcome = resimulate_phases(outcome, plants)
+        if any(own.problem.refine is not None for own in problem.phases):
+            from mbsrun.ocp.refinement import refine_phases
 
-            outcome = refine(outcome, plant, lambda round_: status.update(_describe_round(round_)))
+            outcome = refine_phases(outcome, plants, lambda name, last: status.update(_describe_round(name, last)))
         if sensitivities:
             from mbsrun.ocp.sensitivity import find_sensitivities
 
             status.update("differentiating the cost")
-            outcome = find_sensitivities(outcome, plant)
+            outcome = list_solution(find_sensitivities(outcome.single, plants.phases[0]))
         status.update("drawing")
-        written = _write(outcome, plant, out, columns)
-    for name, value in summarise(outcome).items():
-        click.echo(write_line(name, value, 14))
+        from mbsrun.ocp.phases.files import write_files
+
+        written = write_files(outcome, plants, out, columns)
+    for name, value in summarise_phases(outcome).items():
+        click.echo(write_line(name, value, 14 if problem.is_single else 24))
     if outcome.run.instead:
         say(f"note: {outcome.run.instead}")
     say(f"wrote {list_written(out, written)}")
-    shortcomings = list_shortcomings(outcome)
-    if sensitivities and not outcome.sensitivities:
+    shortcomings = list_phased_shortcomings(outcome)
+    if sensitivities and not outcome.single.sensitivities:
         shortcomings.append(
             "no derivative of the cost was found: the model has no differentiated parameter but unknowns, or the "
             "second solve ended elsewhere"
@@ -260,33 +243,28 @@ def solve_command(
     context.exit(NOT_SOLVED if shortcomings else 0)
 
 
-def _describe_round(last: Round) -> str:
+def _read(file: Path, load_model: Callable[[Path], Plant]) -> tuple[PhasedProblem, Plants]:
+    """Read a problem without phases as a list of one."""
+    problem, plant = read_problem(file, load_model, NO_MECHANISM)
+    return list_one(problem), Plants((plant,))
+
+
+def _find_guess(problem: PhasedProblem, plants: Plants, file: Path, other: Path | None) -> Guess | PartialGuess | None:
+    """Read the solution or the recording to start from, as the option or the problem gives it."""
+    if not problem.is_single:
+        return find_phased_guess(problem, plants, file.parent, other, name_guesses(file))
+    own = problem.phases[0].problem
+    is_own = other is None and own.guess.solution is not None
+    if other is None and own.guess.solution is not None:
+        other = file.parent / own.guess.solution
+    with naming_guess(file, is_own=is_own):
+        return None if other is None else Guess((find_guess(other, own, plants.phases[0]),))
+
+
+def _describe_round(name: str, last: Round) -> str:
     defect = "unknown" if last.defect is None else f"{last.defect:.1e}"
-    return f"{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
-
-
-def _solve_phases(
-    file: Path,
-    out: Path | None,
-    other: Path | None,
-    wish: Wish | None,
-    columns: tuple[str, ...],
-    choices: dict[str, Any],
-) -> int:
-    """Solve a problem in phases; what an option says, it says of every phase."""
-    given = [f"--{name}" for name in SINGLE if choices.pop(name) is not None]
-    if given:
-        raise click.UsageError(f"{', '.join(given)}: for problems of one phase")
-    solver, threads, fallback, accuracy = (choices.pop(name) for name in ("solver", "threads", "fallback", "refine"))
-    if accuracy is not None:
-        _check_accuracy(accuracy)
-
-    def choose(problem: Problem) -> Problem:
-        return _choose_way(problem, **choices)
-
-    from mbsrun.commands.phases import solve_file
-
-    return solve_file(file, out, other, choose, solver, threads, fallback, accuracy, wish, columns)
+    phase = f"phase {name}: " if name else ""
+    return f"{phase}{len(last.times) - 1} intervals, degree {last.degree}: defect {defect}; refining"
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -294,34 +272,44 @@ def _check_accuracy(accuracy: float) -> None:
         raise click.UsageError(f"--refine {accuracy:g}: give at least {LEAST_ACCURACY:g}")
 
 
-def _retarget(problem: Problem, target: tuple[float, float, float]) -> Problem:
-    return problem.with_target(find_sensor(problem, "--target"), cylindrical(*target))
+def _retarget(problem: PhasedProblem, target: tuple[float, float, float]) -> PhasedProblem:
+    """Move the target of the one phase that has one."""
+    aimed = [own.problem for own in problem.phases if own.problem.end.sensors] or [problem.phases[0].problem]
+    if len(aimed) > 1:
+        named = ", ".join(own.name for own in problem.phases if own.problem.end.sensors)
+        raise click.BadParameter(f"the phases {named} have targets; one must have one", param_hint="--target")
+    moved = aimed[0].with_target(find_sensor(aimed[0], "--target"), cylindrical(*target))
+    return problem.change(lambda own: moved if own is aimed[0] else own)
 
 
 def _choose(
-    problem: Problem,
-    solver: str | None,
+    problem: PhasedProblem,
+    solver: SolverName | None,
     threads: int | None,
     fallback: bool | None,
     refine: float | None,
     **ways: Any,
-) -> Problem:
-    """Replace parts of the problem by options. Another method drops the options of the former one.
+) -> PhasedProblem:
+    """Replace parts of every phase by options. Another method drops the options of the former one.
 
     Raises UsageError for conflicts.
     """
-    problem = _choose_way(problem, **ways)
+    problem, options = problem.change(lambda own: _choose_way(own, **ways)), problem.solver
     if solver is not None:
-        problem = problem.with_solver(solver)
+        options = options.with_method(solver)
     if threads is not None:
-        problem = replace(problem, solver=replace(problem.solver, threads=threads))
+        options = replace(options, threads=threads)
     if fallback is not None:
-        problem = replace(problem, solver=replace(problem.solver, fallback=fallback))
+        options = replace(options, fallback=fallback)
     if refine is not None:
         _check_accuracy(refine)
-        rounds = Refinement.rounds if problem.refine is None else problem.refine.rounds
-        problem = replace(problem, refine=Refinement(refine, rounds))
-    check_conflicts(problem)
+        problem = problem.change(
+            lambda own: replace(own, refine=replace(own.refine or Refinement(refine), accuracy=refine))
+        )
+    problem = replace(problem, solver=options)
+    if problem.is_single:  # phases are checked together, and named
+        problem = problem.change(lambda own: replace(own, solver=options))
+        check_conflicts(problem.phases[0].problem)
     return problem
 
 
@@ -347,7 +335,7 @@ def _choose_way(
     return problem
 
 
-def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution | Failure:
+def _solve(problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess | None) -> PhasedSolution | Failure:
     """Solve from one guess, and show the iterations."""
     with show_status("making the program") as status:
 
@@ -356,38 +344,24 @@ def _solve(problem: Problem, plant: Plant, guess: Trajectory | None) -> Solution
                 f"iteration {progress.iteration}: cost {progress.cost:.8g}, violation {progress.violation:.1e}"
             )
 
-        return solve(problem, plant, show, guess)
+        return solve_phases(problem, plants, show, guess)
 
 
-def _search(problem: Problem, plant: Plant, model: Path | None, wish: Wish, out: Path) -> Solution | Failure | None:
-    """Solve from many starts, and show how many ended and the best cost."""
+def _search(
+    problem: PhasedProblem, plants: Plants, models: Sequence[Path], wish: Wish, out: Path
+) -> PhasedSolution | Failure | None:
+    """Solve from many starts, and show how many ended and the best cost; without phases, a file keeps the starts."""
     from mbsrun.commands.searching import print_starts, show_search
     from mbsrun.ocp.multistart import solve_from_many
+    from mbsrun.ocp.phases.multistart import solve_phases_from_many
 
-    out.mkdir(parents=True, exist_ok=True)
     with show_search(wish.starts) as watch:
-        starts, outcome = solve_from_many(problem, plant, model, wish, out / STARTS, watch)
-    print_starts(starts, "; give the command again to go on")
+        if not problem.is_single:
+            starts, outcome = solve_phases_from_many(problem, plants, wish, watch)
+        else:
+            out.mkdir(parents=True, exist_ok=True)
+            own, model = problem.phases[0].problem, models[-1] if models else None
+            starts, found = solve_from_many(own, plants.phases[0], model, wish, out / STARTS, watch)
+            outcome = list_solution(found) if isinstance(found, Solution) else found
+    print_starts(starts, "; give the command again to go on" if problem.is_single else "")
     return outcome
-
-
-def _write(solution: Solution, plant: Plant, out: Path, columns: tuple[str, ...]) -> tuple[str, ...]:
-    """Write the files of a solution, and return their names."""
-    from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories
-
-    out.mkdir(parents=True, exist_ok=True)
-    write_solution(solution, out / SOLUTION)
-    write_table(solution, plant, out / TABLE, columns)
-    plot_trajectories(solution, plant.manifest, out / TRAJECTORIES)
-    written = [*PLAIN_FILES]
-    if plant.manifest.coordinates:
-        draw_mechanism(solution, plant, out / MECHANISM)
-        animate(solution, plant, out / ANIMATION)
-        written = [*FILES]
-    if solution.refinement is not None:
-        plot_mesh(solution.refinement, out / MESH)
-        written.append(MESH)
-    if solution.starts is not None:
-        plot_starts(solution.starts, out / DISTRIBUTION)
-        written += [DISTRIBUTION, STARTS]
-    return tuple(written)

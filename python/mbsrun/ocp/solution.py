@@ -24,7 +24,9 @@ from mbsrun.ocp.trajectory import OPTIONAL, Array, Trajectory
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 SOLUTION, TRAJECTORIES, MECHANISM = "solution.json", "trajectories.png", "mechanism.png"  # files of a folder
-DISTRIBUTION = "starts.png"  # of a search from many starts
+TABLE, ANIMATION = "solution.csv", "animation.html"
+MESH = "mesh.png"  # of a refinement
+DISTRIBUTION, STARTS = "starts.png", "starts.sqlite"  # of a search from many starts
 
 
 @dataclass(frozen=True)

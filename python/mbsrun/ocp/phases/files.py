@@ -9,8 +9,20 @@ from pathlib import Path
 from mbsrun.ocp.phases.pictures import make_phased_mechanism, make_phased_trajectories, write_animations
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, write_phased_solution
-from mbsrun.ocp.pictures import plot_mesh, plot_starts, save
-from mbsrun.ocp.solution import DISTRIBUTION, MECHANISM, SOLUTION, TRAJECTORIES, Solution
+from mbsrun.ocp.pictures import animate, draw_mechanism, plot_mesh, plot_starts, plot_trajectories, save
+from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.solution import (
+    ANIMATION,
+    DISTRIBUTION,
+    MECHANISM,
+    MESH,
+    SOLUTION,
+    STARTS,
+    TABLE,
+    TRAJECTORIES,
+    Solution,
+    write_solution,
+)
 from mbsrun.ocp.table import measure, write_table
 
 
@@ -20,6 +32,8 @@ def write_files(solution: PhasedSolution, plants: Plants, folder: Path, columns:
     `columns` are further columns of tables, by names or patterns; a phase has the ones that it knows.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    if solution.problem.is_single:
+        return _write_single(solution.single, plants.phases[0], folder, columns)
     write_phased_solution(solution, folder / SOLUTION)
     tables, phases = [f"{name}.csv" for name in solution.names], shift_phases(solution)
     for table, phase, plant in zip(tables, phases, plants.phases, strict=True):
@@ -37,6 +51,25 @@ def write_files(solution: PhasedSolution, plants: Plants, folder: Path, columns:
         plot_starts(solution.search, folder / DISTRIBUTION)
         pictures += (DISTRIBUTION,)
     return (SOLUTION, *tables, *pictures)
+
+
+def _write_single(solution: Solution, plant: Plant, folder: Path, columns: Sequence[str]) -> tuple[str, ...]:
+    """Write the files of a problem without phases."""
+    write_solution(solution, folder / SOLUTION)
+    write_table(solution, plant, folder / TABLE, columns)
+    plot_trajectories(solution, plant.manifest, folder / TRAJECTORIES)
+    written = [SOLUTION, TABLE, TRAJECTORIES]
+    if plant.manifest.coordinates:
+        draw_mechanism(solution, plant, folder / MECHANISM)
+        animate(solution, plant, folder / ANIMATION)
+        written += [MECHANISM, ANIMATION]
+    if solution.refinement is not None:
+        plot_mesh(solution.refinement, folder / MESH)
+        written.append(MESH)
+    if solution.starts is not None:
+        plot_starts(solution.starts, folder / DISTRIBUTION)
+        written += [DISTRIBUTION, STARTS]
+    return tuple(written)
 
 
 def shift_phases(solution: PhasedSolution) -> list[Solution]:

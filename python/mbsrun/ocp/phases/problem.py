@@ -11,6 +11,7 @@ phase to the start of another one, or of the same one, which makes a motion peri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from mbsrun.ocp.plant import Plant
@@ -96,6 +97,10 @@ class PhasedProblem:
     def with_solver(self, method: SolverName) -> PhasedProblem:
         """Return the same problem for an NLP method; another method drops the options of the former one."""
         return replace(self, solver=self.solver.with_method(method))
+
+    def change(self, change: Callable[[Problem], Problem]) -> PhasedProblem:
+        """Return the same problem with other phases."""
+        return replace(self, phases=tuple(replace(phase, problem=change(phase.problem)) for phase in self.phases))
 
     @property
     def every_unknown(self) -> tuple[Unknown, ...]:

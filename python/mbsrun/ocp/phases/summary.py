@@ -13,6 +13,8 @@ from mbsrun.ocp.summary import list_program, list_shortcomings, name_unknown, nu
 
 def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     """Return the lines of a summary by their names."""
+    if solution.problem.is_single:
+        return summarise(solution.single)
     return number_names(_list_lines(solution))
 
 
@@ -49,6 +51,8 @@ def _list_impulses(values: LinkValues) -> Iterator[tuple[str, str]]:
 
 def list_phased_shortcomings(solution: PhasedSolution) -> list[str]:
     """List the shortcomings of a solution: its tolerance, and the accuracy of each phase."""
+    if solution.problem.is_single:
+        return list_shortcomings(solution.single)
     found = []
     if solution.is_only_acceptable:
         found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")

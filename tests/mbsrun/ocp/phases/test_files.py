@@ -5,21 +5,24 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from mbsgen.errors import InputError
 from mbsrun.cli import cli
+from mbsrun.commands import solve as solving
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.phases.files import write_files
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
 from mbsrun.ocp.phases.solve import solve_phases
 from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.problem import Form, Representation
+from mbsrun.ocp.problem import End, Form, Representation
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 from tests.mbsrun.peer import Peer, double_integrator
@@ -131,12 +134,27 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     assert f"{place}: mbs cannot read inputs at a start" in str(unstaged.exception)
     assert "here: start_u_cart - end_u_cart; take solver.method: ipopt" in str(unstaged.exception)
     (tmp_path / "split.ocp.yaml").write_text(TEXT)
-    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--target", "1", "0", "0"])
+    refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--sensitivities"])
     assert refused.exit_code == 2
-    assert "--target, --hops: for problems of one phase" in refused.output
+    assert "--hops, --sensitivities: for problems of one phase" in refused.output
+    aimless = CliRunner().invoke(cli, [*command, "--target", "1", "0", "0"])
+    assert aimless.exit_code == 2
+    assert "the problem has targets for no sensor" in aimless.output
     searched = CliRunner().invoke(cli, [*command, "--starts", "2"])
     assert "in 2 starts; lower ones may exist" in searched.output
     assert (tmp_path / "out" / "starts.png").is_file()
+
+
+def test_a_target_is_the_one_of_the_phase_that_has_one() -> None:
+    """Of two phases that have one, neither is taken."""
+    own = split(swing_up())
+    first, second = own.phases
+    aimed = replace(second, problem=replace(second.problem, end=End(sensors=(("tip", (1.0, None, None)),))))
+    found = solving._retarget(replace(own, phases=(first, aimed)), (2.0, math.pi / 2, 0.5))
+    assert found.phases[0] == first
+    assert found.phases[1].problem.end.sensors[0][1] == pytest.approx((0.0, 2.0, 0.5))
+    with pytest.raises(click.BadParameter, match="the phases second, second have targets"):
+        solving._retarget(replace(own, phases=(aimed, aimed)), (2.0, 0.0, 0.5))
 
 
 def test_options_hold_for_every_phase(requires: Callable[[str], str], tmp_path: Path) -> None:
