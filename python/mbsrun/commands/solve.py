@@ -74,8 +74,7 @@ noise on the guess, other end poses, whole turns of joints without limits). The 
 its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
 For a problem with `phases` or `links`, an option holds for every phase, and --target for the one phase that has a
-target; there is no --hops, --workers and --sensitivities, and a search keeps no starts.sqlite. Each phase has a table
-NAME.csv.
+target; there is no --hops and --workers, and a search keeps no starts.sqlite. Each phase has a table NAME.csv.
 
 \b
 Exit codes
@@ -187,7 +186,7 @@ def solve_command(
 
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
     is_phased = has_phases(file)
-    given = [name for name, value in (("hops", hops), ("workers", workers), ("sensitivities", sensitivities)) if value]
+    given = [name for name, value in (("hops", hops), ("workers", workers)) if value is not None]
     if is_phased and given:
         raise click.UsageError(f"{', '.join(f'--{name}' for name in given)}: for problems of one phase")
     models: list[Path] = []
@@ -219,10 +218,10 @@ def solve_command(
 
             outcome = refine_phases(outcome, plants, lambda name, last: status.update(_describe_round(name, last)))
         if sensitivities:
-            from mbsrun.ocp.sensitivity import find_sensitivities
+            from mbsrun.ocp.sensitivity import find_phased_sensitivities
 
             status.update("differentiating the cost")
-            outcome = list_solution(find_sensitivities(outcome.single, plants.phases[0]))
+            outcome = find_phased_sensitivities(outcome, plants)
         status.update("drawing")
         from mbsrun.ocp.phases.files import write_files
 
@@ -233,7 +232,7 @@ def solve_command(
         say(f"note: {outcome.run.instead}")
     say(f"wrote {list_written(out, written)}")
     shortcomings = list_phased_shortcomings(outcome)
-    if sensitivities and not outcome.single.sensitivities:
+    if sensitivities and not outcome.sensitivities:
         shortcomings.append(
             "no derivative of the cost was found: the model has no differentiated parameter but unknowns, or the "
             "second solve ended elsewhere"

@@ -72,7 +72,7 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
     yield from _describe_grid(solution).items()
     yield from ((name_unknown(x.name), f"{value:.10g}") for x, value in _list_unknowns(solution) if not x.softens)
     yield from _list_slacks(solution)
-    yield from ((f"d cost / d {name} ", f"{value:.8g}") for name, value in solution.sensitivities)
+    yield from list_sensitivities(solution.sensitivities)
     if violation.complementarity is not None:
         most = f"{violation.complementarity:.1e} at most"
         yield "complementarity", f"{most}, of force times distance [N m], and friction off the slip [W]"
@@ -85,6 +85,11 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "open loop", f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
         if check.margins is None or check.margins.each:
             yield "between", _describe_margins(check)
+
+
+def list_sensitivities(found: Iterable[tuple[str, float]]) -> Iterator[tuple[str, str]]:
+    """List the derivatives of the cost."""
+    yield from ((f"d cost / d {name} ", f"{value:.8g}") for name, value in found)
 
 
 def list_program(run: Run, size: Size, duration: tuple[str, str]) -> Iterator[tuple[str, str]]:

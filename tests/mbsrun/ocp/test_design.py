@@ -15,13 +15,18 @@ from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.design import equip
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_solution, write_phased_solution
+from mbsrun.ocp.phases.solve import solve_phases
+from mbsrun.ocp.phases.summary import summarise_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Form, Problem, Representation, Unknown
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.sensitivity import find_sensitivities
+from mbsrun.ocp.sensitivity import find_phased_sensitivities, find_sensitivities
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver, solve
 from mbsrun.ocp.statement import read_problem
+from tests.mbsrun.ocp.phases.motions import split
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -210,6 +215,21 @@ def test_sensitivities_are_differences_of_optima(folder: Path) -> None:
             for d in (h, -h)
         )
         assert found[name] == pytest.approx((above - below) / (2 * h), rel=1e-5)
+
+
+def test_phases_share_the_parameters_of_sensitivities(folder: Path, tmp_path: Path) -> None:
+    """A motion and its two halves have one optimum, and so one derivative of its cost; the file keeps it."""
+    problem, plant = read(folder, SWING.replace("unknowns: {k: {guess: 10, range: [0, null]}}", ""))
+    problem = replace(problem, solver=replace(problem.solver, tolerance=1e-12))
+    whole = dict(find_sensitivities(solved(problem, plant), plant).sensitivities)
+    halves, plants = replace(split(problem), solver=problem.solver), Plants((plant, plant))
+    solution = solve_phases(halves, plants)
+    assert isinstance(solution, PhasedSolution)
+    found = find_phased_sensitivities(solution, plants)
+    assert dict(found.sensitivities) == pytest.approx(whole, rel=1e-6)
+    assert summarise_phases(found)["d cost / d m "] == f"{found.sensitivities[1][1]:.8g}"
+    write_phased_solution(found, tmp_path / "solution.json")
+    assert read_phased_solution(tmp_path / "solution.json").sensitivities == found.sensitivities
 
 
 def test_without_differentiated_parameters_there_are_no_sensitivities(folder: Path) -> None:

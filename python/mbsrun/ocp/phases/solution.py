@@ -61,6 +61,7 @@ class PhasedSolution:
     unknown_values: tuple[float, ...] = ()
     solver: SolverOptions = field(default_factory=SolverOptions)
     search: Starts | None = None  # the outcomes of all starts, of a search from many
+    sensitivities: tuple[tuple[str, float], ...] = ()  # of the cost, by differentiated parameters of the models
 
     def __repr__(self) -> str:
         """Return the phases, the solver's word and the cost."""
@@ -102,7 +103,7 @@ class PhasedSolution:
     def single(self) -> Solution:
         """Return the solution of a problem without phases."""
         (own,) = self.phases
-        return replace(own, run=self.run, starts=self.search)
+        return replace(own, run=self.run, starts=self.search, sensitivities=self.sensitivities)
 
     @property
     def guess(self) -> Guess:
@@ -135,6 +136,7 @@ def list_solution(solution: Solution) -> PhasedSolution:
         unknown_values=values,
         solver=problem.solver,
         search=solution.starts,
+        sensitivities=solution.sensitivities,
     )
 
 
@@ -173,6 +175,8 @@ def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
     """Write a solution to a file, one line for each of its parts."""
     parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     phases = parts.pop("phases")
+    if not solution.sensitivities:
+        del parts["sensitivities"]
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     inner = [
         "   {\n"

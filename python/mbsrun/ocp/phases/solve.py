@@ -139,22 +139,30 @@ class PhasedSolver:
 
     def _begin(self, problem: PhasedProblem, guess: Guess, usual: Guess, watch: Watch | None) -> Start:
         """Return the numbers of the program, from a complete guess. Raises NoNumbersError where they are none."""
+        own, x = self.transcription, self.pack(problem, guess)
+        freed = self._free_targets(problem, guess)
+        bounds = own.variable_bounds(freed)
+        scales = own.find_scales(own.pack(problem, usual), bounds)
+        told = None if watch is None else report(watch)
+        return Start(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
+
+    def fill(self, problem: PhasedProblem, guess: Guess) -> Array:
+        """Put a guess into the variables, with the states, controls and unknowns that it lacks."""
+        return self.pack(problem, self._complete(problem, guess))
+
+    def pack(self, problem: PhasedProblem, guess: Guess) -> Array:
+        """Put a complete guess into the variables; links give theirs. Raises NoNumbersError where there are none."""
         own, parameters = self.transcription, self.transcription.parameters(problem)
         x = own.pack(problem, guess)
         if not np.isfinite(x).all():
             raise NoNumbersError("the guess has numbers that are not finite")
         defined = tuple(Defined(own.see(part.variables), own.see_rows(part.rows)) for part in own.defined)
         try:
-            x = solve_links(
+            return solve_links(
                 x, defined, lambda x: self._evaluate(x, parameters), lambda x: self._differentiate(x, parameters)
             )
         except NoNumbersError as lack:
             raise NoNumbersError(f"the guess has no numbers: {lack}") from None
-        freed = self._free_targets(problem, guess)
-        bounds = own.variable_bounds(freed)
-        scales = own.find_scales(own.pack(problem, usual), bounds)
-        told = None if watch is None else report(watch)
-        return Start(x, parameters, *bounds, *own.constraint_bounds(freed), told, scales)
 
     def _free_targets(self, problem: PhasedProblem, guess: Guess) -> PhasedProblem:
         """Free targets of sensors that follow from others as driven joints stand."""

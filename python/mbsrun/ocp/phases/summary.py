@@ -8,7 +8,14 @@ from dataclasses import replace
 from mbsrun.ocp.multistart import describe_starts
 from mbsrun.ocp.phases.solution import LinkValues, PhasedSolution
 from mbsrun.ocp.status import SOLVED
-from mbsrun.ocp.summary import list_program, list_shortcomings, name_unknown, number_names, summarise
+from mbsrun.ocp.summary import (
+    list_program,
+    list_sensitivities,
+    list_shortcomings,
+    name_unknown,
+    number_names,
+    summarise,
+)
 
 
 def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
@@ -27,6 +34,7 @@ def _list_lines(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
         yield "starts", describe_starts(solution.search)
     for unknown, value in zip(solution.unknowns, solution.unknown_values, strict=True):
         yield name_unknown(unknown.name), f"{value:.10g}"
+    yield from list_sensitivities(solution.sensitivities)
     for name, phase in zip(solution.names, solution.phases, strict=True):
         yield f"phase {name}", f"model {phase.model}"
         yield from ((f"{name}: {key.strip()}", text) for key, text in summarise(phase).items() if _is_kept(key))

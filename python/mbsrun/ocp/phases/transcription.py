@@ -68,6 +68,14 @@ class PhasedTranscription:
         """Number rows as a solver sees them."""
         return np.searchsorted(self.program.kept_rows, rows)
 
+    def list_unknowns(self, problem: PhasedProblem) -> dict[str, Indices]:
+        """Return the variables of each unknown: the shared one, and its copies in phases."""
+        found = {x.name: {int(i)} for x, i in zip(problem.every_unknown, self.unknowns, strict=True)}
+        for own, phase, offset in zip(self.phases, problem.phases, self.offsets, strict=False):
+            for unknown, variable in zip(phase.problem.unknowns, own.layout.unknowns, strict=True):
+                found[unknown.name].add(int(variable) + offset.variables)
+        return {name: np.array(sorted(variables), dtype=np.int64) for name, variables in found.items()}
+
     def parameters(self, problem: PhasedProblem) -> Array:
         """Return the parameters of the program."""
         parts = [own.parameters(phase.problem) for own, phase in zip(self.phases, problem.phases, strict=True)]
