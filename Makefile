@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-learning bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-learning bench-startup bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -108,6 +108,11 @@ bench-loops: $(VENV)/installed-bench
 # minute, without MJX, which compiles long.
 bench-learning: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.learning $(BENCH)
+
+# Processor time of commands from their start to their end, of this checkout: two minutes. BENCH="--before CHECKOUT"
+# compares with another one.
+bench-startup: $(VENV)/installed
+	$(BIN)/python -m benchmarks.startup $(BENCH)
 
 # Copies what these have measured to benchmarks/results, and writes its summary.
 bench-results: $(VENV)/installed-bench
