@@ -1,8 +1,8 @@
 """Measure commands from their start to their end: `python -m benchmarks.startup [--before CHECKOUT]`.
 
 Each run is a new process, measured in the processor time of it and its children. Bytecode is there, and, except in one
-row, generated and compiled files are in the cache. With another checkout, both run in turn, so that what disturbs one disturbs
-the other. The shortest of some rounds counts.
+row, generated and compiled files are in the cache. With another checkout, both run in turn, so that both are disturbed
+alike. The shortest of some rounds counts.
 """
 
 from __future__ import annotations
