@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sympy import Expr, Symbol
 
@@ -19,8 +19,6 @@ from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held, list_redundant
 from mbsgen.assembly import release as release_tree
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
-from mbsgen.equations import Motion as Equations
-from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive, derive_stepwise
 from mbsgen.errors import Fault
 from mbsgen.evidence import gather
 from mbsgen.expressions import Number
@@ -50,6 +48,9 @@ from mbsgen.targets.names import mangle
 from mbsgen.targets.symbols import check_prefix
 from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import Verification, verify
+
+if TYPE_CHECKING:
+    from mbsgen.equations import Motion as Equations
 
 __all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
@@ -258,6 +259,8 @@ def derive_equations(
     Equations whose sums would have thousands of terms are written in named intermediate values. Raises InputError with
     every fault of the file.
     """
+    from mbsgen.equations import SizeError, build_numeric, build_symbolic, derive, derive_stepwise  # few need them
+
     whole = read(model)
     request = merge(options, _read_scene(options.scene, whole))
     staged = _stage(whole, request.scene, options.scene)

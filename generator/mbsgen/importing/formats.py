@@ -14,9 +14,6 @@ from mbsgen.importing.digits import list_numbers
 from mbsgen.importing.drafting import Choices, Imported, MasslessError
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element, read_markup
-from mbsgen.importing.mjcf import read_mjcf
-from mbsgen.importing.sdf import read_sdf
-from mbsgen.importing.urdf import read_urdf
 from mbsgen.model.digits import find_tolerance, list_geometry
 
 DEFAULT = Choices()
@@ -62,10 +59,28 @@ def make_markup_format(name: str, tag: str, read: Callable[[Element, Choices, Fi
     )
 
 
+def _read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
+    from mbsgen.importing.urdf import read_urdf  # here and below: most models are no robots' files
+
+    return read_urdf(root, choices, findings)
+
+
+def _read_mjcf(root: Element, choices: Choices, findings: Findings) -> Imported:
+    from mbsgen.importing.mjcf import read_mjcf
+
+    return read_mjcf(root, choices, findings)
+
+
+def _read_sdf(root: Element, choices: Choices, findings: Findings) -> Imported:
+    from mbsgen.importing.sdf import read_sdf
+
+    return read_sdf(root, choices, findings)
+
+
 FORMATS: tuple[Format, ...] = (
-    make_markup_format("URDF", "robot", read_urdf),
-    make_markup_format("MJCF", "mujoco", read_mjcf),
-    make_markup_format("SDF", "sdf", read_sdf),
+    make_markup_format("URDF", "robot", _read_urdf),
+    make_markup_format("MJCF", "mujoco", _read_mjcf),
+    make_markup_format("SDF", "sdf", _read_sdf),
 )
 
 
