@@ -6,7 +6,8 @@ description of the arguments is compared with the manifest before anything is ca
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import ctypes
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -25,13 +26,10 @@ Array = NDArray[np.float64]
 Status = NDArray[np.int32]
 
 _FACE = """
-int {0}(const double **arg, double **res, long long *iw, double *w, int mem);
-long long {0}_n_in(void);
-long long {0}_n_out(void);
-const char *{0}_name_in(long long i);
-const char *{0}_name_out(long long i);
-const long long *{0}_sparsity_in(long long i);
-const long long *{0}_sparsity_out(long long i);
+typedef int mbs_kernel(const double **arg, double **res, long long *iw, double *w, int mem);
+typedef long long mbs_n(void);
+typedef const char *mbs_name(long long i);
+typedef const long long *mbs_sparsity(long long i);
 """
 _POINTERS, _STEPS = "double *[]", "long long[]"
 NULL = cffi.FFI().NULL
@@ -214,16 +212,24 @@ def bind(library: Path, kernel: Kernel) -> Entry:
 
     Raises CompileError for a library that cannot be loaded, ArgumentError where it and the manifest differ.
     """
-    ffi = declare(_FACE.format(kernel.symbol))
-    lib = open_library(ffi, library)
+    ffi = declare(_FACE)
     try:
-        function, n_in, n_out = (getattr(lib, kernel.symbol + end) for end in ("", "_n_in", "_n_out"))
-        inputs = tuple(_find_ports(ffi, lib, kernel, "in", kernel.inputs))
-        outputs = tuple(_find_ports(ffi, lib, kernel, "out", kernel.outputs))
+        lib = ctypes.CDLL(str(library))
+    except OSError as error:
+        raise _refuse(library, error) from None
+
+    def find(kind: str, end: str = "") -> Any:
+        address = ctypes.cast(lib[f"{kernel.symbol}{end}"], ctypes.c_void_p).value or 0
+        return ffi.cast(f"mbs_{kind} *", address)
+
+    try:
+        function, n_in, n_out = find("kernel"), find("n", "_n_in")(), find("n", "_n_out")()
+        inputs = tuple(_find_ports(ffi, find, n_in, "in", kernel.inputs))
+        outputs = tuple(_find_ports(ffi, find, n_out, "out", kernel.outputs))
     except (AttributeError, LookupError):  # a name of libm would be found, but not its description
         finding = "the manifest and the C files disagree"
         raise ArgumentError(f"{kernel.symbol}: {finding}; generate the folder again") from None
-    return Entry(kernel, ffi, function, n_in(), n_out(), inputs, outputs)
+    return Entry(kernel, ffi, function, n_in, n_out, inputs, outputs)
 
 
 @lru_cache(maxsize=1024)
@@ -239,12 +245,18 @@ def open_library(ffi: cffi.FFI, library: Path) -> Any:
     try:
         return ffi.dlopen(str(library))
     except OSError as error:
-        raise CompileError(f"{library} cannot be loaded: {error}; remove it, it will be compiled again") from None
+        raise _refuse(library, error) from None
 
 
-def _find_ports(ffi: cffi.FFI, lib: Any, kernel: Kernel, side: str, arguments: tuple[Argument, ...]) -> Iterator[Port]:
-    size, names, sparsity = (getattr(lib, f"{kernel.symbol}_{x}_{side}") for x in ("n", "name", "sparsity"))
-    positions = {ffi.string(names(i)): i for i in range(size())}
+def _refuse(library: Path, error: OSError) -> CompileError:
+    return CompileError(f"{library} cannot be loaded: {error}; remove it, it will be compiled again")
+
+
+def _find_ports(
+    ffi: cffi.FFI, find: Callable[..., Any], size: int, side: str, arguments: tuple[Argument, ...]
+) -> Iterator[Port]:
+    names, sparsity = (find(kind, f"_{kind}_{side}") for kind in ("name", "sparsity"))
+    positions = {ffi.string(names(i)): i for i in range(size)}
     for argument in arguments:
         position = positions[argument.name.encode()]
         pattern = sparsity(position)
