@@ -15,7 +15,9 @@ from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
 from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
+from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import begin
+from mbsgen.formulations.planning import PlanTrials
 from mbsgen.formulations.reductions import ALL
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.construction import ball, body, free, inertia, make_model, prismatic, revolute
@@ -104,6 +106,41 @@ def test_every_plan_that_fits_writes_the_equations_of_the_textbook(seed: int) ->
         plan, tried = changed, tried + 1
         assert_textbook(tape, state_of(tree, seed))
     assert tried > STEPS / 6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_trials_that_remember_write_the_same_operations(seed: int) -> None:
+    """On a random walk over plans, a builder that remembers parts of former plans refers to the very same values."""
+    tree, rng = random_chain(seed), np.random.default_rng(seed)
+    remembering, forgetting = PlanTrials(tree, ALL), PlanTrials(tree, ALL)
+    forgetting.chain.builder.memory = None
+    plan, tried = Plan((Choice(),) * len(tree.bodies)), 0
+    for _ in range(STEPS):
+        changed = plan.put(int(rng.integers(1, len(tree.bodies) + 1)), random_choice(rng))
+        try:
+            expected = write_trial(forgetting, changed)
+        except NoSuchPlanError:
+            with pytest.raises(NoSuchPlanError):
+                write_trial(remembering, changed)
+            continue
+        plan, tried = changed, tried + 1
+        assert write_trial(remembering, changed) == expected
+    assert tried > STEPS / 6
+    assert remembering.chain.builder.memory
+
+
+def write_trial(trials: PlanTrials, plan: Plan) -> list[int]:
+    """Write all recursions by a plan; list the references to their results."""
+    state, writing = trials.state, trials.begin(plan)
+    found = sensitivities(writing, state.qd, state.qdd)
+    results = [
+        *residual(writing, state.qd, state.qdd),
+        *mass_matrix(writing).values(),
+        *mass_matrix(writing, absolute=True).values(),
+        *accelerations(writing, state.qd, state.qdd)[0],
+        *(value for entries in (found.Phi, found.q, found.qd, found.qdd) for value in entries.values()),
+    ]
+    return [value.ref for value in results]
 
 
 def write_by(tree: Tree, plan: Plan) -> Tape:
