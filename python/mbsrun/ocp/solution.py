@@ -7,10 +7,11 @@ solve writes the same file, except for the times.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -21,6 +22,8 @@ from mbsrun.ocp.problem import Problem, Range
 from mbsrun.ocp.record import SAME
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import OPTIONAL, Array, Trajectory
+
+F = TypeVar("F")
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
 SOLUTION, TRAJECTORIES, MECHANISM = "solution.json", "trajectories.png", "mechanism.png"  # files of a folder
@@ -326,7 +329,12 @@ def write_solution(solution: Solution, path: Path) -> None:
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     arrays = [f'   "{key}": {json.dumps(value)}' for key, value in trajectory.items()]
     lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")
-    text = f'{{\n "format": "{FORMAT}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
+    write_parts(FORMAT, lines, path)
+
+
+def write_parts(form: str, lines: Sequence[str], path: Path) -> None:
+    """Write the parts of a solution to a file, one line for each."""
+    text = f'{{\n "format": "{form}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
     path.write_text(text, encoding="utf-8")
 
 
@@ -339,25 +347,35 @@ def _has_numbers(values: list[Any]) -> bool:
 
 def read_solution(path: Path) -> Solution:
     """Read a solution back. Raises InputError for a file that is not one."""
+    return read_file(_adapter(), path, "solve the problem again").solution
+
+
+def read_file(adapter: TypeAdapter[F], path: Path, remedy: str) -> F:
+    """Read a file of a solution. Raises InputError for one of another kind."""
     try:
-        return _adapter().validate_json(path.read_bytes()).solution
+        return adapter.validate_json(path.read_bytes())
     except OSError as error:
         raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
-        raise InputError([Fault(str(path), 0, place, first["msg"], "solve the problem again")]) from None
+        raise InputError([Fault(str(path), 0, place, first["msg"], remedy)]) from None
 
 
 def read_guess(path: Path, manifest: Manifest) -> Trajectory:
     """Read the motion of a solution, to start another from. Raises InputError for one of another mechanism."""
     solution = read_solution(path)
+    for finding in list_misfits(solution, manifest):
+        raise InputError([Fault(str(path), 0, "", finding, "give a solution for this mechanism")])
+    return solution.trajectory
+
+
+def list_misfits(solution: Solution, manifest: Manifest) -> Iterator[str]:
+    """List the differences of the names in a solution and in a mechanism."""
     inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)
     for kind, found, wanted in (
         ("coordinates", solution.coordinates, manifest.positions),
         ("inputs", solution.inputs, inputs),
     ):
         if found != wanted:
-            finding = f"its {kind} are {', '.join(found)}; {manifest.model} has {', '.join(wanted)}"
-            raise InputError([Fault(str(path), 0, "", finding, "give a solution for this mechanism")])
-    return solution.trajectory
+            yield f"its {kind} are {', '.join(found)}; {manifest.model} has {', '.join(wanted)}"

@@ -11,13 +11,13 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
 from mbsrun.ocp.problem import SolverOptions, Unknown
-from mbsrun.ocp.solution import Run, Size, Solution, Starts
+from mbsrun.ocp.solution import Run, Size, Solution, Starts, list_misfits, read_file, write_parts
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -185,39 +185,25 @@ def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
         for phase in phases
     ]
     lines.append('  "phases": [\n' + ",\n".join(inner) + "\n  ]")
-    text = f'{{\n "format": "{FORMAT}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
-    path.write_text(text, encoding="utf-8")
+    write_parts(FORMAT, lines, path)
 
 
 def read_phased_solution(path: Path) -> PhasedSolution:
     """Read a solution back. Raises InputError for a file that is not one."""
-    try:
-        return _adapter().validate_json(path.read_bytes()).solution
-    except OSError as error:
-        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error.strerror}", "check the path")]) from None
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError([Fault(str(path), 0, place, first["msg"], "solve the problem of phases again")]) from None
+    return read_file(_adapter(), path, "solve the problem of phases again").solution
 
 
 def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manifest, ...]) -> Guess:
     """Read the motions of a solution, to start from. Raises InputError for other phases or mechanisms."""
     solution, faults, found = read_phased_solution(path), [], []
     for name, manifest in zip(names, manifests, strict=True):
-        inputs = tuple(manifest.coordinates[i].name for i in manifest.actuated)
         if name not in solution.names:
             finding = f"it has the phases {', '.join(solution.names)}, and none of the name {name}"
             faults.append(Fault(str(path), 0, "", finding, "give a solution with the same phases"))
             continue
         own = solution.find(name)
-        for kind, has, wanted in (
-            ("coordinates", own.coordinates, manifest.positions),
-            ("inputs", own.inputs, inputs),
-        ):
-            if has != wanted:
-                finding = f"phase {name}: its {kind} are {', '.join(has)}; {manifest.model} has {', '.join(wanted)}"
-                faults.append(Fault(str(path), 0, "", finding, "give a solution for these mechanisms"))
+        remedy = "give a solution for these mechanisms"
+        faults += [Fault(str(path), 0, "", f"phase {name}: {x}", remedy) for x in list_misfits(own, manifest)]
         found.append(own.trajectory)
     if faults:
         raise InputError(faults)
