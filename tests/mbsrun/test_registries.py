@@ -17,7 +17,7 @@ from mbsrun import cli, load
 from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.integrators import INTEGRATORS, Kind
-from mbsrun.ocp.methods import METHODS, Amount, Answer, Iterate, Method, Order, Solver, Start
+from mbsrun.ocp.methods import METHODS, Amount, Answer, Assignment, Instance, Iterate, Method, Solver
 from mbsrun.ocp.problem import Form, Representation, SolverOptions
 from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Solution
@@ -56,11 +56,11 @@ def midpoint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(INTEGRATORS, "midpoint", kind)  # type: ignore[arg-type]  # a plain mapping
 
 
-def make_slsqp(order: Order) -> Solver:
+def make_slsqp(order: Assignment) -> Solver:
     """Solve the program by SciPy's SLSQP, with first derivatives by NumPy."""
     functions = order.program.numpy
 
-    def run(start: Start) -> Answer:
+    def run(start: Instance) -> Answer:
         p, iterations = start.parameters, [0]
 
         def watch(x: np.ndarray) -> None:

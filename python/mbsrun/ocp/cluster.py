@@ -21,7 +21,7 @@ from mbsrun.cache import MODELS, find_or_make
 from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
 from mbsrun.ocp.executor import LocalExecutor, Worker
-from mbsrun.ocp.search import Executor, Order, Outcome
+from mbsrun.ocp.search import Executor, Job, Outcome
 
 PATIENCE = 60  # s; how long a cluster waits for a worker
 AHEAD = 2  # orders sent to each worker in advance, so that it never waits for the next
@@ -68,7 +68,7 @@ class ClusterExecutor:
         """Take a connected `distributed.Client`."""
         self._client, self._kit = client, kit
 
-    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
         """Keep all workers busy, and yield outcomes as they come. Raises ClusterError where a worker fails."""
         from distributed import as_completed
 
@@ -90,7 +90,7 @@ class ClusterExecutor:
             yield outcome
 
 
-def carry_out(kit: Kit, order: Order) -> Outcome:
+def carry_out(kit: Kit, order: Job) -> Outcome:
     """Make an attempt, in a process of the cluster."""
     if kit.key not in _WORKERS:
         folder = find_or_make(PurePath(MODELS, kit.key), kit.unpack)

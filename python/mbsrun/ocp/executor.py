@@ -23,7 +23,7 @@ from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt
 from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.search import Order, Outcome
+from mbsrun.ocp.search import Job, Outcome
 from mbsrun.ocp.solution import Failure, Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.starts import coarsen, count_turns, hop, vary
@@ -67,7 +67,7 @@ def choose_options(problem: Problem, trial: Trial, study: Study) -> Problem:
     )
 
 
-def state(order: Order) -> Problem:
+def state(order: Job) -> Problem:
     """State the problem of an order, with its method and options."""
     return choose_options(order.study.state(order.trial.task), order.trial, order.study)
 
@@ -81,7 +81,7 @@ class Worker:
         self._solvers: OrderedDict[Structure, Solver] = OrderedDict()
         self._poses: dict[tuple[object, ...], Pose] = {}
 
-    def carry_out(self, order: Order) -> Outcome:
+    def carry_out(self, order: Job) -> Outcome:
         """Solve the problem of a trial from its start, and return the attempt for the record."""
         trial, problem = order.trial, state(order)
         found = self.solve(order)
@@ -89,7 +89,7 @@ class Worker:
             return self._tell(trial, problem, found.run, None)
         return self._tell(trial, problem, found.run, resimulate(found, self.plant) if trial.is_checked else found)
 
-    def solve(self, order: Order) -> Solution | Failure:
+    def solve(self, order: Job) -> Solution | Failure:
         """Solve the problem of a trial from its start; the processor time includes a coarse solve."""
         trial, problem = order.trial, state(order)
         guess = self.make_guess(order, problem)
@@ -137,7 +137,7 @@ class Worker:
             self._solvers.popitem(last=False)
         return solver
 
-    def make_guess(self, order: Order, problem: Problem) -> Trajectory | None:
+    def make_guess(self, order: Job, problem: Problem) -> Trajectory | None:
         """Return the motion that a trial starts from, on its mesh or a coarse one; None for a target out of reach."""
         scheme, start = schemes.build(problem.family, problem.degree), order.trial.start
         if isinstance(start, Found):
@@ -176,6 +176,6 @@ class LocalExecutor:
     def __init__(self, plant: Plant, environment: Environment = MappingProxyType({})) -> None:
         self._worker = Worker(plant, environment)
 
-    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
         """Carry out orders in their sequence."""
         yield from map(self._worker.carry_out, orders)

@@ -16,7 +16,7 @@ from scipy import sparse
 from mbsrun.ocp.backends.numpy import NumpyProgram
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.methods import Start
+from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optimality import Judgement, judge, linearise
 from mbsrun.ocp.problem import SolverOptions
 from mbsrun.ocp.program import Matrix
@@ -44,7 +44,7 @@ class Outcome:
     x: Array
     clash: tuple[int, ...]  # rows that stay violated
     multipliers: Array | None  # of the rows, where the method returns them
-    start: Start  # the numbers of the program
+    start: Instance  # the numbers of the program
 
 
 def appeal(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float) -> Outcome:

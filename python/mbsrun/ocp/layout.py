@@ -381,7 +381,7 @@ def _flatten(points: Indices) -> Indices:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Carried:
     """A motion at k places of every interval, (N k) in all: the entries that collocation carries on."""
 
     q: Combination
@@ -389,7 +389,7 @@ class Motion:
     qdd: Combination
 
 
-def fill_in(motion: Motion, layout: Layout, first: int) -> tuple[Combination, Combination]:
+def fill_in(motion: Carried, layout: Layout, first: int) -> tuple[Combination, Combination]:
     """Return q and qd with the entries that loops give; the first place has a number among the closed ones."""
     motions, N = layout.motions, layout.shifts.shape[0]
     found, k = motions.found, len(motion.q.which) // N
@@ -421,7 +421,7 @@ def _fill(part: Combination, size: int, own: Sequence[int], variables: Indices) 
     return Combination(matrices, part.which, every)
 
 
-def read_slopes(layout: Layout, reading: Reading) -> Motion:
+def read_slopes(layout: Layout, reading: Reading) -> Carried:
     """Read a motion off the states at the mesh points and the slopes at the stages; accelerations, if there are any."""
     (N, S, _), k = layout.slopes.shape, len(reading.c)
     which = np.tile(np.arange(k), N)
@@ -435,10 +435,10 @@ def read_slopes(layout: Layout, reading: Reading) -> Motion:
         return Combination(spread(coefficients, size), which, np.repeat(variables, k, axis=0))
 
     q, qd = (combine(start, stages, weights) for start, stages in zip(starts, slopes, strict=True))
-    return Motion(q, qd, combine(layout.mesh[:-1, :0], layout.accelerations, reading.W))
+    return Carried(q, qd, combine(layout.mesh[:-1, :0], layout.accelerations, reading.W))
 
 
-def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
+def read_motion(layout: Layout, reading: Reading, h: Array) -> Carried:
     """Read a motion, without quaternions, off the states at the mesh points and the accelerations at the stages.
 
     Intervals of equal length share their matrices.
@@ -459,7 +459,7 @@ def read_motion(layout: Layout, reading: Reading, h: Array) -> Motion:
         coefficients = np.concatenate((q[:, None], qd[:, None], weights), axis=1)
         return Combination(spread(coefficients, n), which, repeated)
 
-    return Motion(
+    return Carried(
         q=combine(one, step * c, step[:, None] ** 2 * P),
         qd=combine(zero, one, step[:, None] * V),
         qdd=combine(zero, zero, W),

@@ -27,7 +27,7 @@ from mbsrun.ocp.methods import choose
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
-from mbsrun.ocp.search import Executor, Order, OutOfTimeError, Search
+from mbsrun.ocp.search import Executor, Job, OutOfTimeError, Search
 from mbsrun.ocp.solution import Failure, Solution, Start, Starts
 from mbsrun.ocp.solve import choose_method
 from mbsrun.ocp.starts import TURNS, Kind, Variation, describe_turns, list_turning
@@ -196,12 +196,12 @@ def _repeat(
     motion = None
     if isinstance(trial.start, Hop):
         motion = record.best_motion(trial.task, trial.protocol, trial.round, trial.start.turns)
-    found = worker.solve(Order(study, trial, motion))
+    found = worker.solve(Job(study, trial, motion))
     if best.cost is not None and (isinstance(found, Failure) or is_higher(found.cost.total, best.cost)):
         motion = record.best_motion(trial.task, trial.protocol, turns=best.turns)
-        found = worker.solve(Order(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
+        found = worker.solve(Job(study, replace(trial, start=Found(trial.task, is_held=True)), motion))
     if isinstance(found, Failure) and wants_other(study.problem.solver, found.run):
         asked = replace(study, problem=study.problem.with_solver(OTHER), method=OTHER)
-        found = tell_both(found, worker.solve(Order(asked, trial, motion)))
+        found = tell_both(found, worker.solve(Job(asked, trial, motion)))
     found = replace(found, problem=study.state(trial.task))
     return found if isinstance(found, Failure) else replace(found, starts=starts)

@@ -11,7 +11,7 @@ import numpy as np
 from mbsrun.ocp import methods
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.judging import Outcome
-from mbsrun.ocp.methods import Iterate, Start
+from mbsrun.ocp.methods import Instance, Iterate
 from mbsrun.ocp.solution import Run
 from mbsrun.ocp.status import SOLVED
 
@@ -41,7 +41,7 @@ def search(x: Array, call: Callable[[Array], Outcome]) -> Outcome:
     return outcome
 
 
-def call(solver: methods.Solver, start: Start) -> Outcome:
+def call(solver: methods.Solver, start: Instance) -> Outcome:
     """Call a solver once, and measure its times, without the time to prepare it."""
     begin, cpu_begin = time.perf_counter(), time.process_time()
     answer = solver(start)

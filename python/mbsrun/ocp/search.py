@@ -16,7 +16,7 @@ from mbsrun.ocp.trials import Found, Hop, ProtocolName, Trial, plan_round, resta
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class Job:
     """A trial, with the motion that it starts from where that is one that was found."""
 
     study: Study
@@ -36,7 +36,7 @@ class Outcome:
 class Executor(Protocol):
     """Makes attempts: in this process, or in many."""
 
-    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
         """Carry out orders, and yield their outcomes as they come; take no order long before its turn."""
 
 
@@ -92,8 +92,8 @@ class Search:
         if not all(self.record.find(trial.key) for trial in left):
             raise OutOfTimeError
 
-    def _order(self, trials: Sequence[Trial]) -> Iterator[Order]:
-        """Order trials while there is time."""
+    def _order(self, trials: Sequence[Trial]) -> Iterator[Job]:
+        """List the jobs of trials while there is time."""
         for trial in trials:
             if time.monotonic() > self.end:
                 return
@@ -102,14 +102,14 @@ class Search:
             except LostMotionError:
                 self.record.add(_give_up(trial), None)
 
-    def _prepare(self, trial: Trial) -> Order:
-        """Order a trial with the motion that it starts from."""
+    def _prepare(self, trial: Trial) -> Job:
+        """Return the job of a trial, with the motion that it starts from."""
         start, motion = trial.start, None
         if isinstance(start, Found):
             motion = self.find_motion(start.origin, trial.protocol, trial.round)
         elif isinstance(start, Hop):
             motion = self.find_motion(start.origin, trial.protocol, trial.round, start.turns)
-        return Order(self.study, trial, motion)
+        return Job(self.study, trial, motion)
 
     def find_motion(self, task: Task, protocol: str, before: int | None = None, turns: str = "") -> Trajectory | None:
         """Return the motion of the best of a task; solve again for a motion that was not restored.

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mbsrun.closure import find_closure
-from mbsrun.ocp.methods import METHODS, Order, Start
+from mbsrun.ocp.methods import METHODS, Assignment, Instance
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.phases.solution import PhasedSolution, list_solution
 from mbsrun.ocp.phases.solve import PhasedSolver
@@ -115,7 +115,7 @@ def _differentiate(problem: PhasedProblem, plants: Plants, solution: PhasedSolut
     solver = PhasedSolver(problem, plants)
     transcription, functions = solver.transcription, solver.program.casadi
     guess = {unknown.name: unknown.guess for unknown in problem.every_unknown}
-    start = Start(
+    start = Instance(
         solver.fill(problem, replace(solution.guess, unknowns=tuple(guess.items()))),
         transcription.parameters(problem),
         *transcription.variable_bounds(problem),
@@ -124,7 +124,8 @@ def _differentiate(problem: PhasedProblem, plants: Plants, solution: PhasedSolut
     method, options = METHODS[METHOD], problem.solver
     scaling = options.objective_scaling or 1 / problem.weight
     settings = dict(method.warm) | dict(options.options)
-    answer = method.make(Order(solver.program, options.tolerance, options.max_iterations, scaling, settings))(start)
+    asked = Assignment(solver.program, options.tolerance, options.max_iterations, scaling, settings)
+    answer = method.make(asked)(start)
     cost = float(functions.objective(answer.x, start.parameters))
     is_same = abs(cost - solution.cost) <= SAME * max(1.0, abs(cost))
     if answer.status != SOLVED or answer.multipliers is None or not is_same:

@@ -82,7 +82,7 @@ class Found:
     is_mirrored: bool = False  # its mirror image
 
 
-Start = Interpolation | Varied | Found | Hop
+Beginning = Interpolation | Varied | Found | Hop
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Trial:
     protocol: str
     part: str
     guess: str  # names the start
-    start: Start
+    start: Beginning
     round: int = 0
     is_checked: bool = False  # by re-simulation
 
@@ -134,7 +134,7 @@ def plan_round(
 def restate(study: Study, attempt: Attempt) -> Trial:
     """Return the trial of an attempt by the paper's protocol or the robust one, from its names."""
     task, part, guess = attempt.task, attempt.part, attempt.guess
-    start: Start
+    start: Beginning
     if part in ("neighbours", "mirror", "exchange"):
         place, representation, _ = guess.split(" ")
         i, j = map(int, place.split(","))

@@ -13,7 +13,7 @@ from mbsrun.external import OnDemand
 from mbsrun.ocp import methods
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.methods import METHODS, Amount, Answer, Order, Start
+from mbsrun.ocp.methods import METHODS, Amount, Answer, Assignment, Instance
 from mbsrun.ocp.methods.nlpsol import count_iterations
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
@@ -89,7 +89,7 @@ def test_expressions_of_casadi_need_ipopt() -> None:
 def test_what_later_solves_share_is_no_time_of_a_search() -> None:
     """Such as the tables of stages."""
     answer = Answer(np.zeros(1), SOLVED, 3, preparing=1000.0, cpu_preparing=500.0)
-    run = call(lambda _: answer, Start(np.zeros(1), *[np.zeros(0)] * 5)).run
+    run = call(lambda _: answer, Instance(np.zeros(1), *[np.zeros(0)] * 5)).run
     assert -1000.0 <= run.seconds < -900.0
     assert -500.0 <= run.cpu_seconds < -400.0
 
@@ -114,13 +114,13 @@ def test_every_option_is_one_of_the_solver(method: str, name: str, mass: OnDeman
     assert option.admits(value)
     plant = choose(method, mass)
     transcription = transcribe(push(4), plant)
-    order = Order(Prepared(transcription.program, plant), 1e-8, 100, 1.0, {name: value})
+    order = Assignment(Prepared(transcription.program, plant), 1e-8, 100, 1.0, {name: value})
     guess = interpolate(push(4), transcription.scheme, np.array([1.0]))
     lower, upper = transcription.variable_bounds(push(4))
     g_lower, g_upper = transcription.constraint_bounds(push(4))
     solver = METHODS[method].make(order)
     p = transcription.parameters(push(4))
-    answer = solver(Start(transcription.pack(guess), p, lower, upper, g_lower, g_upper))
+    answer = solver(Instance(transcription.pack(guess), p, lower, upper, g_lower, g_upper))
     assert "Invalid_Option" not in answer.status
 
 

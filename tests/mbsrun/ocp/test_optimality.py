@@ -15,7 +15,7 @@ from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.lab.ends import draw
 from mbsrun.ocp import methods
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.methods import METHODS, Answer, Method, Order, Start
+from mbsrun.ocp.methods import METHODS, Answer, Assignment, Instance, Method
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.optimality import Judgement, Point, bound, judge, linearise
 from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
@@ -230,10 +230,10 @@ def test_multipliers_of_both_methods_agree(mass: OnDemand) -> None:
         problem = replace(push(8), solver=SolverOptions(method=method))
         solver = Solver(problem, mass)
         own = solver.transcription
-        order = Order(solver.program, 1e-10, 100, 0.5, {})
+        order = Assignment(solver.program, 1e-10, 100, 0.5, {})
         limits = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
         guess = np.random.default_rng(0).standard_normal(solver.program.data.variables)
-        answer = METHODS[method].make(order)(Start(guess, own.parameters(problem), *limits))
+        answer = METHODS[method].make(order)(Instance(guess, own.parameters(problem), *limits))
         assert answer.multipliers is not None
         found.append(answer.multipliers)
         gradient = solver.program.numpy.gradient(answer.x, own.parameters(problem))
@@ -266,10 +266,10 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: str, method: str = "mbs") -> 
     """Make a method call a wrong point solved, or give up; return the list of its calls."""
     own, calls = METHODS[method], list[str]()
 
-    def make(order: Order) -> methods.Solver:
+    def make(order: Assignment) -> methods.Solver:
         right = own.make(order)
 
-        def solve_wrongly(start: Start) -> Answer:
+        def solve_wrongly(start: Instance) -> Answer:
             calls.append(change)
             if change == "gives up":
                 return Answer(start.x, STALLED, 7)
@@ -286,7 +286,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: str, method: str = "mbs") -> 
     return calls
 
 
-def move(x: Array, start: Start, order: Order, change: str) -> Array:
+def move(x: Array, start: Instance, order: Assignment, change: str) -> Array:
     """Move the optimum of a linear program of rows: along them, or off them."""
     step = np.random.default_rng(0).standard_normal(x.size)
     if change == "not optimal":

@@ -22,7 +22,7 @@ from mbsrun.ocp.mirror import find_mirror, reflect
 from mbsrun.ocp.problem import Control, Problem, Representation
 from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
 from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.search import Order, Outcome, OutOfTimeError, Search
+from mbsrun.ocp.search import Job, Outcome, OutOfTimeError, Search
 from mbsrun.ocp.status import UNREACHABLE
 from mbsrun.ocp.study import Study, Targets, identify
 from mbsrun.ocp.trajectory import Trajectory
@@ -216,7 +216,7 @@ class Pessimist:
 
     worker: Worker
 
-    def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
         for order in reversed(list(orders)):
             outcome = self.worker.carry_out(order)
             attempt = outcome.attempt
@@ -247,7 +247,7 @@ def test_the_order_in_which_attempts_come_in_decides_nothing(study: Study, arm: 
     """A round depends on the rounds before alone: done backwards, a search tries the same, and ends alike."""
 
     class Backwards(LocalExecutor):
-        def carry_out(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
             return super().carry_out(reversed(list(orders)))
 
     three = replace(study, targets=replace(TARGETS, every=(1, 1)), costs=((1.0, 0.0),))
@@ -326,7 +326,7 @@ def test_an_optimum_is_mirrored(study: Study, arm: Peer) -> None:
     origin, task = (Task((i, 0), (1.0, 10.0), "IMPL") for i in (2, 0))
     worker = Worker(arm)
     first = worker.carry_out(
-        Order(two, Trial(origin, "robust", "interpolation", "dynamic", Interpolation("dynamic")), None)
+        Job(two, Trial(origin, "robust", "interpolation", "dynamic", Interpolation("dynamic")), None)
     )
     cost, motion = first.attempt.cost, first.motion
     assert cost is not None
@@ -343,7 +343,7 @@ def test_an_optimum_is_mirrored(study: Study, arm: Peer) -> None:
     (trial,) = (t for t in plan_round(two, "robust", 1, best, ()) if t.part == "mirror")
     assert trial.task == task
     assert restate(two, replace(first.attempt, task=task, part="mirror", guess=trial.guess, round=1)) == trial
-    outcome = worker.carry_out(Order(two, trial, motion))
+    outcome = worker.carry_out(Job(two, trial, motion))
     assert outcome.attempt.cost == pytest.approx(cost, rel=1e-9)
     assert outcome.attempt.iterations <= 5
     assert outcome.motion is not None

@@ -17,7 +17,7 @@ from mbsrun.ocp import integrators, schemes
 from mbsrun.ocp.backends.condensation import Condensed, build
 from mbsrun.ocp.guess import interpolate
 from mbsrun.ocp.integrators import SECOND_ORDER
-from mbsrun.ocp.methods import Answer, Start
+from mbsrun.ocp.methods import Answer, Instance
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.phases.solve import PhasedSolver, solve_phases
 from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
@@ -391,7 +391,7 @@ def test_equations_without_a_solution_are_a_failure(capfd: pytest.CaptureFixture
     assert capfd.readouterr().err == ""
 
 
-def stay(start: Start) -> Answer:
+def stay(start: Instance) -> Answer:
     """Call the guess a solution."""
     return Answer(start.x, "Solve_Succeeded", 3)
 

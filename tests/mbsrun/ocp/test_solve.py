@@ -13,7 +13,7 @@ from mbsrun.ocp import schemes
 from mbsrun.ocp.backends.casadi import Functions
 from mbsrun.ocp.backends.condensation import build
 from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.methods import Start
+from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.phases.problem import list_one
 from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, SolverOptions, Term, cylindrical
@@ -297,7 +297,7 @@ def test_a_stationary_guess_is_not_taken_for_an_optimum() -> None:
     still = interpolate(fall, solver.transcription.scheme, np.zeros(1))
     own, ones = solver.transcription, np.ones(solver.program.data.kept.size)
     bounds = (*own.variable_bounds(fall), *own.constraint_bounds(fall))
-    run = solver.whole._call(list_one(fall), Start(own.pack(still), own.parameters(fall), *bounds, None, ones)).run
+    run = solver.whole._call(list_one(fall), Instance(own.pack(still), own.parameters(fall), *bounds, None, ones)).run
     assert (run.status, run.iterations) == ("Solve_Succeeded", 0)
     assert isinstance(solver.solve(fall, still), Failure)
 

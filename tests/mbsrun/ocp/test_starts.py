@@ -22,7 +22,7 @@ from mbsrun.ocp.pictures import plot_starts
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Representation
 from mbsrun.ocp.record import Attempt, Best, Task, open_record
-from mbsrun.ocp.search import Order
+from mbsrun.ocp.search import Job
 from mbsrun.ocp.solution import Start, Starts
 from mbsrun.ocp.starts import Kind, Variation, add_waves, coarsen, count_turns, describe_turns, list_turning, vary
 from mbsrun.ocp.statement import read_problem
@@ -251,7 +251,7 @@ def test_what_many_starts_found_is_told_as_it_is(tmp_path: Path) -> None:
 def search(problem: Problem, plant: Plant, count: int) -> Starts:
     study, worker = state_study(problem, plant), Worker(plant)
     trials = list_starts(study, 0, count)
-    return gather(trials, [worker.carry_out(Order(study, trial, None)).attempt for trial in trials], 0)
+    return gather(trials, [worker.carry_out(Job(study, trial, None)).attempt for trial in trials], 0)
 
 
 def test_a_record_of_before_goes_on(tmp_path: Path, coarse: Problem) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from mbsrun.ocp.methods.ipopt import IPOPT
-from mbsrun.ocp.methods.method import Answer, Iterate, Method, Order, Solver, Start
+from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
 from mbsrun.ocp.methods.stages import STAGES
@@ -16,13 +16,13 @@ __all__ = [
     "METHODS",
     "Amount",
     "Answer",
+    "Assignment",
     "Choice",
+    "Instance",
     "Iterate",
     "Method",
     "Option",
-    "Order",
     "Solver",
-    "Start",
     "choose",
     "settle",
     "warm",

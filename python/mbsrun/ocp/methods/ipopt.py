@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
-from mbsrun.ocp.methods.method import Answer, Method, Order, Solver, Start
+from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Choice, Option, Settings
 
 if TYPE_CHECKING:
@@ -73,14 +73,14 @@ IPOPT_OPTIONS: Mapping[str, Option] = {
 QUIET: Settings = {"print_level": 0, "sb": "yes", "nlp_scaling_method": "none"}
 
 
-def make_ipopt(order: Order) -> Solver:
+def make_ipopt(order: Assignment) -> Solver:
     """Make IPOPT for a program: in scaled variables and rows, where a start has usual sizes other than 1."""
     from mbsrun.ocp.methods.scaling import ScaledFunctions, scale_rows, scale_start, unscale  # loads CasADi
 
     functions = order.program.casadi
     plain, scaled = _make(order, functions), cache(lambda: _make(order, ScaledFunctions(functions)))
 
-    def solve(start: Start) -> Answer:
+    def solve(start: Instance) -> Answer:
         if start.scales is None or (start.scales == 1).all():
             return plain(start)
         rows = scale_rows(functions, start, start.scales)
@@ -89,7 +89,7 @@ def make_ipopt(order: Order) -> Solver:
     return solve
 
 
-def _make(order: Order, functions: Differentiated) -> Solver:
+def _make(order: Assignment, functions: Differentiated) -> Solver:
     """Make IPOPT for functions of a program."""
     from mbsrun.ocp.methods.nlpsol import UNDIFFERENTIATED, make
 

@@ -13,7 +13,7 @@ from mbsrun.ocp.methods.options import Option, Settings
 
 
 @dataclass(frozen=True)
-class Order:
+class Assignment:
     """The program and the settings of a solver."""
 
     program: Prepared
@@ -37,7 +37,7 @@ Watch = Callable[[Iterate], None]  # an exception in it ends the solver, and is 
 
 
 @dataclass(frozen=True)
-class Start:
+class Instance:
     """The numbers of one solve."""
 
     x: Array
@@ -69,7 +69,7 @@ class Answer:
     cpu_preparing: float = 0.0
 
 
-Solver = Callable[[Start], Answer]
+Solver = Callable[[Instance], Answer]
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Method:
 
     title: str
     options: Mapping[str, Option]
-    make: Callable[[Order], Solver]
+    make: Callable[[Assignment], Solver]
     warm: Settings = field(default_factory=dict)  # options of starts near a solution
     calls_casadi: bool = True  # whether programs may hold expressions of CasADi
     has_threads: bool = False  # whether a solve may have several

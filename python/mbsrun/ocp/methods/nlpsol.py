@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from mbsrun.ocp.backends.casadi import Differentiated
-from mbsrun.ocp.methods.method import Answer, Iterate, Solver, Start
+from mbsrun.ocp.methods.method import Answer, Instance, Iterate, Solver
 from mbsrun.ocp.status import SOLVED
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
@@ -23,7 +23,7 @@ def make(name: str, functions: Differentiated, settings: Mapping[str, Any], *, s
     quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
     function = ca.nlpsol("ocp", name, nlp, {"iteration_callback": callback, **quiet, **settings})
 
-    def solve(start: Start) -> Answer:
+    def solve(start: Instance) -> Answer:
         callback.begin(start)
         answer = function(
             x0=start.x, p=start.parameters, lbx=start.lower, ubx=start.upper, lbg=start.g_lower, ubg=start.g_upper
@@ -68,12 +68,12 @@ class _Callback(ca.Callback):
         sizes = {"x": variables, "f": 1, "g": constraints, "lam_x": variables, "lam_g": constraints}
         self._patterns = [ca.Sparsity.dense(sizes.get(name, functions.parameters)) for name in ca.nlpsol_out()]
         self._scale = scale
-        self._start: Start | None = None
+        self._start: Instance | None = None
         self.seen = 0  # iterates, with the start
         self._error: Exception | None = None
         self.construct("watch")
 
-    def begin(self, start: Start) -> None:
+    def begin(self, start: Instance) -> None:
         """Count from 0 again."""
         self._start, self.seen, self._error = start, 0, None
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mbsrun.ocp.backends.casadi import Differentiated
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.methods.method import Answer, Start
+from mbsrun.ocp.methods.method import Answer, Instance
 
 
 class ScaledFunctions:
@@ -46,7 +46,7 @@ def _scale(matrix: ca.MX, rows: ca.MX, columns: ca.MX) -> ca.MX:
     return ca.MX(matrix.sparsity(), matrix.nz[:] * rows[row] * columns[col])
 
 
-def scale_rows(functions: Differentiated, start: Start, scales: Array) -> Array:
+def scale_rows(functions: Differentiated, start: Instance, scales: Array) -> Array:
     """Return scales of rows: powers of 2 that make their largest derivatives by scaled variables 1, at the start."""
     jacobian = functions.jacobian(start.x, start.parameters)
     row, col = (np.array(part, dtype=np.int64) for part in jacobian.sparsity().get_triplet())
@@ -56,7 +56,7 @@ def scale_rows(functions: Differentiated, start: Start, scales: Array) -> Array:
     return np.where(is_known, 2.0 ** -np.round(np.log2(np.where(is_known, largest, 1.0))), 1.0)
 
 
-def scale_start(start: Start, scales: Array, rows: Array) -> Start:
+def scale_start(start: Instance, scales: Array, rows: Array) -> Instance:
     """Return the numbers of a solve in scaled variables and rows."""
     return replace(
         start,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from mbsrun.ocp.linear import OWN, set_up
 from mbsrun.ocp.methods.ipopt import QUIET
-from mbsrun.ocp.methods.method import Method, Order, Solver
+from mbsrun.ocp.methods.method import Assignment, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, Amount, Choice, Option
 
 SQP_OPTIONS: Mapping[str, Option] = {
@@ -19,7 +19,7 @@ SQP_OPTIONS: Mapping[str, Option] = {
 }
 
 
-def make_sqp(order: Order) -> Solver:
+def make_sqp(order: Assignment) -> Solver:
     """Make the SQP method for a program; it does not scale, so the objective that it sees is scaled."""
     import casadi as ca
 

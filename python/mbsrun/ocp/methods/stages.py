@@ -14,7 +14,7 @@ import numpy as np
 
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.functions import Array
-from mbsrun.ocp.methods.method import Answer, Iterate, Method, Order, Solver, Start
+from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, POSITIVE, SWITCH, Amount, Option, Settings
 from mbsrun.ocp.program import Program
 from mbsrun.ocp.stages import binding
@@ -49,7 +49,7 @@ STATUSES = {
 }
 
 
-def make_stages(order: Order) -> Solver:
+def make_stages(order: Assignment) -> Solver:
     """Make the method for a program."""
     settings = _read_settings(order)
     tables: dict[bytes, binding.Tables] = {}
@@ -69,7 +69,7 @@ def make_stages(order: Order) -> Solver:
                 free[key] = []
         return key
 
-    def solve(start: Start) -> Answer:
+    def solve(start: Instance) -> Answer:
         numbers = _expand(program, start, order.scaling)
         begin, cpu_begin = time.perf_counter(), time.process_time()
         key = lay(numbers)
@@ -98,7 +98,7 @@ def make_stages(order: Order) -> Solver:
     return solve
 
 
-def _read_settings(order: Order) -> binding.Settings:
+def _read_settings(order: Assignment) -> binding.Settings:
     """Return the options by the names of the C structure; switches are 1 or 0.
 
     Where the program eliminates variables, as in shooting, they follow the others in line searches, too.
@@ -112,7 +112,7 @@ def _read_settings(order: Order) -> binding.Settings:
     return binding.Settings({**limits, **numbers}, float(given.get("seconds", 0.0)))
 
 
-def _expand(program: Program, start: Start, scaling: float) -> binding.Numbers:
+def _expand(program: Program, start: Instance, scaling: float) -> binding.Numbers:
     """Return the numbers of a solve for all variables and rows; equations of inner variables are 0."""
     lower, upper = np.full(program.variables, -np.inf), np.full(program.variables, np.inf)
     lower[program.kept], upper[program.kept] = start.lower, start.upper
@@ -126,7 +126,7 @@ def _expand(program: Program, start: Start, scaling: float) -> binding.Numbers:
     return binding.Numbers(parameters, lower, upper, least, most, scales)
 
 
-def _count_equations(start: Start) -> int:
+def _count_equations(start: Instance) -> int:
     return int(np.count_nonzero(start.g_lower == start.g_upper))
 
 

@@ -23,7 +23,7 @@ from mbsrun.ocp.checks import Line, ProblemError
 from mbsrun.ocp.clashes import Found, Names, describe, describe_point, name_parts, see_solver
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
-from mbsrun.ocp.methods import METHODS, Order, Start
+from mbsrun.ocp.methods import METHODS, Assignment, Instance
 from mbsrun.ocp.phases.checks import check_phases, name_phase
 from mbsrun.ocp.phases.guess import Unreached, adapt_guess, carry_states, guess_phases, solve_links
 from mbsrun.ocp.phases.linking import Defined
@@ -137,14 +137,14 @@ class PhasedSolver:
             raise ValueError(f"{problem.name} differs in structure from the transcribed problem; make a Solver for it")
         return problem
 
-    def _begin(self, problem: PhasedProblem, guess: Guess, usual: Guess, watch: Watch | None) -> Start:
+    def _begin(self, problem: PhasedProblem, guess: Guess, usual: Guess, watch: Watch | None) -> Instance:
         """Return the numbers of the program, from a complete guess. Raises NoNumbersError where they are none."""
         own, x = self.transcription, self.pack(problem, guess)
         freed = self._free_targets(problem, guess)
         bounds = own.variable_bounds(freed)
         scales = own.find_scales(own.pack(problem, usual), bounds)
         told = None if watch is None else report(watch)
-        return Start(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
+        return Instance(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
 
     def fill(self, problem: PhasedProblem, guess: Guess) -> Array:
         """Put a guess into the variables, with the states, controls and unknowns that it lacks."""
@@ -172,7 +172,7 @@ class PhasedSolver:
 
     # --- the method ---
 
-    def _call(self, problem: PhasedProblem, start: Start) -> Outcome:
+    def _call(self, problem: PhasedProblem, start: Instance) -> Outcome:
         """Run the method from a point."""
         options = self.choose_method(problem)
         outcome = call(self._find_method(options), start)
@@ -182,7 +182,9 @@ class PhasedSolver:
         """Return the method with its options, made once for all problems that have the same."""
         if options not in self._solvers:
             settings, scaling = dict(options.options), options.objective_scaling or 1.0
-            order = Order(self.program, options.tolerance, options.max_iterations, scaling, settings, options.threads)
+            order = Assignment(
+                self.program, options.tolerance, options.max_iterations, scaling, settings, options.threads
+            )
             self._solvers[options] = METHODS[methods.choose(options)].make(order)
         return self._solvers[options]
 
