@@ -1,9 +1,8 @@
 """Kernels in batches, one state after the other and in lanes: `python -m benchmarks.batches`.
 
-Times are of one core, in ns a state: the least of many calls for 8192 states, into arrays that are there. "Rows" are
-arrays in which a state's numbers follow each other, "columns" those in which the numbers of all states do. Both give the
-same digits. frax, if it is installed (`pip install frax`), computes the same function of its own Panda in doubles, on one
-thread of JAX.
+Times are of one core, in ns a state: the least of many calls for 8192 states, into arrays that are there. In arrays by
+rows a state's numbers follow each other, in arrays by columns the states do; both give the same digits. frax, if it is
+installed (`pip install frax`), computes the function of the Panda that it brings, in doubles, on one thread of JAX.
 """
 
 from __future__ import annotations
@@ -13,9 +12,11 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -100,9 +101,7 @@ def draw(kernel: Kernel) -> dict[str, Array]:
     return {a.name: rng.uniform(0.1, 0.6, (STATES, a.rows)) for a in given}
 
 
-def time_batch(
-    kernels: Kernels, name: str, inputs: Mapping[str, Array], repeats: int
-) -> tuple[float, dict[str, Array]]:
+def time_batch(kernels: Kernels, name: str, inputs: Mapping[str, Any], repeats: int) -> tuple[float, dict[str, Array]]:
     """Return the least time in ns a state, and the results."""
     results, status = kernels.batch(name, **inputs)
     assert not status.any(), f"{name} fails in {np.count_nonzero(status)} states"
@@ -130,10 +129,10 @@ def measure_frax(function: str, repeats: int) -> float | None:
         " --xla_cpu_scheduler_type=CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
     )
     import jax
-    from frax.robots.franka_panda import load_panda
 
     jax.config.update("jax_enable_x64", True)
-    robot, gravity = load_panda(), jax.numpy.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.81])
+    robot = import_module("frax.robots.franka_panda").load_panda()
+    gravity = jax.numpy.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.81])
     functions = {
         "rnea": lambda q, v, a: robot.rnea(q, v, a, gravity, None),
         "forward_dynamics": lambda q, v, tau: robot.forward_dynamics(q, v, tau, None),

@@ -106,6 +106,7 @@ MBSRUN = Package(
         "recordings",
         "ocp.inputs",
         "simulation ocp.problem ocp.elimination ocp.layout",
+        "rollouts",
         "operators",
         "faces",
         "stepping",

@@ -10,14 +10,26 @@ if TYPE_CHECKING:
     from mbsrun.external import Mechanism, load
     from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
+    from mbsrun.rollouts import rollout
 
-__all__ = ["Controller", "Mechanism", "OptimalControl", "ProblemError", "controller", "load", "problem", "read_problem"]
+__all__ = [
+    "Controller",
+    "Mechanism",
+    "OptimalControl",
+    "ProblemError",
+    "controller",
+    "load",
+    "problem",
+    "read_problem",
+    "rollout",
+]
 
 _MODULES = {
     **dict.fromkeys(("Controller", "controller"), "controllers.loading"),
     **dict.fromkeys(("Mechanism", "load"), "external"),
     "ProblemError": "ocp.checks",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
+    "rollout": "rollouts",
 }
 
 

@@ -46,7 +46,7 @@ class Loop:
 
     def get(self, name: str) -> Any:
         """Return a function of mbs_many.c."""
-        return getattr(self.library, name + _end(self.width))
+        return getattr(self.library, name + end_name(self.width))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def find_width(compiler: Compiler) -> int:
 def load_loop(compiler: Compiler, width: int) -> Loop:
     """Compile and load the loop. Raises CompileError."""
     library = compile_library(resources.folder("csrc"), "mbs_many", ["mbs_many.c"], for_states(compiler, width))
-    ffi = declare(_DECLARED.format(_end(width)))
+    ffi = declare(_DECLARED.format(end_name(width)))
     return Loop(ffi, open_library(ffi, library), width)
 
 
@@ -76,7 +76,7 @@ def load_several(library: Path, kernel: Kernel, width: int) -> Several | None:
 
     Raises CompileError.
     """
-    symbol = kernel.symbol + _end(width)
+    symbol = kernel.symbol + end_name(width)
     ffi = declare(f"int {symbol}(const void **arg, void **res, long long *iw, void *w, int mem);")
     loaded = open_library(ffi, library)
     function = getattr(loaded, symbol, None)
@@ -179,7 +179,8 @@ def find_room(loop: Loop, entry: Entry, inputs: Sequence[Port], outputs: Sequenc
     return int(loop.get("mbs_room_of_many")(entry.n_in, given, entry.n_out, found))
 
 
-def _end(width: int) -> str:
+def end_name(width: int) -> str:
+    """Return the end of the names of functions for `width` states at once."""
     return f"_at_{width}" if width > 1 else ""
 
 

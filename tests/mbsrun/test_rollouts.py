@@ -1,9 +1,7 @@
-"""Steps and rollouts inside JAX and PyTorch: SciPy's integrator, and differences, are the references."""
+"""Motions of many states: each is the motion that the kernels' accelerations give; failures and parameters by state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,165 +9,135 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mbsrun import Mechanism, load
-from mbsrun.kernel import ArgumentError
-from mbsrun.models import Extent
+from mbsgen.pipeline import Options, generate
+from mbsrun import load, many, rollout
+from mbsrun.external import Mechanism
+from mbsrun.kernel import ArgumentError, Array
 
 MODELS = Path(__file__).parents[2] / "models"
-FUNCTIONS = {
-    "cart_pole": ("exp1",),
-    "satellite": ("exp1", "rates"),
-    "four_bar": ("exp1", "exp1_red", "close", "close_rates", "loops"),
-}
-HORIZON = 0.4
 
 
-@cache
-def load_model(name: str) -> Mechanism:
-    return load(MODELS / f"{name}.yaml", extent=Extent(FUNCTIONS[name]))
+@pytest.fixture(scope="module")
+def make(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    def made(name: str, **options: Any) -> Mechanism:
+        folder = tmp_path_factory.mktemp("model") / name
+        generate(MODELS / f"{name}.yaml", folder, Options(functions=("exp2", "energy"), derivatives=0, **options))
+        return load(folder)
+
+    return made
 
 
-def load_face(library: str, kernels: Any) -> Any:
-    if library == "jax":
-        jax = pytest.importorskip("jax")
-        jax.config.update("jax_enable_x64", True)
-        import mbsrun.jax
-
-        return mbsrun.jax.load(kernels)
-    pytest.importorskip("torch")
-    import mbsrun.torch
-
-    return mbsrun.torch.load(kernels)
+@pytest.fixture(scope="module")
+def cart(make: Any) -> Mechanism:
+    made: Mechanism = make("cart_pole", runtime=True)
+    return made
 
 
-def start(kernels: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a state with closed loops, and inputs."""
-    manifest = kernels.manifest
-    u = np.linspace(0.2, 0.5, len(manifest.inputs))
-    if manifest.loops:
-        q = np.array(manifest.pose)
-        return q, kernels("close_rates", q=q, yd=np.array([3.0]))["qd"], u
-    return np.linspace(0.3, 0.8, len(manifest.positions)), np.linspace(0.5, 2.0, len(manifest.coordinates)), u
+def differentiate(cart: Mechanism, force: float) -> Any:
+    """Return the right-hand side of one state."""
+
+    def rates(_: float, x: Array) -> Array:
+        return np.hstack([x[2:], cart.exp2(q=x[:2], qd=x[2:], u=[force])["qdd"]])
+
+    return rates
 
 
-def integrate(kernels: Mechanism) -> np.ndarray:
-    """Return the coordinates at the end by SciPy, with all coordinates and the multipliers of loops."""
-    q, qd, u = start(kernels)
-    n = len(q)
-
-    def rate(_: float, y: np.ndarray) -> np.ndarray:
-        q, qd = y[:n], y[n:]
-        rates = kernels("rates", q=q, qd=qd)["rate"] if kernels.manifest.quaternions else qd
-        return np.concatenate([rates, kernels("exp1", q=q, qd=qd, u=u)["qdd"]])
-
-    solution = solve_ivp(rate, (0, HORIZON), np.concatenate([q, qd]), "DOP853", rtol=1e-12, atol=1e-12)
-    return np.array(solution.y[:n, -1])
+@pytest.mark.parametrize("states", [1, 5, 70])
+def test_motions_are_those_of_an_integrator_with_a_tolerance(cart: Mechanism, states: int) -> None:
+    rng = np.random.default_rng(1)
+    q, qd, u = (rng.normal(size=(states, k)) for k in (2, 2, 1))
+    found = rollout(cart, q, qd, step=1e-3, steps=500, every=100, inputs={"u": u})
+    assert (found.q.shape, found.t.tolist()) == ((states, 6, 2), pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.5]))
+    for k in range(min(states, 5)):
+        start = np.hstack([q[k], qd[k]])
+        exact = solve_ivp(differentiate(cart, u[k, 0]), (0, 0.5), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose(np.hstack([found.q[k, -1], found.qd[k, -1]]), exact, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("library", ["jax", "torch"])
-@pytest.mark.parametrize("model", FUNCTIONS)
-def test_the_error_falls_with_the_order(model: str, library: str) -> None:
-    """Half the step leaves a sixteenth of the error of rk4, and half of Euler's; loops stay closed to rounding."""
-    kernels = load_model(model)
-    face, (q, qd, u), exact = load_face(library, kernels), start(kernels), integrate(kernels)
-    for method, steps, factor in (("rk4", 100, 16), ("euler", 400, 2)):
-        errors = []
-        for count in (steps, 2 * steps):
-            found, _ = face.rollout(q, qd, HORIZON / count, steps=count, method=method, u=u)
-            assert found.shape == (count + 1, *q.shape)
-            errors.append(np.abs(np.asarray(found[-1]) - exact).max())
-            if kernels.manifest.loops:
-                assert np.abs(kernels("loops", q=np.asarray(found))["gap"]).max() < 1e-14
-        assert errors[1] < 1e-2
-        assert errors[0] / errors[1] == pytest.approx(factor, rel=0.3)
+def test_the_order_of_the_methods(make: Any) -> None:
+    """Half the step, a sixteenth of the error; by Euler's method half of it."""
+    pendulum = make("double_pendulum")
+    ends = {
+        (method, steps): rollout(pendulum, [0.5, 1.0], [0.0, 0.0], step=0.2 / steps, steps=steps, method=method).q[
+            0, -1
+        ]
+        for method, counts in (("rk4", (20, 40, 640)), ("euler", (2000, 4000)))
+        for steps in counts
+    }
+    exact = ends["rk4", 640]
+    errors = {key: np.abs(end - exact).max() for key, end in ends.items()}
+    assert errors["rk4", 20] / errors["rk4", 40] == pytest.approx(16, rel=0.1)
+    assert errors["euler", 2000] / errors["euler", 4000] == pytest.approx(2, rel=0.05)
 
 
-@pytest.mark.parametrize("model", FUNCTIONS)
-def test_rollouts_of_jax_have_the_derivatives_of_differences(model: str) -> None:
-    """Of first and second order, through the start and the inputs, across a checkpoint."""
-    kernels = load_model(model)
-    face, (q, qd, u) = load_face("jax", kernels), start(kernels)
-    check_grads = pytest.importorskip("jax.test_util").check_grads
-    inputs = np.linspace(0.5, 1.5, 5)[:, None] * u
-
-    def end(inputs: Any, qd: Any) -> Any:
-        return face.rollout(q, qd, 0.05, along={"u": inputs})[0][-1]
-
-    check_grads(
-        pytest.importorskip("jax").jit(end),
-        (inputs, qd if not kernels.manifest.loops else 0.0 * qd),
-        order=2,
-        modes=["rev"],
-        rtol=1e-3,
-    )
+def test_inputs_of_each_step(cart: Mechanism) -> None:
+    """They are constant in a step, and may be the same for all states."""
+    u = np.random.default_rng(2).normal(size=(1, 12, 1))
+    found = rollout(cart, np.zeros((9, 2)), [0.0, 0.0], step=0.01, steps=12, inputs={"u": u})
+    q, qd = np.zeros(2), np.zeros(2)
+    for k in range(12):
+        one = rollout(cart, q, qd, step=0.01, steps=1, inputs={"u": u[0, k]})
+        q, qd = one.q[0, -1], one.qd[0, -1]
+    np.testing.assert_allclose(found.q[:, -1], np.tile(q, (9, 1)), rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("model", FUNCTIONS)
-def test_rollouts_of_torch_have_the_derivatives_of_differences(model: str) -> None:
-    kernels = load_model(model)
-    torch, face = pytest.importorskip("torch"), load_face("torch", kernels)
-    q, qd, u = map(torch.from_numpy, start(kernels))
-    inputs = (torch.linspace(0.5, 1.5, 5, dtype=torch.float64)[:, None] * u).requires_grad_()
-
-    def end(inputs: Any) -> Any:
-        return face.rollout(q, qd, 0.05, along={"u": inputs})[0][-1]
-
-    assert torch.autograd.gradcheck(end, inputs)
-    assert torch.autograd.gradgradcheck(end, inputs)
+def test_parameters_of_each_state(cart: Mechanism) -> None:
+    name = next(iter(cart.parameters))
+    values = cart.parameters[name] * np.linspace(0.8, 1.2, 20)
+    setting: Any = {"step": 0.01, "steps": 50, "inputs": {"u": [1.0]}}
+    found = rollout(cart, [0.0, 0.3], [0.0, 0.0], parameters={name: values}, **setting)
+    for k in (0, 7, 19):
+        alone = rollout(cart.with_parameters(**{name: values[k]}), [0.0, 0.3], [0.0, 0.0], **setting)
+        np.testing.assert_allclose(found.q[k], alone.q[0], rtol=0, atol=1e-13)
+    assert np.ptp(found.q[:, -1], axis=0).max() > 1e-3
 
 
-def test_reverse_mode_keeps_the_root_of_the_steps() -> None:
-    """Sixteen times the steps keep some four times the numbers."""
-    jax = pytest.importorskip("jax")
-    kernels = load_model("cart_pole")
-    face, (q, qd, u) = load_face("jax", kernels), start(kernels)
-
-    def count(steps: int) -> int:
-        def end(q: Any) -> Any:
-            return face.rollout(q, qd, 0.01, steps=steps, u=u)[0][-1]
-
-        return sum(leaf.size for leaf in jax.tree.leaves(jax.vjp(end, q)[1]))
-
-    assert count(1600) / count(100) < 5
+def test_threads_change_no_bit(cart: Mechanism) -> None:
+    q = np.random.default_rng(3).normal(size=(203, 2))
+    one, two = (rollout(cart, q, [0.0, 0.0], step=0.01, steps=20, threads=k) for k in (1, 2))
+    np.testing.assert_array_equal(one.q, two.q)
 
 
-@pytest.mark.parametrize("library", ["jax", "torch"])
-def test_a_policy_sees_the_state_of_its_step(library: str) -> None:
-    """In a batch; a loop of single steps is the reference."""
-    kernels = load_model("cart_pole")
-    face = load_face(library, kernels)
-    q, qd = np.array([[0.1, 0.2], [0.3, -0.4]]), np.zeros((2, 2))
-
-    def decide(number: Any, q: Any, qd: Any) -> dict[str, Any]:
-        return {"u": (0.1 * number - 2 * q - qd)[..., :1]}
-
-    found = face.rollout(q, qd, 0.02, steps=7, policy=decide)
-    state = (q, qd)
-    for number in range(7):
-        state = face.step(*state, 0.02, **decide(number, *map(face._read, state)))
-    for one, other in zip(found, state, strict=True):
-        np.testing.assert_allclose(np.asarray(one[-1]), np.asarray(other), rtol=1e-13)
+def test_a_motion_that_fails_ends_alone(cart: Mechanism) -> None:
+    """It is no number from then on, and has a status; the others are as without it."""
+    q = np.random.default_rng(4).normal(size=(40, 2))
+    qd = np.zeros((40, 2))
+    good = rollout(cart, q, qd, step=0.01, steps=30)
+    assert not good.status.any()
+    qd[[3, 20]] = np.nan
+    found = rollout(cart, q, qd, step=0.01, steps=30)
+    left = np.setdiff1d(np.arange(40), [3, 20])
+    np.testing.assert_allclose(found.q[left], good.q[left], rtol=0, atol=1e-12)
+    assert np.isnan(found.q[[3, 20], 1:]).all()
 
 
-Q = np.zeros(2)
-MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
-    "method": (
-        lambda f: f.step(Q, Q, 0.1, method="leapfrog", u=[0.0]),
-        "method: 'leapfrog' given; there are euler, rk4",
-    ),
-    "dynamics": (lambda f: f.step(Q, Q, 0.1, dynamics="sensors", u=[0.0]), "sensors gives no acceleration"),
-    "no steps": (lambda f: f.rollout(Q, Q, 0.1, u=[0.0]), "give the number of steps, or inputs along them"),
-    "lengths": (
-        lambda f: f.rollout(Q, Q, 0.1, steps=3, along={"u": np.zeros((4, 1))}),
-        "the lengths differ: along['u'] 4, steps 3",
-    ),
-}
+def test_lanes_are_used(cart: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With them and without, motions agree to rounding."""
+    q = np.random.default_rng(5).normal(size=(64, 2))
+    lanes = rollout(cart, q, [0.0, 0.0], step=0.01, steps=50)
+    assert cart.choose_loop("exp2", 64 * 50)[1] is not None
+    monkeypatch.setattr(many, "FEWEST", 10**9)
+    np.testing.assert_allclose(rollout(cart, q, [0.0, 0.0], step=0.01, steps=50).q, lanes.q, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("library", ["jax", "torch"])
-@pytest.mark.parametrize(("misuse", "message"), MISUSES.values(), ids=MISUSES.keys())
-def test_misuse_has_one_clear_sentence(misuse: Callable[[Any], object], message: str, library: str) -> None:
-    face = load_face(library, load(MODELS / "cart_pole.yaml", extent=Extent(("exp1", "sensors"))))
-    with pytest.raises(ArgumentError) as caught:
-        misuse(face)
-    assert message in str(caught.value)
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"step": 0.0}, "step: 0.0 s; give a positive number"),
+        ({"steps": 0, "threads": 0}, "steps: 0; give 1 or more\n.*threads: 0; give 1 or more"),
+        ({"method": "rk5"}, "method: 'rk5'; there are euler, rk4"),
+        ({"inputs": {"v": [1.0]}}, "exp2 has no input 'v'; there are u"),
+        ({"inputs": {"u": [1.0, 2.0]}}, r"u: shape \(2,\) given, \(1,\), \(states, 1\) or \(states, 5, 1\) expected"),
+        ({"inputs": {"u": np.zeros((3, 1))}}, r"arrays are of \[2, 3\] states"),
+        ({"parameters": {"mass": 1.0}}, "no parameter mass; there are "),
+    ],
+)
+def test_misuse_is_told(cart: Mechanism, changes: dict[str, Any], finding: str) -> None:
+    setting = {"step": 0.01, "steps": 5} | changes
+    with pytest.raises(ArgumentError, match=f"(?s){finding}"):
+        rollout(cart, np.zeros((2, 2)), np.zeros((2, 2)), **setting)
+
+
+def test_closed_loops_are_left_to_the_simulator(make: Any) -> None:
+    with pytest.raises(ArgumentError, match="closed loops and driven joints move by `mbsrun simulate` alone"):
+        rollout(make("four_bar"), np.zeros(3), np.zeros(3), step=0.01, steps=5)

@@ -1,0 +1,56 @@
+/* Motions of many states of a tree, by a Runge-Kutta method of fixed steps, with inputs that are constant in a step.
+ *
+ * Compiled with -DMBS_STATES=8, mbs_rollout.c gives mbs_rollout_at_8, which moves 8 states at a time. C99, reentrant.
+ */
+#ifndef MBS_ROLLOUT_H
+#define MBS_ROLLOUT_H
+
+#include <stddef.h>
+
+#include "mbs_abi.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef MBS_STATES
+#define mbs_rollout MBS_STATES_NAME(mbs_rollout)
+#define mbs_room_of_rollout MBS_STATES_NAME(mbs_room_of_rollout)
+#endif
+
+#define MBS_GROUP_FAILED (-1) /* the status of states that lie beside one that fails */
+
+/* A kernel of accelerations qdd(q, qd, u, ...) in CasADi's contract, for as many states as mbs_real holds. */
+typedef int (*mbs_accelerations)(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem);
+
+/* Numbers of a state begin at first + state * step; of step k of its motion at + k * pace. */
+typedef struct {
+    const MBS_REAL *first;
+    casadi_int step, pace, numbers;
+    casadi_int place; /* which argument of the kernel they are */
+} mbs_course;
+
+typedef struct {
+    mbs_accelerations f;
+    casadi_int n, n_in, n_out;        /* coordinates; arguments and results of f, whose result 0 is qdd */
+    casadi_int q, qd;                 /* which arguments they are */
+    casadi_int courses;               /* inputs and parameters */
+    const mbs_course *course;
+    casadi_int stages;                /* of the method: */
+    const MBS_REAL *A, *b;            /* rows of stages, and weights */
+    MBS_REAL h;                       /* length of a step */
+    casadi_int steps, every;          /* each `every`th state of the motion is kept, from the first on */
+} mbs_motion;
+
+/* Return how many bytes of memory the work needs. */
+size_t mbs_room_of_rollout(const mbs_motion *motion);
+
+/* Move states `begin` to `end` - 1. `kept` holds 1 + steps / every states of 2 n numbers, q and qd, for each state; the
+ * first is the start. A status is 0, what f returns, or MBS_GROUP_FAILED; motions with another one than 0 end early. */
+void mbs_rollout(const mbs_motion *motion, casadi_int begin, casadi_int end, MBS_REAL *kept, void *room, int *status);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

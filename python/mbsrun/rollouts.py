@@ -1,0 +1,261 @@
+"""Motions of many states at once: starts, inputs and parameters in arrays -> fixed steps in C, in lanes and threads.
+
+For sampling, learning, identification: thousands of short motions of one tree. A single motion with outputs, tolerances
+or closed loops is a simulation.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mbsgen import resources
+from mbsgen.manifest import Argument, Kernel
+from mbsgen.roles import Role
+from mbsrun import many
+from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_library
+from mbsrun.external import Mechanism
+from mbsrun.library import compile_library, find_compiler
+from mbsrun.simulation.tableaus import EULER, RK4, Tableau
+
+METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
+FUNCTIONS = ("exp2", "exp1")  # kernels of accelerations; the one with fewer flops is taken
+_DECLARED = """
+typedef struct {{ const double *first; long long step, pace, numbers, place; }} mbs_course;
+typedef struct {{
+    void *f;
+    long long n, n_in, n_out, q, qd, courses;
+    const mbs_course *course;
+    long long stages;
+    const double *A, *b;
+    double h;
+    long long steps, every;
+}} mbs_motion;
+size_t mbs_room_of_rollout{0}(const mbs_motion *motion);
+void mbs_rollout{0}(const mbs_motion *motion, long long begin, long long end, double *kept, void *room, int *status);
+"""
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Motions side by side; where a status is not 0, from some time on a motion is not a number."""
+
+    t: Array  # (samples,), s
+    q: Array  # (states, samples, n)
+    qd: Array  # (states, samples, n)
+    status: Status  # (states,), as of kernels: 0, or the joint at which the motion's kernel fails
+
+    def __repr__(self) -> str:
+        """Return how many motions there are, and how many end early."""
+        failed = np.count_nonzero(self.status)
+        return f"Rollouts({self.q.shape[0]} motions of {self.t[-1]:g} s, {self.t.size} samples, {failed} end early)"
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Numbers of one argument: (states or 1, steps or 1, numbers)."""
+
+    argument: Argument
+    values: Array
+
+
+def rollout(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    *,
+    step: float,
+    steps: int,
+    inputs: Mapping[str, ArrayLike] | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    every: int = 1,
+    method: str = "rk4",
+    threads: int = 1,
+) -> Rollouts:
+    """Move many states of a tree by fixed steps; keep each `every`th state, from the start on.
+
+    q, qd: starts, shapes (states, n), or (n,) for one start of all. inputs: arguments of the accelerations, as `u`:
+    (m,) for all, (states, m) for each, or (states or 1, steps, m) for each step, in which they are constant.
+    parameters: run-time and differentiated ones by name, a number for all or an array (states,). step in s. Raises
+    ArgumentError.
+    """
+    function = _choose_function(mechanism)
+    kernel = mechanism.describe(function)
+    _check(mechanism, kernel, step, steps, every, method, threads)
+    starts = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, qd)]
+    given = [_read_course(kernel, name, array, steps) for name, array in (inputs or {}).items()]
+    given += _read_parameters(mechanism, kernel, parameters or {})
+    n = len(mechanism.manifest.coordinates)
+    states = _count_states([*(x.shape[0] for x in starts), *(course.values.shape[0] for course in given)])
+    for name, start in zip(("q", "qd"), starts, strict=True):
+        if start.shape[1:] != (n,) or start.ndim > 2:
+            raise ArgumentError(f"{name}: shape {start.shape} given, ({n},) or (states, {n}) expected")
+    kept = np.full((states, 1 + steps // every, 2 * n), np.nan)
+    kept[:, 0] = np.hstack([np.broadcast_to(start, (states, n)) for start in starts])
+    motion = _Motion(mechanism, function, given, METHODS[method], step, steps, every)
+    status = motion.move(kept, threads)
+    t = np.asarray(step * every * np.arange(kept.shape[1]), dtype=np.float64)
+    return Rollouts(t, kept[..., :n], kept[..., n:], status)
+
+
+def _choose_function(mechanism: Mechanism) -> str:
+    kernels = {kernel.name: kernel for kernel in mechanism.manifest.kernels}
+    found = [kernels[name] for name in FUNCTIONS if name in kernels]
+    if not found:
+        raise ArgumentError(f"{mechanism.manifest.model} has no accelerations; generate {' or '.join(FUNCTIONS)}")
+    return min(found, key=lambda kernel: kernel.flops.paper).name
+
+
+def _check(
+    mechanism: Mechanism, kernel: Kernel, step: float, steps: int, every: int, method: str, threads: int
+) -> None:
+    """Raise ArgumentError with all faults of the settings."""
+    manifest, faults = mechanism.manifest, []
+    if manifest.loops or manifest.driven:
+        faults.append("closed loops and driven joints move by `mbsrun simulate` alone")
+    if manifest.configuration:
+        faults.append("coordinates with quaternions move by `mbsrun simulate` alone; model them by three joints")
+    if not (np.isfinite(step) and step > 0):
+        faults.append(f"step: {step} s; give a positive number")
+    counts = {"steps": steps, "every": every, "threads": threads}
+    faults += [f"{name}: {count}; give 1 or more" for name, count in counts.items() if count < 1]
+    if method not in METHODS:
+        faults.append(f"method: {method!r}; there are {', '.join(METHODS)}")
+    if faults:
+        raise ArgumentError("\n".join(f"rollout of {manifest.model} by {kernel.name}: {fault}" for fault in faults))
+
+
+def _read_course(kernel: Kernel, name: str, array: ArrayLike, steps: int) -> _Course:
+    """Read an input: (numbers,), (states, numbers), or (states or 1, steps, numbers)."""
+    taken = {
+        a.name: a for a in kernel.inputs if a.role not in (Role.COORDINATE, Role.VELOCITY, Role.SETUP, Role.DESIGN)
+    }
+    if name not in taken:
+        raise ArgumentError(f"{kernel.name} has no input {name!r}; there are {', '.join(taken) or 'none'}")
+    values, size = np.asarray(array, dtype=float), taken[name].nnz
+    laid = values if values.ndim == 3 else np.atleast_2d(values)[:, None, :]
+    if values.ndim > 3 or laid.shape[2] != size or (values.ndim == 3 and laid.shape[1] != steps):
+        shapes = f"({size},), (states, {size}) or (states, {steps}, {size})"
+        raise ArgumentError(f"{name}: shape {values.shape} given, {shapes} expected")
+    return _Course(taken[name], np.ascontiguousarray(laid))
+
+
+def _read_parameters(mechanism: Mechanism, kernel: Kernel, changes: Mapping[str, ArrayLike]) -> list[_Course]:
+    """Compute the inputs that come from parameters, for each state where one differs."""
+    known = dict(mechanism.parameters)
+    unknown = [name for name in changes if name not in known]
+    if unknown:
+        raise ArgumentError(f"no parameter {', '.join(unknown)}; there are {', '.join(known) or 'none'}")
+    columns = {name: np.atleast_1d(np.asarray(changes.get(name, value), dtype=float)) for name, value in known.items()}
+    wrong = [name for name, column in columns.items() if column.ndim > 1 or not np.isfinite(column).all()]
+    if wrong:
+        raise ArgumentError(f"{', '.join(wrong)}: give a finite number, or one for each state")
+    manifest, found = mechanism.manifest, []
+    for argument in kernel.inputs:
+        if argument.role is Role.DESIGN:
+            found.append(_Course(argument, _stack([columns[p.name] for p in manifest.design])[:, None, :]))
+        if argument.role is Role.SETUP and manifest.setup is not None:
+            rows = _stack([columns[p.name] for p in manifest.parameters])
+            given: dict[str, Any] = {manifest.setup.inputs[0].name: rows}
+            results, _ = mechanism.attempt(manifest.setup.name, **given)
+            found.append(_Course(argument, np.ascontiguousarray(results[argument.name][:, None, :])))
+    return found
+
+
+def _stack(columns: Sequence[Array]) -> Array:
+    states = _count_states([column.size for column in columns])
+    return np.stack([np.broadcast_to(column, (states,)) for column in columns], axis=1)
+
+
+def _count_states(sizes: Sequence[int]) -> int:
+    """Return the number of states; arrays with one state serve all."""
+    different = {size for size in sizes if size != 1}
+    if len(different) > 1:
+        raise ArgumentError(f"arrays are of {sorted(different)} states; give all the same number, or one for all")
+    return different.pop() if different else 1
+
+
+class _Motion:
+    """A rollout, laid out for C."""
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        function: str,
+        courses: Sequence[_Course],
+        tableau: Tableau,
+        step: float,
+        steps: int,
+        every: int,
+    ) -> None:
+        self.mechanism, self.function = mechanism.find_holder(function), function
+        self.courses, self.tableau = courses, tableau
+        self.times = (step, steps, every)
+
+    def move(self, kept: Array, threads: int) -> Status:
+        """Fill in the motions; beside one that fails, each is moved once more, alone."""
+        status = np.zeros(kept.shape[0], dtype=np.int32)
+        entry = self.mechanism.bind(self.function)
+        loop, several = self.mechanism.choose_loop(self.function, kept.shape[0] * self.times[1])
+        if several is not None and kept.shape[0] >= loop.width:
+            self._run(entry, several.function, loop.width, kept, status, range(kept.shape[0]), threads)
+        else:
+            status[:] = -1
+        for state in np.flatnonzero(status):
+            kept[state, 1:] = np.nan
+            self._run(entry, entry.function, 1, kept, status, range(state, state + 1), 1)
+        return status
+
+    def _run(
+        self, entry: Entry, function: Any, width: int, kept: Array, status: Status, states: range, threads: int
+    ) -> None:
+        ffi, library = _load(width)
+        motion, alive = self._describe(ffi, entry, function)
+        end = many.end_name(width)
+        size = getattr(library, f"mbs_room_of_rollout{end}")(motion)
+        numbers, told = ffi.cast("double *", kept.ctypes.data), ffi.cast("int *", status.ctypes.data)
+        groups = -(-len(states) // width)
+
+        def work(part: int) -> None:
+            first, last = (states.start + groups * k // threads * width for k in (part, part + 1))
+            room = ffi.new("char[]", size)
+            getattr(library, f"mbs_rollout{end}")(motion, first, min(last, states.stop), numbers, room, told)
+
+        with ThreadPoolExecutor(threads) as pool:  # while C computes, other threads go on
+            list(pool.map(work, range(threads)))
+        del alive
+
+    def _describe(self, ffi: cffi.FFI, entry: Entry, function: Any) -> tuple[Any, list[Any]]:
+        """Describe the motion, and return what must outlive the calls."""
+        ports = {port.argument.name: port for port in entry.inputs}
+        places = {role: port.position for port in entry.inputs for role in (port.argument.role,)}
+        courses = ffi.new("mbs_course[]", max(1, len(self.courses)))
+        for item, course in zip(courses, self.courses, strict=False):
+            states, steps, size = course.values.shape
+            item.first, item.numbers = ffi.cast("double *", course.values.ctypes.data), size
+            item.step, item.pace = (size * steps if states > 1 else 0), (size if steps > 1 else 0)
+            item.place = ports[course.argument.name].position
+        A, b = (np.array(x, dtype=float) for x in (self.tableau.A, self.tableau.b))
+        motion: Any = ffi.new("mbs_motion *")
+        motion.f, motion.n = ffi.cast("void *", function), len(self.mechanism.manifest.coordinates)
+        motion.n_in, motion.n_out = entry.n_in, entry.n_out
+        motion.q, motion.qd = places[Role.COORDINATE], places[Role.VELOCITY]
+        motion.courses, motion.course, motion.stages = len(self.courses), courses, b.size
+        motion.A, motion.b = (ffi.cast("double *", x.ctypes.data) for x in (A, b))
+        motion.h, motion.steps, motion.every = self.times
+        return motion, [courses, A, b]
+
+
+def _load(width: int) -> tuple[cffi.FFI, Any]:
+    """Compile and load mbs_rollout.c for `width` states at once."""
+    compiler = many.for_states(find_compiler(os.environ), width)
+    library = compile_library(resources.folder("csrc"), "mbs_rollout", ["mbs_rollout.c"], compiler)
+    ffi = declare(_DECLARED.format(many.end_name(width)))
+    return ffi, open_library(ffi, library)
