@@ -137,6 +137,12 @@ class Face(ABC, Generic[A]):
             self._operators[name] = Operator(self.kernels.find_family(name), name)
         return self._operators[name]
 
+    def _lay(self, name: str, inputs: Mapping[str, Any]) -> tuple[Operator, tuple[A, ...]]:
+        """Return an operator, and the nonzeros of its inputs."""
+        operator = self._find(name)
+        _, inputs = self._set_up(operator, inputs, with_status=False)
+        return operator, self._collect(operator, inputs).arrays
+
     def _call(
         self, operator: Operator, inputs: Mapping[str, Any], *, with_status: bool
     ) -> tuple[dict[str, A], A | None]:

@@ -1,8 +1,13 @@
-"""Steps of fixed length by the functions of a face, differentiable as these are: explicit Runge-Kutta methods.
+"""Steps of fixed length by the functions of a face, differentiable as these are: Runge-Kutta methods.
 
 A tree's state is (x, v) = (q, qd), with x' = E(q) qd and v' = qdd. A mechanism with closed loops has the independent
 coordinates and velocities for (x, v): `close` and `close_rates` give the others, `exp1_red` gives v'. So loops stay
 closed, and no coordinate drifts.
+
+The implicit midpoint rule solves g(a) = a - qdd(q + h/2 qd + h^2/4 a, qd + h/2 a) = 0 by Newton's method, outside of
+all derivatives. Then two more steps a - G^-1 g(a) with the last, constant matrix G follow inside. They change no value.
+The first one has the first derivatives of the solution, since g is 0; the second one has the second derivatives, since
+the first derivatives of g are 0, too.
 """
 
 from __future__ import annotations
@@ -17,12 +22,16 @@ import numpy as np
 from mbsgen.roles import Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces import VALUES, Face
+from mbsrun.operators import Operator
 from mbsrun.simulation.tableaus import EULER, RK4, Tableau
 
 A = TypeVar("A")  # an array of the library
 Policy = Callable[[Any, Any, Any], Mapping[str, Any]]  # of the number of the step, q and qd: further inputs
 
 METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
+MIDPOINT = "midpoint"
+NEWTON = 6  # steps of Newton's method, from no acceleration
+SOLVED = 1e-9  # the sum of residuals of a solution, relative to 1 plus the sum of accelerations
 
 
 class SteppingFace(Face[A]):
@@ -33,8 +42,9 @@ class SteppingFace(Face[A]):
     ) -> tuple[A, A]:
         """Return q and qd after a step of length h [s], in which the other inputs stay as they are.
 
-        `method` is euler or rk4; `dynamics` is the function that gives accelerations: exp1, and exp1_red for closed
-        loops. The loops of the given state are closed. Raises ArgumentError for anything else.
+        `method` is euler, rk4 or the implicit midpoint, for trees without quaternions. A step whose equations are not
+        solved gives results that are not a number. `dynamics` is the function that gives accelerations: exp1, and
+        exp1_red for closed loops. The loops of the given state are closed. Raises ArgumentError for anything else.
         """
         flow = self._make_flow(method, dynamics, inputs)
         return flow.step(self._read(q), self._read(qd), h)
@@ -60,10 +70,32 @@ class SteppingFace(Face[A]):
         steps between them.
         """
 
+    @abstractmethod
+    def _still(self, array: A) -> A:
+        """Return an array as a constant of all derivatives."""
+
+    @abstractmethod
+    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Return the Jacobians of a function's first result by q and qd, as constants."""
+
+    @abstractmethod
+    def _solve(self, matrices: A, vectors: A) -> A:
+        """Solve linear systems; what cannot be solved is not a number."""
+
+    @abstractmethod
+    def _keep(self, is_right: Any, array: A) -> A:
+        """Return an array, not a number where it is not right."""
+
     def _make_flow(self, method: str, dynamics: str | None, inputs: Mapping[str, Any]) -> _Flow:
-        if method not in METHODS:
-            raise ArgumentError(f"method: {method!r} given; there are {', '.join(METHODS)}")
+        if method not in (*METHODS, MIDPOINT):
+            raise ArgumentError(f"method: {method!r} given; there are {', '.join(METHODS)}, {MIDPOINT}")
         manifest = self.manifest
+        if method == MIDPOINT:
+            if manifest.loops or manifest.quaternions or manifest.driven:
+                raise ArgumentError(
+                    f"{manifest.model}: {MIDPOINT} steps trees without quaternions and driven joints; take rk4"
+                )
+            return _MidpointFlow(self, METHODS["euler"], dynamics or "exp1", inputs)
         if not manifest.loops:
             return _Flow(self, METHODS[method], dynamics or "exp1", inputs)
         if manifest.quaternions or manifest.driven:
@@ -83,6 +115,18 @@ class SteppingFace(Face[A]):
         return next(iter(lengths.values()))
 
 
+def choose_slopes(
+    operator: Operator, blocks: Sequence[Any], make_zeros: Callable[[tuple[int, int]], Any]
+) -> tuple[Any, Any]:
+    """Return the blocks of the first result by q and qd, of all blocks of a Jacobian; zeros in place of absent ones."""
+    names = [port.argument.name for port in operator.value.given]
+    size = operator.value.sizes[0]
+    found = {
+        names[block.by]: array for block, array in zip(operator.jacobian.blocks, blocks, strict=True) if block.of == 0
+    }
+    return found.get("q", make_zeros((size, size))), found.get("qd", make_zeros((size, size)))
+
+
 def divide(steps: int) -> tuple[int, int, int]:
     """Divide steps into blocks for checkpoints: the number of blocks, their length, and the steps that are left."""
     length = max(1, round(steps**0.5))
@@ -93,7 +137,7 @@ def divide(steps: int) -> tuple[int, int, int]:
 class _Flow:
     """The equations of motion of a tree, with all inputs but the state."""
 
-    face: Face[Any]
+    face: SteppingFace[Any]
     tableau: Tableau
     dynamics: str
     inputs: Mapping[str, Any]
@@ -132,6 +176,38 @@ class _Flow:
         if found is None:
             raise ArgumentError(f"{name} gives no {role.value}")
         return self.face(name, **{**given, **parameters})[found]
+
+
+@dataclass(frozen=True)
+class _MidpointFlow(_Flow):
+    """The equations of motion of a tree, stepped by the implicit midpoint rule."""
+
+    def step(self, q: Any, qd: Any, h: Any) -> tuple[Any, Any]:
+        face = self.face
+        constant = _MidpointFlow(
+            face, self.tableau, self.dynamics, {name: face._still(face._read(x)) for name, x in self.inputs.items()}
+        )
+        start = face._still(q), face._still(qd)
+        a = 0.0 * start[1]  # a large one would lead far from stiff springs
+        for _ in range(NEWTON):
+            a = a - face._solve(constant.linearise(*start, h, a), constant.residual(*start, h, a))
+        matrix, gap = constant.linearise(*start, h, a), constant.residual(*start, h, a)
+        a = face._keep(abs(gap).sum(-1) <= SOLVED * (1 + abs(a).sum(-1)), a)
+        for _ in range(2):
+            a = a - face._solve(matrix, self.residual(q, qd, h, a))
+        return q + h * qd + h**2 / 2 * a, qd + h * a
+
+    def middle(self, q: Any, qd: Any, h: Any, a: Any) -> tuple[Any, Any]:
+        return q + h / 2 * qd + h**2 / 4 * a, qd + h / 2 * a
+
+    def residual(self, q: Any, qd: Any, h: Any, a: Any) -> Any:
+        return a - self.accelerate(*self.middle(q, qd, h, a))
+
+    def linearise(self, q: Any, qd: Any, h: Any, a: Any) -> Any:
+        """Return the derivative of the residual by a."""
+        pose, speed = self.middle(q, qd, h, a)
+        by_pose, by_speed = self.face._slope(self.dynamics, {"q": pose, "qd": speed, **self.inputs})
+        return self.face._read(np.eye(by_pose.shape[-1])) - h**2 / 4 * by_pose - h / 2 * by_speed
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from mbsrun.binding import ArgumentError
 from mbsrun.faces import Given
 from mbsrun.jax import primitives
 from mbsrun.operators import Operator
-from mbsrun.stepping import Policy, SteppingFace, divide
+from mbsrun.stepping import Policy, SteppingFace, choose_slopes, divide
 
 ENABLE = "jax.config.update('jax_enable_x64', True)"
 
@@ -41,6 +41,21 @@ class Functions(SteppingFace[Any]):
     def _run(self, operator: Operator, given: Given[Any], *, with_status: bool) -> tuple[Sequence[Any], Any | None]:
         results = primitives.call(operator, Order.VALUE, *given.arrays, with_status=with_status)
         return (results[:-1], results[-1]) if with_status else (results, None)
+
+    def _still(self, array: Any) -> Any:
+        return jax.lax.stop_gradient(array)
+
+    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+        operator, arrays = self._lay(name, inputs)
+        found = primitives.call(operator, Order.JACOBIAN, *map(jax.lax.stop_gradient, arrays))
+        wide = [primitives.spread(block, found[block.number]) for block in operator.jacobian.blocks]
+        return choose_slopes(operator, wide, jnp.zeros)
+
+    def _solve(self, matrices: Any, vectors: Any) -> Any:
+        return jnp.linalg.solve(matrices, vectors[..., None])[..., 0]
+
+    def _keep(self, is_right: Any, array: Any) -> Any:
+        return jnp.where(is_right[..., None], array, jnp.nan)
 
     def _take(self, array: Any, numbers: Any) -> Any:
         return primitives.take(array, numbers)

@@ -223,7 +223,7 @@ def _pull_jacobian(
     sums: dict[int, torch.Tensor] = {}
     for number, found in enumerate(_call_by_units(operator, arrays)):
         directions = {
-            block.by: _spread(block, weights[block.number])[..., number - starts[block.of], :]
+            block.by: spread(block, weights[block.number])[..., number - starts[block.of], :]
             for block in operator.jacobian.blocks
             if starts[block.of] <= number < starts[block.of + 1]
         }
@@ -284,12 +284,12 @@ def _multiply(
     sums: dict[int, torch.Tensor] = {}
     for block in blocks:
         if block.by in directions:
-            term = (_spread(block, found[block.number]) * directions[block.by][..., None, :]).sum(-1)
+            term = (spread(block, found[block.number]) * directions[block.by][..., None, :]).sum(-1)
             sums[block.of] = sums[block.of] + term if block.of in sums else term
     return sums
 
 
-def _spread(block: Block, nonzeros: torch.Tensor) -> torch.Tensor:
+def spread(block: Block, nonzeros: torch.Tensor) -> torch.Tensor:
     """Return the whole block."""
     if block.spread is None:
         return nonzeros.reshape((*nonzeros.shape[:-1], *block.shape))

@@ -15,7 +15,7 @@ from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
 from mbsrun.faces import Given
 from mbsrun.operators import Operator
-from mbsrun.stepping import Policy, SteppingFace, divide
+from mbsrun.stepping import Policy, SteppingFace, choose_slopes, divide
 from mbsrun.torch import calls
 
 _entered: list[Functions] = []
@@ -129,6 +129,22 @@ class Functions(SteppingFace[torch.Tensor]):
         operator.check_moving([i for i, array in enumerate(given.arrays) if _is_moving(array)])
         results = calls.call(operator, Order.VALUE, given.arrays, with_status=with_status)
         return (results[:-1], results[-1]) if with_status else (results, None)
+
+    def _still(self, array: torch.Tensor) -> torch.Tensor:
+        return array.detach()
+
+    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+        operator, arrays = self._lay(name, inputs)
+        found = calls.call(operator, Order.JACOBIAN, [array.detach() for array in arrays])
+        wide = [calls.spread(block, found[block.number]) for block in operator.jacobian.blocks]
+        return choose_slopes(operator, wide, lambda shape: torch.zeros(shape, dtype=torch.float64))
+
+    def _solve(self, matrices: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+        solution: torch.Tensor = torch.linalg.solve_ex(matrices, vectors[..., None])[0][..., 0]
+        return solution
+
+    def _keep(self, is_right: Any, array: torch.Tensor) -> torch.Tensor:
+        return torch.where(is_right[..., None], array, torch.nan)
 
     def _take(self, array: torch.Tensor, numbers: Any) -> torch.Tensor:
         return calls.take(array, numbers)
