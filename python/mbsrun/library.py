@@ -139,10 +139,22 @@ def find_compiler(environment: Mapping[str, str]) -> Compiler:
             f"CC and CFLAGS: {' '.join(refused)} is not accepted; optimisation (-O3), the processor (-march=), "
             "-ffp-contract=, -g and warnings are; fast-math is not, since kernels must keep IEEE arithmetic"
         )
-    macros = run_compiler([*command, *flags, "-dM", "-E", "-x", "c", "-"])
+    macros = _list_macros((*command, *flags), _date(command[0]))
     if _FAST_MATH.search(macros):
         raise CompileError(f"{' '.join(command)} compiles with fast-math; kernels must keep IEEE arithmetic")
     return Compiler(tuple(command), flags, macros)
+
+
+def _date(program: str) -> tuple[str | None, int]:
+    """Return where a program is, and when it was changed."""
+    found = shutil.which(program)
+    return found, Path(found).stat().st_mtime_ns if found else 0
+
+
+@cache
+def _list_macros(command: tuple[str, ...], _date: tuple[str | None, int]) -> str:
+    """Return the macros that a compiler predefines; one of another date is asked again."""
+    return run_compiler([*command, "-dM", "-E", "-x", "c", "-"])
 
 
 def once_per_compiler(make: Callable[[*_Given], _Made]) -> Callable[[*_Given], _Made]:
