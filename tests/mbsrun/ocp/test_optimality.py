@@ -281,8 +281,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: str, method: str = "mbs") -> 
         return solve_wrongly
 
     changed = {**METHODS, method: Method(own.title, own.options, make, own.warm, own.calls_casadi, own.has_threads)}
-    for module in ("solve", "phases.solve"):
-        monkeypatch.setattr(f"mbsrun.ocp.{module}.METHODS", changed)
+    monkeypatch.setattr("mbsrun.ocp.phases.solve.METHODS", changed)
     return calls
 
 
