@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -229,6 +231,13 @@ def test_derivatives_that_are_not_generated_are_named(tmp_path: Path) -> None:
     face = mbsrun.jax.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
     with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):
         jax.grad(lambda x: face.impl(x=x, y=X)["f"].sum())(jnp.ones(2))
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "jax", None)
+    monkeypatch.delitem(sys.modules, "mbsrun.jax")
+    with pytest.raises(ModuleNotFoundError, match="needs JAX; run in the folder of the project"):
+        import_module("mbsrun.jax")
 
 
 def test_functions_describe_themselves(sample: Mechanism) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -210,6 +212,13 @@ def test_tensors_that_require_a_gradient_that_is_not_generated_are_refused(tmp_p
     with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):
         face.impl(x=x, y=X)
     assert face.impl(x=x.detach(), y=X)["f"].tolist() == [1.0, 1.0]
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "mbsrun.torch")
+    with pytest.raises(ModuleNotFoundError, match="needs PyTorch; run in the folder of the project"):
+        import_module("mbsrun.torch")
 
 
 def test_functions_describe_themselves(sample: Mechanism) -> None:

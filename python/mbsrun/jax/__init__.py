@@ -6,13 +6,20 @@
     arm = mbsrun.jax.load("models/arm_pendulum.yaml")
     qdd = jax.jit(lambda q, qd, u: arm.exp1(q=q, qd=qd, u=u)["qdd"])
 
-Derivatives are the kernels' own, exact ones; a batch is one call. Needs JAX: pip install 'mbsgen[jax]'.
+Derivatives are the kernels' own, exact ones; a batch is one call. Needs JAX: in the folder of the project,
+pip install '.[jax]'.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
+
+if find_spec("jax") is None:
+    raise ModuleNotFoundError(
+        "mbsrun.jax needs JAX; run in the folder of the project: pip install '.[jax]'", name="jax"
+    )
 
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.jax.functions import Functions

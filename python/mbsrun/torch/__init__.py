@@ -6,13 +6,20 @@
     q = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     arm.sensors(q=q)["position"].sum().backward()
 
-Derivatives are the kernels' own, exact ones; a batch is one call. Needs PyTorch: pip install 'mbsgen[torch]'.
+Derivatives are the kernels' own, exact ones; a batch is one call. Needs PyTorch: in the folder of the project,
+pip install '.[torch]'.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
+
+if find_spec("torch") is None:
+    raise ModuleNotFoundError(
+        "mbsrun.torch needs PyTorch; run in the folder of the project: pip install '.[torch]'", name="torch"
+    )
 
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.torch.functions import Functions
