@@ -142,6 +142,13 @@ def _run(task: Task, checkout: Path, kept: Path) -> float:
     return after.children_user + after.children_system - before.children_user - before.children_system
 
 
+def _find_version(checkout: Path) -> str:
+    """Return the commit of a checkout, or its path where it has none."""
+    command = ("git", "-C", str(checkout), "rev-parse", "--short", "HEAD")
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.stdout.strip() or checkout.name
+
+
 def write_page(rows: Sequence[Row], checkouts: Mapping[str, Path], load: float) -> str:
     """Write a page in Markdown."""
     is_pair = len(checkouts) > 1
@@ -154,6 +161,7 @@ def write_page(rows: Sequence[Row], checkouts: Mapping[str, Path], load: float) 
         return [row.name, f"{before:.2f}", f"{now:.2f}", f"{now / before:.2f}"]
 
     rounds = max(len(row.seconds["now"]) for row in rows)
+    versions = " and ".join(map(_find_version, checkouts.values()))
     lines = [
         "# From the start of a command to its end",
         "",
@@ -162,7 +170,7 @@ def write_page(rows: Sequence[Row], checkouts: Mapping[str, Path], load: float) 
         "",
         "Processor time of a whole process with its children, in seconds. Bytecode is there; the cache is warm except",
         f"in the last row. The tree of {JOINTS} random joints is written with all second derivatives.",
-        *(["Both versions run in turn, so their ratio says more than their times."] if is_pair else []),
+        *([f"Both versions run in turn, so their ratio says more than their times: {versions}."] if is_pair else []),
         "",
         *tabulate(titles, map(write_cells, rows)),
     ]
