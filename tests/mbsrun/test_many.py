@@ -195,3 +195,28 @@ def test_a_long_kernel_is_not_compiled_again_for_few_states(pendulum: Kernels, m
     size = sum((pendulum.folder / source).stat().st_size for source in entry.kernel.sources)
     assert pendulum._binder.choose_loop(entry, size // 100 - 1)[0].width == 1
     assert pendulum._binder.choose_loop(entry, size // 100 + 1)[0].width > 1
+
+
+def test_newton_steps_until_the_last_state_has_its_solution(tmp_path: Path) -> None:
+    """The kernel for several states is called itself: a loop would compute states alone where it fails."""
+    generate(MODELS / "five_bar.yaml", tmp_path / "five_bar", Options(derivatives=0))
+    kernels = load(tmp_path / "five_bar")
+    entry = kernels.bind("project")
+    loop, several = kernels.choose_loop("project", 100)
+    assert several is not None
+    width, rng = loop.width, np.random.default_rng(6)
+    memory, arg, res = [], several.ffi.new("void *[]", entry.n_in), several.ffi.new("void *[]", entry.n_out)
+    q = np.array(kernels.manifest.pose) + rng.normal(size=(width, 1)) * np.linspace(0, 0.1, width)[:, None]
+    for port, pointers in [*((p, arg) for p in entry.inputs), *((p, res) for p in entry.outputs)]:
+        numbers = np.zeros(port.argument.nnz * width + 16)
+        start = -(numbers.ctypes.data // 8) % 16  # vectors are aligned
+        lanes = numbers[start : start + port.argument.nnz * width].reshape((-1, width))
+        if port.argument.role is Role.COORDINATE and pointers is arg:
+            lanes[:] = q.T
+        memory.append((port, lanes))
+        pointers[port.position] = several.ffi.cast("void *", lanes.ctypes.data)
+    assert several.function(arg, res, several.ffi.NULL, several.ffi.NULL, 0) == 0
+    expected, status = kernels.attempt("project", q=q, qd=np.zeros_like(q))
+    assert not status.any()
+    for port, lanes in memory[len(entry.inputs) :]:
+        np.testing.assert_allclose(lanes.T, expected[port.argument.name], rtol=0, atol=1e-12)
