@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -357,7 +358,7 @@ class PhasedSolver:
     def _read(self, problem: PhasedProblem, run: Run, x: Array) -> PhasedSolution:
         """Read the motions that a search ended at. Raises NoNumbersError where there are none."""
         own, functions = self.transcription, self.program.numpy
-        parameters, size = own.parameters(problem), measure_size(self.program)
+        parameters = own.parameters(problem)
         every = functions.complete(x)
         g, terms = self._evaluate(x, parameters), evaluate(functions.terms, x, parameters)
         solutions = []
@@ -365,11 +366,10 @@ class PhasedSolver:
             first, last = own.offsets[k], own.offsets[k + 1]
             cost = terms[first.weights : last.weights]
             numbers = Values(values[own.phases[k].program.kept], rows, cost, values)
-            phase, part = problem.phases[k], size if problem.is_single else _measure_part(own, k)
+            phase, part = problem.phases[k], self._size if problem.is_single else _measure_part(own, k)
             named = replace(phase.problem, name=phase.name or problem.name, solver=problem.solver)
             solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, part, numbers))
-        bounds = own.constraint_bounds(problem)
-        links = own.split_rows(g)[-1], *(own.split_rows(bound)[-1] for bound in bounds)
+        links = [own.split_rows(values)[-1] for values in (g, *own.constraint_bounds(problem))]
         return PhasedSolution(
             name=problem.name,
             names=tuple(phase.name for phase in problem.phases),
@@ -377,12 +377,17 @@ class PhasedSolver:
             links=problem.links,
             values=tuple(self._read_link(problem, i, every, terms, *links) for i in range(len(problem.links))),
             run=run,
-            size=size,
+            size=self._size,
             constants=problem.constants,
             unknowns=problem.every_unknown,
             unknown_values=tuple(every[own.unknowns].tolist()),
             solver=problem.solver,
         )
+
+    @cached_property
+    def _size(self) -> Size:
+        """Return the size of the program, which all problems of one structure share."""
+        return measure_size(self.program)
 
     def _read_link(
         self, problem: PhasedProblem, i: int, x: Array, terms: Array, g: Array, lower: Array, upper: Array
