@@ -106,6 +106,27 @@ def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
     torch.testing.assert_close(shared, sum(func.grad(energy, 1)(x[i], y, z[i]) for i in range(5)))
 
 
+def test_forward_mode_passes_batches(sample: Mechanism) -> None:
+    """Outside and inside of vmap, with run-time parameters for each state; reverse mode is the reference."""
+    face, func = mbsrun.torch.load(sample), torch.func
+    inputs, p = as_tensors(draw(sample, "impl", 9, 3)), torch.rand(3, 2, dtype=torch.float64) + 0.5
+    y, z = inputs["y"], inputs["z"]
+
+    def each(x: Any, y: Any, z: Any, p: Any) -> Any:
+        return face.impl(x=x, y=y, z=z, p=p)["f"]
+
+    direction = torch.ones_like(inputs["x"])
+    slopes = func.vmap(func.jacrev(each))(inputs["x"], y, z, p)
+    outside = func.jvp(lambda x: func.vmap(each)(x, y, z, p), (inputs["x"],), (direction,))[1]
+    inside = func.vmap(lambda x, y, z, p, d: func.jvp(lambda x: each(x, y, z, p), (x,), (d,))[1])
+    torch.testing.assert_close(outside, slopes.sum(-1))
+    torch.testing.assert_close(inside(inputs["x"], y, z, p, direction), slopes.sum(-1))
+    with torch.autograd.forward_ad.dual_level():
+        dual = torch.autograd.forward_ad.make_dual(inputs["x"], direction)
+        found = torch.autograd.forward_ad.unpack_dual(func.vmap(each)(dual, y, z, p)).tangent
+    torch.testing.assert_close(found, slopes.sum(-1))
+
+
 def test_compiled_functions_are_whole_graphs(sample: Mechanism) -> None:
     """Values, gradients and statuses, also of a function that was not called before."""
     face, inputs = mbsrun.torch.load(sample), as_tensors(draw(sample, "impl", 5, 3), moving=True)

@@ -8,7 +8,6 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from torch.autograd import forward_ad
 from torch.utils.checkpoint import checkpoint
 
 from mbsgen.roles import Order
@@ -126,7 +125,7 @@ class Functions(SteppingFace[torch.Tensor]):
     def _run(
         self, operator: Operator, given: Given[torch.Tensor], *, with_status: bool
     ) -> tuple[Sequence[torch.Tensor], torch.Tensor | None]:
-        operator.check_moving([i for i, array in enumerate(given.arrays) if _is_moving(array)])
+        operator.check_moving([i for i, array in enumerate(given.arrays) if calls.is_moving(array)])
         results = calls.call(operator, Order.VALUE, given.arrays, with_status=with_status)
         return (results[:-1], results[-1]) if with_status else (results, None)
 
@@ -151,13 +150,6 @@ class Functions(SteppingFace[torch.Tensor]):
 
     def _merge(self, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
         return torch.where(first != 0, first, second)
-
-
-def _is_moving(array: torch.Tensor) -> bool:
-    """Return whether a derivative by a tensor may be asked for, in reverse or in forward mode."""
-    if torch.is_grad_enabled() and array.requires_grad:
-        return True
-    return forward_ad.unpack_dual(array).tangent is not None
 
 
 def _read_numbers(value: Any) -> Any:
