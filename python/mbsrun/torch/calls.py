@@ -44,7 +44,7 @@ def is_moving(array: torch.Tensor) -> bool:
     """Return whether a derivative by a tensor may be asked for, in reverse or in forward mode."""
     if torch.is_grad_enabled() and array.requires_grad:
         return True
-    while torch._C._functorch.is_batchedtensor(array):  # vmap has no rule for what follows
+    while torch._C._functorch.is_batchedtensor(array):  # vmap cannot pass the question on
         array = torch._C._functorch.get_unwrapped(array)
     return forward_ad.unpack_dual(array).tangent is not None
 
