@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -37,6 +37,8 @@ MODELS = {
 }
 FUNCTIONS = ("impl", "exp2")
 STATES = 8192
+MOTIONS, STEPS = 2048, 100
+TREES = ("arm_pendulum", "panda")
 FRAX = {"impl": "rnea", "exp2": "forward_dynamics"}
 
 
@@ -49,31 +51,51 @@ class Times:
     columns: float
 
 
+Row = tuple[str, str, Times, float | None]  # mechanism, kernel, times, and frax's
+
+
 def main() -> None:
     """Measure, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("build/batches.md"), help="the page")
     parser.add_argument("--repeats", type=int, default=200, help="calls of which the quickest counts")
     arguments = parser.parse_args()
-    rows = list(measure_all(arguments.repeats))
+    with TemporaryDirectory() as folder:
+        models = MODELS | {name: path for name in ROBOTS if (path := find_robot(name, Path(folder)))}
+        rows = [row for name, model in models.items() for row in measure_model(name, model, arguments.repeats)]
+        motions = {name: measure_motions(MODELS[name], max(1, arguments.repeats // 20)) for name in TREES}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(write_page(rows), encoding="utf-8")
+    arguments.out.write_text(write_page(rows, motions), encoding="utf-8")
     print(f"{arguments.out} holds the figures.")
 
 
-def measure_all(repeats: int) -> Iterator[tuple[str, str, Times, float | None]]:
-    """Measure every function of every mechanism; print a line for each."""
+def measure_model(name: str, model: Path, repeats: int) -> Iterator[Row]:
+    """Measure every function of a mechanism; print a line for each."""
     with TemporaryDirectory() as folder:
-        robots = {name: path for name in ROBOTS if (path := find_robot(name, Path(folder)))}
-        for name, model in (MODELS | robots).items():
-            generate(model, Path(folder) / "generated" / name, Options(functions=FUNCTIONS, derivatives=1))
-            kernels = mbsrun.load(Path(folder) / "generated" / name)
-            for function in FUNCTIONS:
-                for kernel in (function, f"jac_{function}"):
-                    found = measure(kernels, kernel, repeats)
-                    peer = measure_frax(FRAX[kernel], repeats) if name == "panda" and kernel in FRAX else None
-                    print(f"{name:<14}{kernel:<12}{found.one:9.1f}{found.rows:9.1f}{found.columns:9.1f} {peer or ''}")
-                    yield name, kernel, found, peer
+        generate(model, Path(folder) / name, Options(functions=FUNCTIONS, derivatives=1))
+        kernels = mbsrun.load(Path(folder) / name)
+        for function in FUNCTIONS:
+            for kernel in (function, f"jac_{function}"):
+                found = measure(kernels, kernel, repeats)
+                peer = measure_frax(FRAX[kernel], repeats) if name == "panda" and kernel in FRAX else None
+                print(f"{name:<14}{kernel:<12}{found.one:9.1f}{found.rows:9.1f}{found.columns:9.1f} {peer or ''}")
+                yield name, kernel, found, peer
+
+
+def measure_motions(model: Path, repeats: int) -> float:
+    """Return the steps of the classical Runge-Kutta method that a core takes in a second, of 2048 motions."""
+    with TemporaryDirectory() as folder:
+        generate(model, Path(folder) / "model", Options(functions=("exp2",), derivatives=0))
+        mechanism = mbsrun.load(Path(folder) / "model")
+        starts = np.random.default_rng(0).uniform(0.1, 0.6, (MOTIONS, len(mechanism.manifest.coordinates)))
+        least = float("inf")
+        for _ in range(repeats):
+            start = time.perf_counter()
+            found = mbsrun.rollout(mechanism, starts, 0 * starts, step=1e-3, steps=STEPS, every=STEPS)
+            least = min(least, time.perf_counter() - start)
+        assert not found.status.any()
+    print(f"{model.stem:<14}{MOTIONS * STEPS / least / 1e6:9.2f} million steps a second")
+    return MOTIONS * STEPS / least
 
 
 def measure(kernels: Kernels, name: str, repeats: int) -> Times:
@@ -90,7 +112,7 @@ def measure(kernels: Kernels, name: str, repeats: int) -> Times:
         many.FEWEST, many.BYTES_PER_STATE = fewest, bytes_per_state
     for _, results in lanes:
         for key, array in results.items():
-            np.testing.assert_allclose(array, expected[key], rtol=0, atol=1e-9 * max(1.0, np.abs(expected[key]).max()))
+            np.testing.assert_allclose(array, expected[key], rtol=0, atol=1e-9 * np.abs(expected[key]).max(initial=1.0))
     return Times(one, *(seconds for seconds, _ in lanes))
 
 
@@ -144,7 +166,7 @@ def measure_frax(function: str, repeats: int) -> float | None:
     return time_call(lambda: compute(*states).block_until_ready(), repeats)
 
 
-def write_page(rows: list[tuple[str, str, Times, float | None]]) -> str:
+def write_page(rows: Sequence[Row], motions: Mapping[str, float]) -> str:
     """Write the table as a page."""
     about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
     lines = ["# Batches", "", f"`python -m benchmarks.batches` wrote this page: {describe_machine()}.", "", about, ""]
@@ -153,7 +175,9 @@ def write_page(rows: list[tuple[str, str, Times, float | None]]) -> str:
         for name, kernel, found, peer in rows
     )
     titles = ["mechanism", "kernel", "one by one", "lanes, rows", "lanes, columns", "gain", "frax", "frax by ours"]
-    return "\n".join([*lines, *tabulate(titles, cells, words=2)]) + "\n"
+    steps = ([name, f"{1e-6 * found:.1f}"] for name, found in motions.items())
+    second = tabulate(["mechanism", f"million steps of RK4 a second, {MOTIONS} motions"], steps)
+    return "\n".join([*lines, *tabulate(titles, cells, words=2), "", *second]) + "\n"
 
 
 def _ratios(found: Times, peer: float | None) -> list[str]:
