@@ -307,6 +307,7 @@ class _Binder:
         self._entries: dict[str, Entry] = {}
         self._loops: dict[int, Loop] = {}  # by how many states they compute at once
         self._several: dict[str, Several | None] = {}
+        self._bytes: dict[str, int] = {}  # of kernels' sources
         orders = "|".join(order.prefix for order in FAMILY)
         own = re.compile(rf"({orders}){re.escape(self.manifest.prefix)}_\w+", re.ASCII)
         strange = [kernel.symbol for kernel in self.manifest.kernels if not own.fullmatch(kernel.symbol)]
@@ -348,7 +349,9 @@ class _Binder:
         return self._load_loop(1), None
 
     def _count_bytes(self, kernel: Kernel) -> int:
-        return sum((self.folder / source).stat().st_size for source in kernel.sources)
+        if kernel.name not in self._bytes:
+            self._bytes[kernel.name] = sum((self.folder / source).stat().st_size for source in kernel.sources)
+        return self._bytes[kernel.name]
 
     def _load_loop(self, width: int) -> Loop:
         if width not in self._loops:

@@ -192,7 +192,7 @@ def _point(ffi: cffi.FFI, given: Any, port: Port, array: Array) -> list[Any]:
         array = array.copy()
     has_batch = array.ndim > len(port.shape)
     strides = tuple(stride // _ITEM for stride in array.strides)
-    given.first = ffi.cast("double *", _address(array))
+    given.first = _point_to(ffi, array)
     given.step = strides[0] if has_batch and array.shape[0] > 1 else 0
     given.nonzeros = port.argument.nnz
     places = port.find_places(strides[has_batch:])
@@ -205,13 +205,15 @@ def _point_result(ffi: cffi.FFI, found: Any, port: Port, array: Array, *, sparse
     if not array.size:
         return []
     entries = None if sparse else port.entries
-    found.first = ffi.cast("double *", _address(array))
+    found.first = _point_to(ffi, array)
     found.step = found.numbers = array[0].size
     found.apart, found.nonzeros = 1, port.argument.nnz
     found.entries = NULL if entries is None else ffi.from_buffer("long long[]", entries.data)
     return [entries]
 
 
-def _address(array: Array) -> int:
-    address: int = array.__array_interface__["data"][0]  # `array.ctypes` takes longer than a kernel
-    return address
+def _point_to(ffi: cffi.FFI, array: Array) -> Any:
+    """Return a pointer to the first number of an array."""
+    if array.flags.c_contiguous:  # an array's other ways to its address take longer than a kernel
+        return ffi.from_buffer("double[]", array.data)
+    return ffi.cast("double *", array.ctypes.data)
