@@ -2,7 +2,7 @@
  *
  * mbs_real is a vector then, with a number of each state; each is computed as for one state alone. Results are equal, but
  * for the last digits where the compiler contracts products and sums differently. A kernel fails where one of its states
- * does; mbs_batch.c finds out which. Needs the vectors of gcc and clang. mbs_abi.h includes this file.
+ * does; mbs_many.c finds out which. Needs the vectors of gcc and clang. mbs_abi.h includes this file.
  */
 #ifndef MBS_STATES_H
 #define MBS_STATES_H
