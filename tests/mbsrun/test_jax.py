@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -182,6 +183,32 @@ def test_kernels_can_be_loaded_twice(sample: Mechanism) -> None:
     first, second = (mbsrun.jax.load(sample.folder) for _ in range(2))
     assert first._find("impl") == second._find("impl")
     assert hash(first._find("impl")) == hash(second._find("impl"))
+
+
+KEPT = """
+import sys
+import jax
+import jax.numpy as jnp
+import mbsrun.jax
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[2])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+face = mbsrun.jax.load(sys.argv[1])
+print(jax.jit(lambda x: face.impl(x=x, y=jnp.ones(2), z=jnp.ones(1))["f"])(jnp.ones(3)))
+"""
+
+
+def test_a_program_that_is_kept_finds_its_kernel_in_another_process(sample: Mechanism, tmp_path: Path) -> None:
+    """The second process reads the compiled program, whose kernel has another address, and writes none."""
+    outputs, kept = [], []
+    for _ in range(2):
+        command = [sys.executable, "-c", KEPT, str(sample.folder), str(tmp_path)]
+        outputs.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        kept.append(sorted(path.name for path in tmp_path.iterdir()))
+    assert kept[0] == kept[1] != []
+    assert outputs[0] == outputs[1] == f"{sample.impl(x=X, y=Y, z=Z)['f']}\n"
 
 
 X, Y, Z = np.ones(3), np.ones(2), np.ones(1)
