@@ -55,13 +55,14 @@ class Mechanism(Kernels):
         *,
         sparse: bool = False,
         threads: int = 1,
+        lanes: bool | None = None,
         out: Mapping[str, Array] | None = None,
         **inputs: ArrayLike,
     ) -> tuple[dict[str, Array], Status]:
         """Call a kernel, as `Kernels.batch` does."""
         more = self._find_more(name)
         batch = super().batch if more is None else more.batch
-        return batch(name, sparse=sparse, threads=threads, out=out, **inputs)
+        return batch(name, sparse=sparse, threads=threads, lanes=lanes, out=out, **inputs)
 
     def find_holder(self, name: str) -> Kernels:
         """Return the kernels of one folder, with a kernel among them."""

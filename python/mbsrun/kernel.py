@@ -158,7 +158,7 @@ class Kernels:
         The status, shape () or (batch,), is 0, or a number that `find_place` reads where the kernel failed; the results
         of such a state are not a number. Raises ArgumentError.
         """
-        return self.batch(name, sparse=sparse, threads=1, out=None, **inputs)
+        return self.batch(name, sparse=sparse, threads=1, lanes=None, out=None, **inputs)
 
     def batch(
         self,
@@ -167,16 +167,18 @@ class Kernels:
         *,
         sparse: bool = False,
         threads: int = 1,
+        lanes: bool | None = None,
         out: Mapping[str, Array] | None = None,
         **inputs: ArrayLike,
     ) -> tuple[dict[str, Array], Status]:
         """Call a kernel as `attempt` does, in several threads, and into arrays that are there.
 
         Many states are computed several at once, in lanes of the processor's vectors; the kernel is compiled for that
-        at its first large batch. Digits are a single state's, except for the last ones where a kernel divides by
-        pivots; they depend neither on other states nor on `threads`, the number of parts that are computed side by
-        side. `out`, the results of an earlier call, is written over: new memory often takes longer than a kernel.
-        Inputs are read where they lie, whatever their strides.
+        at its first batch of 1000 states, or more where it is long. `lanes` decides otherwise. Digits are a single
+        state's, except for the last ones where a kernel divides by pivots; they depend neither on other states nor on
+        `threads`, the number of parts that are computed side by side. `out`, the results of an earlier call, is
+        written over: new memory often takes longer than a kernel. Inputs are read where they lie, whatever their
+        strides.
         """
         if threads < 1:
             raise ArgumentError(f"{name}: {threads} threads; give 1 or more")
@@ -193,7 +195,7 @@ class Kernels:
             )
         _check_patterns(name, arrays)
         states = batches.pop() if batches else 1
-        loop, several = self._binder.choose_loop(entry, states)
+        loop, several = self._binder.choose_loop(entry, states, lanes)
         shapes = {p.argument.name: (states, *((p.argument.nnz,) if sparse else p.shape)) for p in entry.outputs}
         is_batch = any(array.ndim > len(port.shape) for port, array in arrays)
         results = _make_results(name, shapes, out if is_batch else None)
@@ -339,9 +341,10 @@ class _Binder:
         sources = [source for kernel in kernels for source in kernel.sources]
         return compile_library(self.folder, self.manifest.prefix, sources, self._compiler)
 
-    def choose_loop(self, entry: Entry, states: int) -> tuple[Loop, Several | None]:
+    def choose_loop(self, entry: Entry, states: int, lanes: bool | None = None) -> tuple[Loop, Several | None]:
         """Return the loop over states: with lanes, and the kernel for these, where the number of states is worth it."""
-        if states >= many.FEWEST and states >= self._count_bytes(entry.kernel) / many.BYTES_PER_STATE:
+        is_worth = states >= many.FEWEST and states >= self._count_bytes(entry.kernel) / many.BYTES_PER_STATE
+        if is_worth if lanes is None else lanes:
             width = self._width
             several = self._bind_several(entry.kernel, width)
             if several is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -220,3 +221,21 @@ def test_newton_steps_until_the_last_state_has_its_solution(tmp_path: Path) -> N
     assert not status.any()
     for port, lanes in memory[len(entry.inputs) :]:
         np.testing.assert_allclose(lanes.T, expected[port.argument.name], rtol=0, atol=1e-12)
+
+
+def test_lanes_are_chosen_by_the_caller(pendulum: Kernels, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    choose = many.compute
+
+    def compute(loop: many.Loop, *arguments: Any, **options: Any) -> Any:
+        asked.append(loop.width)
+        return choose(loop, *arguments, **options)
+
+    monkeypatch.setattr(many, "compute", compute)
+    monkeypatch.setattr(many, "FEWEST", 1000)
+    inputs = draw(pendulum.describe("impl"), 16)
+    few, _ = pendulum.batch("impl", **inputs)
+    found, _ = pendulum.batch("impl", lanes=True, **inputs)
+    assert asked[0] == 1
+    assert asked[1] > 1
+    assert_equal(found, few)
