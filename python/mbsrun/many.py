@@ -21,8 +21,8 @@ from mbsrun.binding import NULL, Array, Entry, Port, Status, declare, open_libra
 from mbsrun.library import Compiler, compile_library
 
 # Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
-# states, and a state for this many bytes of the kernel's source. The choice is the batch's alone: earlier calls must not
-# change last digits.
+# states, and a state for this many bytes of the kernel's source. The batch alone decides: earlier calls must not change
+# last digits.
 FEWEST, BYTES_PER_STATE = 1000, 100
 # Macros of compilers, each with how many doubles fill a register, the most first.
 _WIDTHS = (("__AVX512F__", 8), ("__AVX__", 4), ("__SSE2__", 2), ("__ARM_NEON", 2))
