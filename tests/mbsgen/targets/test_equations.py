@@ -37,7 +37,7 @@ def count_equations(text: str) -> int:
 
 def count_guards(text: str) -> int:
     """Count the products of the tests, and the signs that they take."""
-    tests = re.findall(r"if \(!\((-?).*? > MBS_THRESHOLD\(.*?\) \* ", body_of(text))
+    tests = re.findall(r"if \(!MBS_EXCEEDS\((-?).*?, MBS_THRESHOLD\(.*?\) \* ", body_of(text))
     return len(tests) + sum(map(len, tests))
 
 
