@@ -52,6 +52,17 @@ casadi_int mbs_compute_many(mbs_kernel_of_one one, mbs_kernel_of_several several
                             casadi_int end, casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out,
                             void *room, int *status);
 
+#ifndef MBS_STATES
+/* The same functions, and a kernel in CasADi's contract, as files compiled with -DMBS_STATES=width give them. */
+#define MBS_DECLARE_MANY(width) \
+    size_t mbs_room_of_many_at_##width(casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out); \
+    casadi_int mbs_compute_many_at_##width( \
+        mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states, casadi_int begin, casadi_int end, \
+        casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out, void *room, int *status)
+#define MBS_DECLARE_SEVERAL(f, width) \
+    int f##_at_##width(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem)
+#endif
+
 #ifdef __cplusplus
 }
 #endif

@@ -79,3 +79,19 @@ def test_gravity_torques(requires: Callable[[str], str], arm_folder: Path, tmp_p
     upright = 9.81 * 0.2  # the pendulum, across it
     for angle, torque in ((float(a), float(t)) for a, t in found):
         assert torque == pytest.approx(-moment * np.cos(angle) - upright * np.sin(angle), rel=1e-9)
+
+
+def test_many_arms(make: Callable[[str], str], arm_folder: Path) -> None:
+    """As many at once as the processor can; the last arm is NumPy's, and all are the single ones."""
+    text = make("many_arms")
+    at_once, failures, difference = re.findall(
+        r"(\d+) arms at once\n(\d+) failures, differences up to (\S+) N m", text
+    )[0]
+    assert (int(at_once) in (2, 4, 8), int(failures)) == (True, 0)
+    assert float(difference) < 1e-12
+    joints = np.arange(6)
+    last = {"q": 0.999 + 0.1 * joints, "qd": np.full(6, 0.001), "qdd": 0.5 * joints, "u": np.zeros(4)}
+    first, sixth = re.findall(r"the last arm: (\S+) (\S+) N m", text)[0]
+    assert [float(first), float(sixth)] == pytest.approx(
+        load(arm_folder).impl(**last)["Phi"][[0, 5]], rel=1e-9, abs=1e-9
+    )
