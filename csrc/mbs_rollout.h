@@ -20,20 +20,27 @@ extern "C" {
 
 #define MBS_GROUP_FAILED (-1) /* the status of states that lie beside one that fails */
 
-/* A kernel of accelerations qdd(q, qd, u, ...) in CasADi's contract, for as many states as mbs_real holds. */
-typedef int (*mbs_accelerations)(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem);
+/* A kernel in CasADi's contract, for as many states as mbs_real holds. */
+typedef int (*mbs_kernel_at_once)(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem);
+
+/* A function of coordinates and velocities, with its only result: which arguments these are, of how many. */
+typedef struct {
+    mbs_kernel_at_once f; /* NULL: there is none */
+    casadi_int n_in, n_out, q, qd;
+} mbs_function;
 
 /* Numbers of a state begin at first + state * step; of step k of its motion at + k * pace. */
 typedef struct {
     const MBS_REAL *first;
     casadi_int step, pace, numbers;
-    casadi_int place; /* which argument of the kernel they are */
+    casadi_int place, rates_place; /* which argument of the accelerations and of the rates they are; -1: none */
 } mbs_course;
 
 typedef struct {
-    mbs_accelerations f;
-    casadi_int n, n_in, n_out;        /* coordinates; arguments and results of f, whose result 0 is qdd */
-    casadi_int q, qd;                 /* which arguments they are */
+    mbs_function accelerations, rates; /* qdd(q, qd, u, ...), and q' where it is not qd */
+    casadi_int nq, n;                 /* coordinates and velocities */
+    casadi_int quaternions;           /* four coordinates each, of length 1: where they begin */
+    const casadi_int *quaternion;
     casadi_int courses;               /* inputs and parameters */
     const mbs_course *course;
     casadi_int stages;                /* of the method: */
@@ -45,7 +52,7 @@ typedef struct {
 /* Return how many bytes of memory the work needs. */
 size_t mbs_room_of_rollout(const mbs_motion *motion);
 
-/* Move states `begin` to `end` - 1. `kept` holds 1 + steps / every states of 2 n numbers, q and qd, for each state; the
+/* Move states `begin` to `end` - 1. `kept` holds 1 + steps / every states of nq + n numbers, q and qd, for each state; the
  * first is the start. A status is 0, what f returns, or MBS_GROUP_FAILED; motions with another one than 0 end early. */
 void mbs_rollout(const mbs_motion *motion, casadi_int begin, casadi_int end, MBS_REAL *kept, void *room, int *status);
 

@@ -28,10 +28,13 @@ from mbsrun.simulation.tableaus import EULER, RK4, Tableau
 METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
 FUNCTIONS = ("exp2", "exp1")  # kernels of accelerations; the one with fewer flops is taken
 _DECLARED = """
-typedef struct {{ const double *first; long long step, pace, numbers, place; }} mbs_course;
+typedef struct {{ const double *first; long long step, pace, numbers, place, rates_place; }} mbs_course;
+typedef struct {{ void *f; long long n_in, n_out, q, qd; }} mbs_function;
 typedef struct {{
-    void *f;
-    long long n, n_in, n_out, q, qd, courses;
+    mbs_function accelerations, rates;
+    long long nq, n, quaternions;
+    const long long *quaternion;
+    long long courses;
     const mbs_course *course;
     long long stages;
     const double *A, *b;
@@ -48,7 +51,7 @@ class Rollouts:
     """Motions side by side; where a status is not 0, from some time on a motion is not a number."""
 
     t: Array  # (samples,), s
-    q: Array  # (states, samples, n)
+    q: Array  # (states, samples, nq)
     qd: Array  # (states, samples, n)
     status: Status  # (states,), as of kernels: 0, or the joint at which the motion's kernel fails
 
@@ -81,7 +84,7 @@ def rollout(
 ) -> Rollouts:
     """Move many states of a tree by fixed steps; keep each `every`th state, from the start on.
 
-    q, qd: starts, shapes (states, n), or (n,) for one start of all. inputs: arguments of the accelerations, as `u`:
+    q, qd: starts, shapes (states, nq) and (states, n), or one for all. inputs: arguments of the accelerations, as `u`:
     (m,) for all, (states, m) for each, or (states or 1, steps, m) for each step, in which they are constant.
     parameters: run-time and differentiated ones by name, a number for all or an array (states,). step in s. Raises
     ArgumentError.
@@ -92,17 +95,17 @@ def rollout(
     starts = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, qd)]
     given = [_read_course(kernel, name, array, steps) for name, array in (inputs or {}).items()]
     given += _read_parameters(mechanism, kernel, parameters or {})
-    n = len(mechanism.manifest.coordinates)
+    sizes = (len(mechanism.manifest.positions), len(mechanism.manifest.coordinates))
     states = _count_states([*(x.shape[0] for x in starts), *(course.values.shape[0] for course in given)])
-    for name, start in zip(("q", "qd"), starts, strict=True):
-        if start.shape[1:] != (n,) or start.ndim > 2:
-            raise ArgumentError(f"{name}: shape {start.shape} given, ({n},) or (states, {n}) expected")
-    kept = np.full((states, 1 + steps // every, 2 * n), np.nan)
-    kept[:, 0] = np.hstack([np.broadcast_to(start, (states, n)) for start in starts])
+    for name, start, size in zip(("q", "qd"), starts, sizes, strict=True):
+        if start.shape[1:] != (size,) or start.ndim > 2:
+            raise ArgumentError(f"{name}: shape {start.shape} given, ({size},) or (states, {size}) expected")
+    kept = np.full((states, 1 + steps // every, sum(sizes)), np.nan)
+    kept[:, 0] = np.hstack([np.broadcast_to(start, (states, start.shape[1])) for start in starts])
     motion = _Motion(mechanism, function, given, METHODS[method], step, steps, every)
     status = motion.move(kept, threads)
     t = np.asarray(step * every * np.arange(kept.shape[1]), dtype=np.float64)
-    return Rollouts(t, kept[..., :n], kept[..., n:], status)
+    return Rollouts(t, kept[..., : sizes[0]], kept[..., sizes[0] :], status)
 
 
 def _choose_function(mechanism: Mechanism) -> str:
@@ -120,8 +123,6 @@ def _check(
     manifest, faults = mechanism.manifest, []
     if manifest.loops or manifest.driven:
         faults.append("closed loops and driven joints move by `mbsrun simulate` alone")
-    if manifest.configuration:
-        faults.append("coordinates with quaternions move by `mbsrun simulate` alone; model them by three joints")
     if not (np.isfinite(step) and step > 0):
         faults.append(f"step: {step} s; give a positive number")
     counts = {"steps": steps, "every": every, "threads": threads}
@@ -196,28 +197,34 @@ class _Motion:
         every: int,
     ) -> None:
         self.mechanism, self.function = mechanism.find_holder(function), function
+        self.has_rates = bool(mechanism.manifest.configuration)
         self.courses, self.tableau = courses, tableau
         self.times = (step, steps, every)
 
     def move(self, kept: Array, threads: int) -> Status:
         """Fill in the motions; beside one that fails, each is moved once more, alone."""
         status = np.zeros(kept.shape[0], dtype=np.int32)
-        entry = self.mechanism.bind(self.function)
-        loop, several = self.mechanism.choose_loop(self.function, kept.shape[0] * self.times[1])
-        if several is not None and kept.shape[0] >= loop.width:
-            self._run(entry, several.function, loop.width, kept, status, range(kept.shape[0]), threads)
+        work = kept.shape[0] * self.times[1]
+        names = (self.function, *(("rates",) if self.has_rates else ()))
+        loops = [self.mechanism.choose_loop(name, work) for name in names]
+        one, several = [self.mechanism.bind(name).function for name in names], [found for _, found in loops]
+        width = loops[0][0].width
+        if all(several) and kept.shape[0] >= width:
+            self._run(
+                [found.function for found in several if found], width, kept, status, range(kept.shape[0]), threads
+            )
         else:
             status[:] = -1
         for state in np.flatnonzero(status):
             kept[state, 1:] = np.nan
-            self._run(entry, entry.function, 1, kept, status, range(state, state + 1), 1)
+            self._run(one, 1, kept, status, range(state, state + 1), 1)
         return status
 
     def _run(
-        self, entry: Entry, function: Any, width: int, kept: Array, status: Status, states: range, threads: int
+        self, functions: Sequence[Any], width: int, kept: Array, status: Status, states: range, threads: int
     ) -> None:
         ffi, library = _load(width)
-        motion, alive = self._describe(ffi, entry, function)
+        motion, alive = self._describe(ffi, functions)
         end = many.end_name(width)
         size = getattr(library, f"mbs_room_of_rollout{end}")(motion)
         numbers, told = ffi.cast("double *", kept.ctypes.data), ffi.cast("int *", status.ctypes.data)
@@ -232,25 +239,35 @@ class _Motion:
             list(pool.map(work, range(threads)))
         del alive
 
-    def _describe(self, ffi: cffi.FFI, entry: Entry, function: Any) -> tuple[Any, list[Any]]:
+    def _describe(self, ffi: cffi.FFI, functions: Sequence[Any]) -> tuple[Any, list[Any]]:
         """Describe the motion, and return what must outlive the calls."""
-        ports = {port.argument.name: port for port in entry.inputs}
-        places = {role: port.position for port in entry.inputs for role in (port.argument.role,)}
-        courses = ffi.new("mbs_course[]", max(1, len(self.courses)))
+        manifest = self.mechanism.manifest
+        laid: Any = ffi.new("mbs_motion *")
+        places = [_lay_function(ffi, laid.accelerations, self.mechanism.bind(self.function), functions[0])]
+        if self.has_rates:
+            places.append(_lay_function(ffi, laid.rates, self.mechanism.bind("rates"), functions[1]))
+        courses: Any = ffi.new("mbs_course[]", max(1, len(self.courses)))
         for item, course in zip(courses, self.courses, strict=False):
             states, steps, size = course.values.shape
             item.first, item.numbers = ffi.cast("double *", course.values.ctypes.data), size
             item.step, item.pace = (size * steps if states > 1 else 0), (size if steps > 1 else 0)
-            item.place = ports[course.argument.name].position
+            item.place, item.rates_place = (*(place.get(course.argument.name, -1) for place in places), -1)[:2]
         A, b = (np.array(x, dtype=float) for x in (self.tableau.A, self.tableau.b))
-        motion: Any = ffi.new("mbs_motion *")
-        motion.f, motion.n = ffi.cast("void *", function), len(self.mechanism.manifest.coordinates)
-        motion.n_in, motion.n_out = entry.n_in, entry.n_out
-        motion.q, motion.qd = places[Role.COORDINATE], places[Role.VELOCITY]
-        motion.courses, motion.course, motion.stages = len(self.courses), courses, b.size
-        motion.A, motion.b = (ffi.cast("double *", x.ctypes.data) for x in (A, b))
-        motion.h, motion.steps, motion.every = self.times
-        return motion, [courses, A, b]
+        quaternions = np.array(manifest.quaternions, dtype=np.int64)
+        laid.nq, laid.n = len(manifest.positions), len(manifest.coordinates)
+        laid.quaternions, laid.quaternion = quaternions.size, ffi.cast("long long *", quaternions.ctypes.data)
+        laid.courses, laid.course, laid.stages = len(self.courses), courses, b.size
+        laid.A, laid.b = (ffi.cast("double *", x.ctypes.data) for x in (A, b))
+        laid.h, laid.steps, laid.every = self.times
+        return laid, [courses, A, b, quaternions]
+
+
+def _lay_function(ffi: cffi.FFI, laid: Any, entry: Entry, function: Any) -> dict[str, int]:
+    """Describe a kernel; return which arguments its inputs are, by name."""
+    roles = {port.argument.role: port.position for port in entry.inputs}
+    laid.f, laid.n_in, laid.n_out = ffi.cast("void *", function), entry.n_in, entry.n_out
+    laid.q, laid.qd = roles[Role.COORDINATE], roles[Role.VELOCITY]
+    return {port.argument.name: port.position for port in entry.inputs}
 
 
 def _load(width: int) -> tuple[cffi.FFI, Any]:
