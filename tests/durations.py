@@ -29,7 +29,7 @@ import pytest
 
 FILE = Path(__file__).with_suffix(".tsv")
 SHORT = 0.15  # s of processor
-LONG = 4.0
+LONG = 3.0
 LONG_SELDOM = 2.0  # of the kinds of SELDOM
 KEY = "processor time"  # of a test's report
 QUICK, CORE, REST_MARK = "quick", "core", "rest"
