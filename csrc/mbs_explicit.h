@@ -14,7 +14,7 @@
 #ifndef MBS_EXPLICIT_H
 #define MBS_EXPLICIT_H
 
-#include "mbs_batch.h"
+#include "mbs_many.h"
 
 #ifdef __cplusplus
 extern "C" {

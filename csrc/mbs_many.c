@@ -11,7 +11,7 @@
 #endif
 
 typedef struct {
-    mbs_kernel_of_one one;
+    mbs_kernel one;
     mbs_kernel_of_several several;
     casadi_int states, n_in, n_out;
     const mbs_given *in;
@@ -45,6 +45,12 @@ size_t mbs_room_of_many(casadi_int n_in, const mbs_given *in, casadi_int n_out, 
 
 /* -- one state -- */
 
+/* Return whether nonzeros stand one after the other: a kernel can write them itself. */
+static int is_plain(const mbs_found *a)
+{
+    return a->apart == 1 && !a->entries;
+}
+
 /* Put the nonzeros of a result in their places. */
 static void put_one(const mbs_found *a, casadi_int state, const MBS_REAL *nonzeros)
 {
@@ -72,12 +78,14 @@ static int compute_one(const mbs_work *work, casadi_int state)
         work->arg[i] = free;
         free += a->nonzeros;
     }
-    for (i = 0; i < work->n_out; free += work->out[i++].nonzeros)
-        work->res[i] = work->out[i].first ? free : 0;
+    for (i = 0; i < work->n_out; free += work->out[i++].nonzeros) {
+        const mbs_found *a = work->out + i;
+        work->res[i] = !a->first ? 0 : is_plain(a) ? a->first + state * a->step : free;
+    }
     failure = work->one(work->arg, work->res, 0, 0, 0);
     work->status[state] = failure;
     for (i = 0; i < work->n_out && !failure; ++i)
-        if (work->out[i].first)
+        if (work->out[i].first && !is_plain(work->out + i))
             put_one(work->out + i, state, work->res[i]);
     return failure != 0;
 }
@@ -331,7 +339,7 @@ static void *take(char **room, size_t bytes)
     return taken;
 }
 
-casadi_int mbs_compute_many(mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
+casadi_int mbs_compute_many(mbs_kernel one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
                             casadi_int end, casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out,
                             void *room, int *status)
 {

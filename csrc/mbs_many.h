@@ -38,7 +38,7 @@ typedef struct {
 } mbs_found;
 
 /* A kernel in CasADi's contract, of one state; and of several, with vectors for numbers. */
-typedef int (*mbs_kernel_of_one)(const MBS_REAL **arg, MBS_REAL **res, casadi_int *iw, MBS_REAL *w, int mem);
+typedef int (*mbs_kernel)(const MBS_REAL **arg, MBS_REAL **res, casadi_int *iw, MBS_REAL *w, int mem);
 typedef int (*mbs_kernel_of_several)(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem);
 
 /* Return how many bytes of memory the work needs. */
@@ -48,7 +48,7 @@ size_t mbs_room_of_many(casadi_int n_in, const mbs_given *in, casadi_int n_out, 
  * for it, is written to status[state]; where it is not 0, no result of that state is written. Groups of states begin at
  * multiples of their number, so that parts of the work may begin there, in any threads, and give the same bits. `several`
  * is not called where the kernel is compiled for one state. Returns the number of states with a status other than 0. */
-casadi_int mbs_compute_many(mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
+casadi_int mbs_compute_many(mbs_kernel one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
                             casadi_int end, casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out,
                             void *room, int *status);
 
@@ -57,7 +57,7 @@ casadi_int mbs_compute_many(mbs_kernel_of_one one, mbs_kernel_of_several several
 #define MBS_DECLARE_MANY(width) \
     size_t mbs_room_of_many_at_##width(casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out); \
     casadi_int mbs_compute_many_at_##width( \
-        mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states, casadi_int begin, casadi_int end, \
+        mbs_kernel one, mbs_kernel_of_several several, casadi_int states, casadi_int begin, casadi_int end, \
         casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out, void *room, int *status)
 #define MBS_DECLARE_SEVERAL(f, width) \
     int f##_at_##width(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem)

@@ -13,6 +13,7 @@
 #include "c_api.h" /* of the installed jaxlib */
 
 #define BUCKETS 1024 /* of the table of kernels */
+#define SMALL 8192   /* bytes of memory that are taken from the stack */
 #define ROWS 512     /* states of one call of a batch: their statuses are on the stack */
 
 static mbs_jax_kernel *table[BUCKETS];
@@ -84,31 +85,9 @@ static void mark_failed(const mbs_jax_kernel *entry, casadi_int states, const in
     }
 }
 
-/* Call the kernel on some states, one after the other. */
-static casadi_int call_each(const mbs_jax_kernel *entry, casadi_int rows, casadi_real *const *given,
-                            const casadi_int *step, casadi_real *const *wanted, int *status)
-{
-    const casadi_real *arg[MBS_JAX_MOST];
-    casadi_real *res[MBS_JAX_MOST];
-    casadi_int arg_step[MBS_JAX_MOST], res_step[MBS_JAX_MOST], k;
-    for (k = 0; k < entry->n_in; ++k)
-        arg[k] = 0;
-    for (k = 0; k < entry->n_out; ++k)
-        res[k] = 0;
-    for (k = 0; k < entry->given; ++k) {
-        arg[entry->in_place[k]] = given[k];
-        arg_step[entry->in_place[k]] = step[k];
-    }
-    for (k = 0; k < entry->wanted; ++k) {
-        res[entry->out_place[k]] = wanted[k];
-        res_step[entry->out_place[k]] = entry->out_size[k];
-    }
-    return mbs_batch(entry->kernel, rows, entry->n_in, arg, arg_step, entry->n_out, res, res_step, status);
-}
-
-/* The same, several at once. */
-static casadi_int call_several(const mbs_jax_kernel *entry, casadi_int rows, casadi_real *const *given,
-                               const casadi_int *step, casadi_real *const *wanted, int *status, void *room)
+/* Call the kernel on some states. */
+static casadi_int call_some(const mbs_jax_kernel *entry, casadi_int rows, casadi_real *const *given,
+                            const casadi_int *step, casadi_real *const *wanted, int *status, void *room)
 {
     static const mbs_given no_input;
     static const mbs_found no_output;
@@ -139,7 +118,7 @@ static void call(const mbs_jax_kernel *entry, casadi_int states, casadi_real *co
                  casadi_real *const *wanted, int *statuses, void *room)
 {
     casadi_real *from[MBS_JAX_MOST], *to[MBS_JAX_MOST];
-    casadi_int first, rows, failures, k;
+    casadi_int first, rows, k;
     int own[ROWS], *status;
     for (first = 0; first < states; first += ROWS) {
         rows = states - first < ROWS ? states - first : ROWS;
@@ -148,9 +127,7 @@ static void call(const mbs_jax_kernel *entry, casadi_int states, casadi_real *co
             from[k] = given[k] + first * step[k];
         for (k = 0; k < entry->wanted; ++k)
             to[k] = wanted[k] + first * entry->out_size[k];
-        failures = entry->many ? call_several(entry, rows, from, step, to, status, room)
-                               : call_each(entry, rows, from, step, to, status);
-        if (failures)
+        if (call_some(entry, rows, from, step, to, status, room))
             mark_failed(entry, rows, status, to);
     }
 }
@@ -173,7 +150,8 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     casadi_real *given[MBS_JAX_MOST], *wanted[MBS_JAX_MOST];
     casadi_int step[MBS_JAX_MOST], states, k;
     int *statuses = 0;
-    void *room = 0;
+    char small[SMALL];
+    void *room = small;
     long long key;
     if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata)
         return describe(frame);
@@ -193,9 +171,10 @@ XLA_FFI_Error *mbs_jax(XLA_FFI_CallFrame *frame)
     }
     for (k = 0; k < entry->wanted; ++k)
         wanted[k] = (casadi_real *)((XLA_FFI_Buffer *)frame->rets.rets[k])->data;
-    if (entry->many && !(room = malloc((size_t)entry->room)))
+    if (entry->room > SMALL && !(room = malloc((size_t)entry->room)))
         return refuse(frame, "no memory is left for a batch");
     call(entry, states, given, step, wanted, statuses, room);
-    free(room);
+    if (room != small)
+        free(room);
     return 0;
 }

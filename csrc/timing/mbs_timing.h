@@ -14,7 +14,7 @@
 
 #include <time.h>
 
-#include "mbs_batch.h"
+#include "mbs_many.h"
 
 #define MBS_MAX_ARGUMENTS 64
 

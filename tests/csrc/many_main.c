@@ -9,7 +9,7 @@ int MBS_PASTE(kernel_at_, WIDTH)(const mbs_real **arg, mbs_real **res, casadi_in
 #define compute_lanes MBS_PASTE(mbs_compute_many_at_, WIDTH)
 #define room_of_lanes MBS_PASTE(mbs_room_of_many_at_, WIDTH)
 size_t room_of_lanes(casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out);
-casadi_int compute_lanes(mbs_kernel_of_one one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
+casadi_int compute_lanes(mbs_kernel one, mbs_kernel_of_several several, casadi_int states, casadi_int begin,
                          casadi_int end, casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out,
                          void *room, int *status);
 

@@ -65,10 +65,10 @@ def _enter(key: int, call: Call, loop: Loop, several: Several | None) -> None:
     entry: Any = ffi.new("mbs_jax_kernel *")
     entry.key, entry.n_in, entry.n_out = key, call.entry.n_in, call.entry.n_out
     entry.kernel = _find_address(ffi, call.entry.function)
+    entry.many = _find_address(ffi, loop.get("mbs_compute_many"))
     if several is not None:
-        entry.many = _find_address(ffi, loop.get("mbs_compute_many"))
         entry.several = _find_address(ffi, several.function)
-        entry.room = find_room(loop, call.entry, call.given, call.wanted)
+    entry.room = find_room(loop, call.entry, call.given, call.wanted)
     entry.given, entry.wanted = len(call.given), len(call.wanted)
     entry.in_place, entry.in_size, entry.out_place, entry.out_size = lists
     if library.mbs_jax_enter(entry):
@@ -96,9 +96,7 @@ def _open_library() -> tuple[cffi.FFI, Any]:
     """Compile the handler, load it, and register it with JAX."""
     headers = Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api"
     csrc = resources.folder("csrc")
-    path = str(
-        compile_library(csrc / "jax", TARGET, [f"{TARGET}.c", "mbs_batch.c"], find_compiler(os.environ), csrc, headers)
-    )
+    path = str(compile_library(csrc / "jax", TARGET, [f"{TARGET}.c"], find_compiler(os.environ), csrc, headers))
     ffi = cffi.FFI()
     ffi.cdef(_DECLARATIONS)
     try:

@@ -25,7 +25,7 @@ from mbsrun.measuring.points import Cost
 Array = NDArray[np.float64]
 
 SAMPLE_NS = 300_000.0  # time of one function in a round
-_TIMING = ("timing/mbs_timing.c", "timing/mbs_timing.h", "mbs_batch.h", "mbs_abi.h", "mbs_states.h")
+_TIMING = ("timing/mbs_timing.c", "timing/mbs_timing.h", "mbs_many.h", "mbs_abi.h", "mbs_states.h")
 
 
 class _Pool(ctypes.Structure):

@@ -41,7 +41,7 @@ def kernels(sample: Path) -> list[Path]:
 
 
 def sources(sample: Path) -> list[Path]:
-    return [*sorted(sample.glob("*.c")), folder("csrc") / "mbs_batch.c"]
+    return [*sorted(sample.glob("*.c")), folder("csrc") / "mbs_many.c"]
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -58,7 +58,7 @@ def test_no_compiler_warns(
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_the_headers_are_cpp_too(compiler: str, sample: Path, tmp_path: Path, requires: Requires) -> None:
     program = tmp_path / "program.cpp"
-    headers = "".join(f'#include "{name}"\n' for name in ("sample.h", "mbs_batch.h", "mbs_check.h"))
+    headers = "".join(f'#include "{name}"\n' for name in ("sample.h", "mbs_many.h", "mbs_check.h"))
     program.write_text(f"{headers}int main() {{ return sample_impl_n_in() != 5; }}\n")
     library = [tmp_path / f"{source.stem}.o" for source in kernels(sample)]
     for source, target in zip(kernels(sample), library, strict=True):
