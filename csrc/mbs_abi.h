@@ -96,7 +96,6 @@
 typedef MBS_REAL mbs_real;
 #define MBS_ABREAST 1 /* states */
 #define MBS_EVERY(x) ((mbs_real)(x))
-#define MBS_OF_STATE(x, state) (x)
 #define MBS_EXCEEDS(a, b) ((a) > (b))
 #define MBS_LARGER(a, b) ((a) <= (b) ? (b) : (a))
 #endif

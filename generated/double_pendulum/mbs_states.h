@@ -61,7 +61,6 @@ typedef MBS_PASTE(MBS_FLAG_, MBS_REAL) mbs_flags __attribute__((vector_size(MBS_
 
 #define MBS_ABREAST MBS_STATES
 #define MBS_EVERY(x) ((x) - (mbs_real){0}) /* in all states */
-#define MBS_OF_STATE(x, state) (x)[state]
 #undef MBS_C
 #define MBS_C(x) MBS_EVERY(MBS_PASTE(MBS_C_, MBS_REAL)(x))
 #undef MBS_THRESHOLD

@@ -6,11 +6,12 @@ any strides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cffi
 import numpy as np
@@ -34,6 +35,7 @@ long long mbs_compute_many{0}(void *one, void *several, long long states, long l
                               long long n_in, const mbs_given *in, long long n_out, const mbs_found *out,
                               void *room, int *status);
 """
+Result = TypeVar("Result")
 _ITEM = np.dtype(np.float64).itemsize
 
 
@@ -112,28 +114,47 @@ def compute(
     for port in entry.outputs:
         array = results[port.argument.name]
         kept += _point_result(ffi, found[port.position], port, array, sparse=sparse)
+    status = _run(loop, entry, several, (given, found), results.values(), states, threads)
+    kept.clear()
+    return status
+
+
+def _run(
+    loop: Loop,
+    entry: Entry,
+    several: Several | None,
+    described: tuple[Any, Any],
+    results: Iterable[Array],
+    states: int,
+    threads: int = 1,
+) -> Status:
+    """Call a kernel on described inputs and results, and mark what failed."""
+    ffi, (given, found) = loop.ffi, described
     status = np.zeros(states, dtype=np.int32)
     arguments = (entry.n_in, given, entry.n_out, found)
     size = loop.get("mbs_room_of_many")(*arguments)
-    one, told = ffi.cast("void *", entry.function), ffi.from_buffer("int[]", status.data)
-    wide = ffi.cast("void *", several.function) if several else NULL
-    groups = -(-states // loop.width)
+    one, wide = (ffi.cast("void *", f) for f in (entry.function, several.function if several else NULL))
+    told = ffi.from_buffer("int[]", status.data)
 
-    def work(part: int) -> int:
-        begin, end = (min(states, groups * k // threads * loop.width) for k in (part, part + 1))
+    def work(part: range) -> int:
         room = ffi.new("char[]", size)
-        return int(loop.get("mbs_compute_many")(one, wide, states, begin, end, *arguments, room, told))
+        return int(loop.get("mbs_compute_many")(one, wide, states, part.start, part.stop, *arguments, room, told))
 
-    if threads == 1:
-        failures = work(0)
-    else:
-        with ThreadPoolExecutor(threads) as pool:  # while C computes, other threads go on
-            failures = sum(pool.map(work, range(threads)))
-    kept.clear()
-    if failures:
-        for array in results.values():
+    if sum(share(work, range(states), loop.width, threads)):
+        for array in results:
             array[status != 0] = np.nan
     return status
+
+
+def share(work: Callable[[range], Result], states: range, width: int, threads: int) -> list[Result]:
+    """Do the work on parts of the states, in whole groups of `width`, each in a thread; return what it gives."""
+    groups = -(-len(states) // width)
+    ends = [min(states.start + groups * k // threads * width, states.stop) for k in range(threads + 1)]
+    parts = [range(begin, end) for begin, end in pairwise(ends)]
+    if threads == 1:
+        return list(map(work, parts))
+    with ThreadPoolExecutor(threads) as pool:  # while C computes, other threads go on
+        return list(pool.map(work, parts))
 
 
 def compute_nonzeros(
@@ -159,16 +180,7 @@ def compute_nonzeros(
     for port, rows in zip(outputs, results, strict=True):
         size = rows.shape[1]
         found[port.position] = (ffi.cast("double *", rows.ctypes.data), size, 1, size, size, NULL)
-    status = np.zeros(states, dtype=np.int32)
-    arguments = (entry.n_in, given, entry.n_out, found)
-    one, wide = (ffi.cast("void *", f) for f in (entry.function, several.function if several else NULL))
-    room = ffi.new("char[]", loop.get("mbs_room_of_many")(*arguments))
-    if loop.get("mbs_compute_many")(
-        one, wide, states, 0, states, *arguments, room, ffi.from_buffer("int[]", status.data)
-    ):
-        for rows in results:
-            rows[status != 0] = np.nan
-    return status, results
+    return _run(loop, entry, several, (given, found), results, states), results
 
 
 def find_room(loop: Loop, entry: Entry, inputs: Sequence[Port], outputs: Sequence[Port]) -> int:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,10 +21,9 @@ from mbsgen.roles import Role
 from mbsrun import many
 from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_library
 from mbsrun.external import Mechanism
-from mbsrun.library import compile_library, find_compiler
-from mbsrun.simulation.tableaus import EULER, RK4, Tableau
+from mbsrun.library import compile_library, find_compiler, once_per_compiler
+from mbsrun.simulation.tableaus import FIXED, Tableau
 
-METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
 FUNCTIONS = ("exp2", "exp1")  # kernels of accelerations; the one with fewer flops is taken
 _DECLARED = """
 typedef struct {{ const double *first; long long step, pace, numbers, place, rates_place; }} mbs_course;
@@ -102,7 +100,7 @@ def rollout(
             raise ArgumentError(f"{name}: shape {start.shape} given, ({size},) or (states, {size}) expected")
     kept = np.full((states, 1 + steps // every, sum(sizes)), np.nan)
     kept[:, 0] = np.hstack([np.broadcast_to(start, (states, start.shape[1])) for start in starts])
-    motion = _Motion(mechanism, function, given, METHODS[method], step, steps, every)
+    motion = _Motion(mechanism, function, given, FIXED[method], step, steps, every)
     status = motion.move(kept, threads)
     t = np.asarray(step * every * np.arange(kept.shape[1]), dtype=np.float64)
     return Rollouts(t, kept[..., : sizes[0]], kept[..., sizes[0] :], status)
@@ -127,8 +125,8 @@ def _check(
         faults.append(f"step: {step} s; give a positive number")
     counts = {"steps": steps, "every": every, "threads": threads}
     faults += [f"{name}: {count}; give 1 or more" for name, count in counts.items() if count < 1]
-    if method not in METHODS:
-        faults.append(f"method: {method!r}; there are {', '.join(METHODS)}")
+    if method not in FIXED:
+        faults.append(f"method: {method!r}; there are {', '.join(FIXED)}")
     if faults:
         raise ArgumentError("\n".join(f"rollout of {manifest.model} by {kernel.name}: {fault}" for fault in faults))
 
@@ -228,15 +226,12 @@ class _Motion:
         end = many.end_name(width)
         size = getattr(library, f"mbs_room_of_rollout{end}")(motion)
         numbers, told = ffi.cast("double *", kept.ctypes.data), ffi.cast("int *", status.ctypes.data)
-        groups = -(-len(states) // width)
 
-        def work(part: int) -> None:
-            first, last = (states.start + groups * k // threads * width for k in (part, part + 1))
+        def work(part: range) -> None:
             room = ffi.new("char[]", size)
-            getattr(library, f"mbs_rollout{end}")(motion, first, min(last, states.stop), numbers, room, told)
+            getattr(library, f"mbs_rollout{end}")(motion, part.start, part.stop, numbers, room, told)
 
-        with ThreadPoolExecutor(threads) as pool:  # while C computes, other threads go on
-            list(pool.map(work, range(threads)))
+        many.share(work, states, width, threads)
         del alive
 
     def _describe(self, ffi: cffi.FFI, functions: Sequence[Any]) -> tuple[Any, list[Any]]:
@@ -270,6 +265,7 @@ def _lay_function(ffi: cffi.FFI, laid: Any, entry: Entry, function: Any) -> dict
     return {port.argument.name: port.position for port in entry.inputs}
 
 
+@once_per_compiler
 def _load(width: int) -> tuple[cffi.FFI, Any]:
     """Compile and load mbs_rollout.c for `width` states at once."""
     compiler = many.for_states(find_compiler(os.environ), width)

@@ -23,12 +23,11 @@ from mbsgen.roles import Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces import VALUES, Face
 from mbsrun.operators import Operator
-from mbsrun.simulation.tableaus import EULER, RK4, Tableau
+from mbsrun.simulation.tableaus import FIXED, Tableau
 
 A = TypeVar("A")  # an array of the library
 Policy = Callable[[Any, Any, Any], Mapping[str, Any]]  # of the number of the step, q and qd: further inputs
 
-METHODS: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}
 MIDPOINT = "midpoint"
 NEWTON = 6  # steps of Newton's method, from no acceleration
 SOLVED = 1e-9  # the sum of residuals of a solution, relative to 1 plus the sum of accelerations
@@ -87,22 +86,22 @@ class SteppingFace(Face[A]):
         """Return an array, not a number where it is not right."""
 
     def _make_flow(self, method: str, dynamics: str | None, inputs: Mapping[str, Any]) -> _Flow:
-        if method not in (*METHODS, MIDPOINT):
-            raise ArgumentError(f"method: {method!r} given; there are {', '.join(METHODS)}, {MIDPOINT}")
+        if method not in (*FIXED, MIDPOINT):
+            raise ArgumentError(f"method: {method!r} given; there are {', '.join(FIXED)}, {MIDPOINT}")
         manifest = self.manifest
         if method == MIDPOINT:
             if manifest.loops or manifest.quaternions or manifest.driven:
                 raise ArgumentError(
                     f"{manifest.model}: {MIDPOINT} steps trees without quaternions and driven joints; take rk4"
                 )
-            return _MidpointFlow(self, METHODS["euler"], dynamics or "exp1", inputs)
+            return _MidpointFlow(self, FIXED["euler"], dynamics or "exp1", inputs)
         if not manifest.loops:
-            return _Flow(self, METHODS[method], dynamics or "exp1", inputs)
+            return _Flow(self, FIXED[method], dynamics or "exp1", inputs)
         if manifest.quaternions or manifest.driven:
             raise ArgumentError(
                 f"{manifest.model}: steps of closed loops with quaternions or driven joints are not made"
             )
-        return _ClosedFlow(self, METHODS[method], dynamics or "exp1_red", inputs)
+        return _ClosedFlow(self, FIXED[method], dynamics or "exp1_red", inputs)
 
     def _count_steps(self, steps: int | None, along: Mapping[str, Any]) -> int:
         lengths = {f"along[{name!r}]": int(array.shape[0]) for name, array in along.items()}

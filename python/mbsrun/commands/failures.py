@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from mbsrun.ocp.solution import Failure
 
 
-def print_failure(failure: Failure | Failure, file: Path, out: Path) -> None:
+def print_failure(failure: Failure, file: Path, out: Path) -> None:
     """Print why there is no solution, with the line of the part at fault; and that an earlier one is still there."""
     place = f"{name_place(file, failure.place)}: " if failure.place else ""
     say(f"{place}not solved ({failure.run.status}): {failure.finding}; {failure.remedy}")

@@ -18,7 +18,7 @@ from mbsrun.quaternions import measure_lengths
 
 
 @dataclass(frozen=True)
-class Values:
+class Ended:
     """The numbers of a program at the end of a search."""
 
     x: Array
@@ -34,7 +34,7 @@ def measure_size(program: Prepared) -> Size:
 
 
 def make_solution(
-    problem: Problem, manifest: Manifest, transcription: Transcription, run: Run, size: Size, values: Values
+    problem: Problem, manifest: Manifest, transcription: Transcription, run: Run, size: Size, values: Ended
 ) -> Solution:
     """Read a solution off the numbers of a program."""
     trajectory, terms = transcription.unpack(values.completed), values.terms * problem.cost.weights

@@ -48,6 +48,7 @@ def _fill(row: Row, size: int) -> tuple[float, ...]:
 
 EULER = Pair(_tabulate(({},), {0: 1.0}))
 RK4 = Pair(_tabulate(({}, {0: 0.5}, {1: 0.5}, {2: 1.0}), {0: 1 / 6, 1: 1 / 3, 2: 1 / 3, 3: 1 / 6}))
+FIXED: Mapping[str, Tableau] = {"euler": EULER.tableau, "rk4": RK4.tableau}  # methods of fixed steps, by name
 
 _FIFTH: Row = {0: 35 / 384, 2: 500 / 1113, 3: 125 / 192, 4: -2187 / 6784, 5: 11 / 84}
 RK45 = Pair(  # the estimate takes the rates at the end of the step too: a seventh stage of weight 0

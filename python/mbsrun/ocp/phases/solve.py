@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from mbsrun.ocp import methods
-from mbsrun.ocp.answers import Values, make_solution, measure_excess, measure_size
+from mbsrun.ocp.answers import Ended, make_solution, measure_excess, measure_size
 from mbsrun.ocp.assembly import find_other_assembly
 from mbsrun.ocp.backends.numpy import evaluate
 from mbsrun.ocp.backends.prepared import Prepared
@@ -365,7 +365,7 @@ class PhasedSolver:
         for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
             first, last = own.offsets[k], own.offsets[k + 1]
             cost = terms[first.weights : last.weights]
-            numbers = Values(values[own.phases[k].program.kept], rows, cost, values)
+            numbers = Ended(values[own.phases[k].program.kept], rows, cost, values)
             phase, part = problem.phases[k], self._size if problem.is_single else _measure_part(own, k)
             named = replace(phase.problem, name=phase.name or problem.name, solver=problem.solver)
             solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, part, numbers))
