@@ -21,9 +21,9 @@ import numpy as np
 
 from mbsgen import resources
 from mbsrun.binding import ArgumentError
+from mbsrun.faces.operators import Call
 from mbsrun.library import CompileError, compile_library, find_compiler
 from mbsrun.many import Loop, Several, find_room
-from mbsrun.operators import Call
 
 TARGET = "mbs_jax"
 _DECLARATIONS = """

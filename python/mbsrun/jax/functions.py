@@ -11,10 +11,10 @@ import jax.numpy as jnp
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
-from mbsrun.faces import Given
+from mbsrun.faces.face import Given
+from mbsrun.faces.operators import Operator
+from mbsrun.faces.stepping import Policy, SteppingFace, choose_slopes, divide
 from mbsrun.jax import primitives
-from mbsrun.operators import Operator
-from mbsrun.stepping import Policy, SteppingFace, choose_slopes, divide
 
 ENABLE = "jax.config.update('jax_enable_x64', True)"
 

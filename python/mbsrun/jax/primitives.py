@@ -21,8 +21,8 @@ from jax.interpreters import ad, batching, mlir
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
+from mbsrun.faces.operators import Block, Operator
 from mbsrun.jax import foreign
-from mbsrun.operators import Block, Operator
 
 Values = list[Any]  # arrays of JAX, or what stands for them while a program is traced
 

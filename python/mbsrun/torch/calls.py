@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
-from mbsrun.operators import Block, Operator
+from mbsrun.faces.operators import Block, Operator
 
 Tensors = list[torch.Tensor]
 ORDERS = tuple(Order)

@@ -12,9 +12,9 @@ from torch.utils.checkpoint import checkpoint
 
 from mbsgen.roles import Order
 from mbsrun.binding import ArgumentError
-from mbsrun.faces import Given
-from mbsrun.operators import Operator
-from mbsrun.stepping import Policy, SteppingFace, choose_slopes, divide
+from mbsrun.faces.face import Given
+from mbsrun.faces.operators import Operator
+from mbsrun.faces.stepping import Policy, SteppingFace, choose_slopes, divide
 from mbsrun.torch import calls
 
 _entered: list[Functions] = []

@@ -20,7 +20,7 @@ from mbsgen.manifest import Kernel, Manifest
 from mbsgen.roles import Order, Role
 from mbsrun.binding import ArgumentError, Port
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
-from mbsrun.operators import Operator
+from mbsrun.faces.operators import Operator
 
 A = TypeVar("A")  # an array of the library
 VALUES = "p"  # the input for values of run-time parameters, in place of `h`

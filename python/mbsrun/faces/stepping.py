@@ -21,8 +21,8 @@ import numpy as np
 
 from mbsgen.roles import Role
 from mbsrun.binding import ArgumentError
-from mbsrun.faces import VALUES, Face
-from mbsrun.operators import Operator
+from mbsrun.faces.face import VALUES, Face
+from mbsrun.faces.operators import Operator
 from mbsrun.simulation.tableaus import FIXED, Tableau
 
 A = TypeVar("A")  # an array of the library
