@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 import numpy as np
+from click.core import ParameterSource
 from rich import box
 from rich.table import Table
 
@@ -27,6 +28,7 @@ from mbsrun.commands.console import (
 from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.attempts import Summary, describe_search, list_open_tasks, summarise
+from mbsrun.ocp.checks import MAX_THREADS
 from mbsrun.ocp.executor import LocalExecutor
 from mbsrun.ocp.mirror import find_mirror
 from mbsrun.ocp.phases.placing import name_lines
@@ -34,7 +36,7 @@ from mbsrun.ocp.problem import Representation
 from mbsrun.ocp.record import Attempt, open_record
 from mbsrun.ocp.search import OutOfTimeError, Search
 from mbsrun.ocp.starts import list_turning
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement import name_problem, read_problem
 from mbsrun.ocp.study import Study, Targets, describe, identify
 from mbsrun.ocp.trials import ProtocolName
 
@@ -53,13 +55,21 @@ Protocols
            solutions of neighbours, mirror images of solutions at the opposite azimuth,
            and solutions of other representations, until nothing is new
 
+\b
+With --over or --cases, the values of any keys take the place of targets:
+  mbsrun sweep swing.ocp.yaml --over end.pose.cart 0.5:1.5:11 --over horizon 1.5,2
+solves all combinations, each from its own guess, and re-simulates every motion. The record -o keeps each
+outcome, so that the command can go on later; beside it are a table (.csv) and, over one key or two, a picture
+(.png). --solutions writes each solution.
+
 A search cannot show that no minimum is lower: the summary shows how many independent starts found the lowest
 cost known. Motions with whole turns are compared among themselves, and listed on their own.
 
 \b
 Exit codes
-  0   the protocol is through; if it is the robust one, every task was solved, in the
-      lowest minimum that was found for its target: lower ones may exist
+  0   all cases are solved as the problem asks; or the protocol is through: if it is the
+      robust one, every task was solved, in the lowest minimum that was found for its
+      target, though lower ones may exist
   1   some tasks are not solved, or are in a higher minimum than one that was found;
       or the time is over
   2   the problem, its model or an argument cannot be accepted
@@ -121,6 +131,28 @@ Exit codes
     help="A coordinate that random bumps move; by default all that are actuated.",
 )
 @click.option("--minutes", type=click.FloatRange(min=0), default=math.inf, help="Stop after this time.")
+@click.option(
+    "--over",
+    type=(str, str),
+    multiple=True,
+    metavar="KEY VALUES",
+    help="A key of the problem, such as end.pose.cart, and its values: FROM:TO:COUNT, or 1,2,pi. May be given several "
+    "times, for all combinations.",
+)
+@click.option(
+    "--cases",
+    type=click.Path(path_type=Path),
+    metavar="TABLE",
+    help="A table in CSV with a key on top of each column, and a row for each case.",
+)
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), default=1, help="Of cases at once; by default 1.")
+@click.option("--workers", type=click.IntRange(0), default=0, help="Of cases: processes; by default this one alone.")
+@click.option(
+    "--solutions",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Of cases: write each solution there, as NUMBER.json.",
+)
 @click.pass_context
 @name_lines
 def sweep_command(
@@ -133,9 +165,22 @@ def sweep_command(
     names: tuple[str, ...],
     bumped: tuple[str, ...],
     minutes: float,
+    over: tuple[tuple[str, str], ...],
+    cases: Path | None,
+    threads: int,
+    workers: int,
+    solutions: Path | None,
     **grid: Any,
 ) -> None:
     """Read, search, sum up."""
+    if over or cases is not None:
+        _check_options(context, over, cases)
+        from mbsrun.commands.cases import Wish, sweep_cases  # takes longer to load
+
+        wish = Wish(over, cases, threads, workers, minutes, solutions)
+        context.exit(0 if sweep_cases(file, out or Path(f"{name_problem(file)}.sweep"), wish) else NOT_SOLVED)
+    if given := [f"--{name}" for name in OF_CASES if _is_given(context, name)]:
+        raise click.UsageError(f"{', '.join(given)}: of cases; give --over or --cases too")
     problem, plant = read_problem(file, load_on_demand)
     problem = keep_grid(problem)
     sensor = find_sensor(problem, "PROBLEM")
@@ -176,6 +221,24 @@ def sweep_command(
     if not is_through:
         say("the time is over; give the command again to go on")
     context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
+
+
+OF_CASES = ("threads", "workers", "solutions")
+SHARED = ("file", "out", "minutes", "over", "cases", *OF_CASES)
+
+
+def _check_options(context: click.Context, over: Sequence[object], cases: Path | None) -> None:
+    """Refuse options that say nothing of cases."""
+    given = [x.name for x in context.command.params if x.name and _is_given(context, x.name)]
+    strange = [f"--{name}" for name in given if name not in SHARED]
+    if over and cases is not None:
+        raise click.UsageError("--over and --cases both list cases; give one of them")
+    if strange:
+        raise click.UsageError(f"{', '.join(strange)}: of targets; --over and --cases take their place")
+
+
+def _is_given(context: click.Context, name: str) -> bool:
+    return context.get_parameter_source(name) is not ParameterSource.DEFAULT
 
 
 def _find_bumped(names: Sequence[str], manifest: Manifest) -> tuple[int, ...]:

@@ -195,6 +195,29 @@ def plot_starts(starts: Starts, path: Path) -> None:
     save(figure, path)
 
 
+@styled
+def plot_cases(name: str, places: Mapping[str, Array], costs: Array, path: Path) -> None:
+    """Plot the costs (K,) of cases over one key or two, values (K,) by name; crosses have no solution."""
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes, solved = figure.subplots(), np.isfinite(costs)
+    (first, x), *others = places.items()
+    axes.set_xlabel(first)
+    if others:
+        ((second, y),) = others
+        shown = axes.scatter(x[solved], y[solved], c=costs[solved], cmap="viridis", s=40)
+        figure.colorbar(shown, ax=axes, label="cost")
+        axes.plot(x[~solved], y[~solved], "x", color=COLORS[1])
+        axes.set_ylabel(second)
+    else:
+        order = np.argsort(x[solved], kind="stable")
+        axes.plot(x[solved][order], costs[solved][order], "o-", color=COLORS[0], markersize=4)
+        low = costs[solved].min() if solved.any() else 0.0
+        axes.plot(x[~solved], np.full(int((~solved).sum()), low), "x", color=COLORS[1])
+        axes.set_ylabel("cost")
+    axes.set_title(f"{name}: {int(solved.sum())} of {costs.size} cases solved")
+    save(figure, path)
+
+
 def plot_mesh(refinement: Rounds, path: Path) -> None:
     """Plot the defect of every interval over time, round by round, and write the picture."""
     save(make_mesh(refinement), path)

@@ -190,15 +190,23 @@ class Record:
 
     def find_or_derive(self, key: str, derive: Callable[[], str]) -> str:
         """Return a text that follows from its key alone; derive and keep a text that is missing."""
+        found = self.recall(key)
+        if found is None:
+            found = derive()
+            self.keep(key, found)
+        return found
+
+    def recall(self, key: str) -> str | None:
+        """Return the text that was kept for a key."""
         with self._connection:
             self._connection.execute("create table if not exists derived (key text primary key, told text)")
         found = self._connection.execute("select told from derived where key = ?", (key,)).fetchone()
-        if found is not None:
-            return str(found[0])
-        told = derive()
+        return None if found is None else str(found[0])
+
+    def keep(self, key: str, told: str) -> None:
+        """Keep a text that follows from its key, after it was looked for."""
         with self._connection:
             self._connection.execute("insert or replace into derived values (?, ?)", (key, told))
-        return told
 
     def attempts(self) -> Iterator[Attempt]:
         """List the attempts, in order."""

@@ -319,7 +319,12 @@ def _adapter() -> TypeAdapter[_File]:
 
 
 def write_solution(solution: Solution, path: Path) -> None:
-    """Write a solution to a file, one line for each of its parts."""
+    """Write a solution to a file."""
+    path.write_text(dump_solution(solution), encoding="utf-8")
+
+
+def dump_solution(solution: Solution) -> str:
+    """Return the text of a solution's file, one line for each of its parts."""
     parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     trajectory = {k: x for k, x in parts.pop("trajectory").items() if k not in OPTIONAL or _has_numbers(x)}
     if not solution.equations:
@@ -329,13 +334,12 @@ def write_solution(solution: Solution, path: Path) -> None:
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     arrays = [f'   "{key}": {json.dumps(value)}' for key, value in trajectory.items()]
     lines.append('  "trajectory": {\n' + ",\n".join(arrays) + "\n  }")
-    write_parts(FORMAT, lines, path)
+    return join_parts(FORMAT, lines)
 
 
-def write_parts(form: str, lines: Sequence[str], path: Path) -> None:
-    """Write the parts of a solution to a file, one line for each."""
-    text = f'{{\n "format": "{form}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
-    path.write_text(text, encoding="utf-8")
+def join_parts(form: str, lines: Sequence[str]) -> str:
+    """Return the text of a file with the parts of a solution, one line for each."""
+    return f'{{\n "format": "{form}",\n "solution": {{\n' + ",\n".join(lines) + "\n }\n}\n"
 
 
 def _has_numbers(values: list[Any]) -> bool:

@@ -5,13 +5,12 @@ It is a problem of one phase, which has no name: see `ocp.phases.solve`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from mbsrun.ocp.backends.prepared import Prepared
 from mbsrun.ocp.phases.problem import PhasedProblem, Plants, list_one
 from mbsrun.ocp.phases.solution import Guess, PhasedSolution
-from mbsrun.ocp.phases.solve import PhasedSolver, solve_phases
+from mbsrun.ocp.phases.solve import Make, PhasedSolver, solve_phases
 from mbsrun.ocp.phases.solve import choose_method as choose_of_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, SolverOptions
@@ -51,7 +50,7 @@ class Solver:
     ) -> Solution | Failure:
         """Solve a problem of the same structure from a guess on its grid, as `PhasedSolver.solve` does."""
         own = None if usual is None else Guess((usual,))
-        return _read(self.whole.solve(list_one(problem), Guess((guess,)), watch, own))
+        return read_one(self.whole.solve(list_one(problem), Guess((guess,)), watch, own))
 
 
 def solve(
@@ -59,19 +58,15 @@ def solve(
     plant: Plant,
     watch: Watch | None = None,
     guess: Trajectory | None = None,
-    make: Callable[[Problem, Plant], Solver] = Solver,
+    make: Make = PhasedSolver,
 ) -> Solution | Failure:
     """Solve a problem from a guess, by default the one that it describes; a guess may be on any grid.
 
     `make` may return an earlier solver of the same structure. Where no pose meets the targets, it fails at once. Raises
     ProblemError with every fault of the problem.
     """
-
-    def make_whole(whole: PhasedProblem, plants: Plants) -> PhasedSolver:
-        return make(whole.phases[0].problem, plants.phases[0]).whole
-
     own = None if guess is None else Guess((guess,))
-    return _read(solve_phases(list_one(problem), Plants((plant,)), watch, own, make_whole))
+    return read_one(solve_phases(list_one(problem), Plants((plant,)), watch, own, make))
 
 
 def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
@@ -79,8 +74,8 @@ def choose_method(problem: Problem, plant: Plant) -> SolverOptions:
     return choose_of_phases(list_one(problem), Plants((plant,)))
 
 
-def _read(found: PhasedSolution | Failure) -> Solution | Failure:
-    """Return what was found of the one phase."""
+def read_one(found: PhasedSolution | Failure) -> Solution | Failure:
+    """Return what was found of a problem without phases."""
     if isinstance(found, PhasedSolution):
         return found.single
     assert isinstance(found.problem, PhasedProblem), "it is of the whole"

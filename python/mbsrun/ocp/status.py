@@ -8,9 +8,10 @@ from types import MappingProxyType
 SOLVED = "Solve_Succeeded"
 ACCEPTABLE = "Solved_To_Acceptable_Level"
 STALLED = "Search_Direction_Becomes_Too_Small"  # no more progress in double precision
-UNREACHABLE = "Target_Out_Of_Reach"  # these three without a call of the solver
+UNREACHABLE = "Target_Out_Of_Reach"  # these four without a call of the solver
 BAD_BOUNDS = "Bad_Bounds"
 BAD_GUESS = "Bad_Guess"
+BAD_PROBLEM = "Bad_Problem"  # a case of many: with its numbers the problem has faults
 INFEASIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")  # the solver's words where constraints clash
 OVERDETERMINED = "Not_Enough_Degrees_Of_Freedom"
 INVALID = "Invalid_Number_Detected"  # the solver's word, or ours where it found a point at which kernels fail

@@ -15,26 +15,30 @@ import casadi as ca
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp import statement
+from mbsrun.ocp.cases import Case, Outcome
 from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.phases.problem import Plants, list_one
+from mbsrun.ocp.phases.solution import Guess
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Symbolic
+from mbsrun.ocp.programs import Programs
 from mbsrun.ocp.recorded import find_guess
 from mbsrun.ocp.refinement import refine
 from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.solve import read_one, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
+from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
 from mbsrun.optimal.phases import PhasedControl, load
 from mbsrun.optimal.plain import make_plain, merge
-from mbsrun.optimal.programs import Programs
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
 from mbsrun.optimal.result import Solved, Unsolved
@@ -196,6 +200,38 @@ class OptimalControl:
                 outcome = refine(outcome, self.plant, watch=shown)
         return Solved(outcome, self.plant)
 
+    def solve_many(
+        self,
+        over: Over,
+        *,
+        guesses: Sequence[GuessLike | None] | None = None,
+        threads: int = 1,
+        watch: Show | None = None,
+        check: bool = True,
+    ) -> SolvedMany:
+        """Solve the problem for many values of its keys, each from its own guess, with one program; see `solve`.
+
+        `over` has a list of values for each key, all of one length, or is a list of mappings, one for each case. Keys
+        are paths as in a problem file: `end.pose.cart`, `constants.k`, `parameters.l`, `constraints[0].range`. No
+        result depends on other cases, nor on `threads`; a case without a solution is an Unsolved. `watch` sees the
+        number and the outcome of each case as it ends. Raises ProblemError with the faults of the first cases.
+        """
+        return solve_family(self.family, over, guesses, threads, watch, check=check)
+
+    @property
+    def family(self) -> Family:
+        """Return how the problem becomes cases with other values of its keys."""
+
+        def state(copy: OptimalControl, guess: GuessLike | None, check: bool) -> Case:
+            start = copy._find_guess(guess)
+            return Case(list_one(copy.value), None if start is None else Guess((start,)), check)
+
+        def read(_: Case, outcome: Outcome) -> Solved | Unsolved:
+            found = read_one(outcome)
+            return Unsolved(found) if isinstance(found, Failure) else Solved(found, self.plant)
+
+        return Family(self.name, self.data, Plants((self.plant,)), self._restate, state, read)
+
     def search(
         self,
         starts: int,
@@ -245,7 +281,7 @@ class OptimalControl:
 
     def describe(self) -> dict[str, str]:
         """Return the parts of the problem by their names; the size of the program, too, once it is built."""
-        rows, solver = describe_problem(self.value, self.plant.manifest), self.programs.look(self.value)
+        rows, solver = describe_problem(self.value, self.plant.manifest), self.programs.look(list_one(self.value))
         if solver is not None:
             program = solver.transcription.program
             rows["program"] = f"{program.kept.size} variables, {program.kept_rows.size} constraints"

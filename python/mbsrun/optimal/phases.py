@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,6 +16,7 @@ import numpy as np
 
 from mbsgen.documents import Data
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.cases import Case, Outcome
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.methods import choose
 from mbsrun.ocp.phases.checks import check_phases
@@ -36,6 +37,7 @@ from mbsrun.ocp.phases.statement import state_phases
 from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.programs import Programs
 from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure
@@ -44,6 +46,7 @@ from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
+from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
@@ -162,6 +165,9 @@ class SolvedPhases:
         return [Solved(own, plant) for own, plant in zip(self._shifted, self.plants.phases, strict=True)]
 
 
+PhasedGuess = SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PhasedControl:
     """A problem in phases and its models. It does not change: `with_...` returns a changed copy."""
@@ -171,6 +177,7 @@ class PhasedControl:
     data: Mapping[str, Data]  # as a problem file holds it
     folder: Path  # that files of the problem are relative to
     expressions: Mapping[str, Expressions] = field(default_factory=dict)  # in CasADi, by phase
+    programs: Programs = field(default_factory=Programs)
 
     @property
     def name(self) -> str:
@@ -270,7 +277,7 @@ class PhasedControl:
         self,
         *,
         watch: Watch | bool = False,
-        guess: SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path | None = None,
+        guess: PhasedGuess | None = None,
         check: bool = True,
     ) -> SolvedPhases | Unsolved:
         """Solve the problem; re-simulate every phase, and refine its grid if asked, unless `check` is False.
@@ -279,7 +286,7 @@ class PhasedControl:
         guessed as the problem says. A folder stands for a table NAME.csv of each phase. See `OptimalControl.solve`.
         """
         with show_progress() if watch is True else nullcontext(watch or None) as shown:
-            outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess))
+            outcome = solve_phases(self.value, self.plants, shown, self._find_guess(guess), self.programs.find)
             if isinstance(outcome, Failure):
                 return Unsolved(outcome)
             plants = equip_phases(self.value, self.plants)
@@ -288,6 +295,35 @@ class PhasedControl:
                 if any(phase.problem.refine is not None for phase in self.value.phases):
                     outcome = refine_phases(outcome, plants, watch=shown)
         return SolvedPhases(outcome, plants)
+
+    def solve_many(
+        self,
+        over: Over,
+        *,
+        guesses: Sequence[PhasedGuess | None] | None = None,
+        threads: int = 1,
+        watch: Show | None = None,
+        check: bool = True,
+    ) -> SolvedMany:
+        """Solve the problem for many values of its keys, as `OptimalControl.solve_many` does.
+
+        A key of a phase is `phases[0].horizon`, by its place in the list.
+        """
+        return solve_family(self.family, over, guesses, threads, watch, check=check)
+
+    @property
+    def family(self) -> Family:
+        """Return how the problem becomes cases with other values of its keys."""
+
+        def state(copy: PhasedControl, guess: PhasedGuess | None, check: bool) -> Case:
+            return Case(copy.value, copy._find_guess(guess), check)
+
+        def read(case: Case, outcome: Outcome) -> SolvedPhases | Unsolved:
+            if isinstance(outcome, Failure):
+                return Unsolved(outcome)
+            return SolvedPhases(outcome, equip_phases(case.problem, self.plants))
+
+        return Family(self.name, self.data, self.plants, self._restate, state, read)
 
     def load(self, path: str | Path) -> SolvedPhases:
         """Read a solution of this problem's models from a file. Raises InputError for a file that is not one."""
@@ -314,9 +350,7 @@ class PhasedControl:
     def _repr_html_(self) -> str:
         return display.write_table(f"problem {self.name}", self.describe())
 
-    def _find_guess(
-        self, guess: SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path | None
-    ) -> Guess | PartialGuess:
+    def _find_guess(self, guess: PhasedGuess | None) -> Guess | PartialGuess:
         if isinstance(guess, SolvedPhases):
             known = tuple(guess.unknowns.items())
             return Guess(tuple(phase.trajectory for phase in guess.solution.phases), known)

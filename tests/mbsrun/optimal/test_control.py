@@ -15,11 +15,12 @@ import pytest
 import mbsrun
 from mbsgen.errors import InputError, MbsError
 from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.phases.problem import Plants, list_one
+from mbsrun.ocp.programs import KEPT, Programs
 from mbsrun.ocp.runs import Progress
 from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import solve as solve_value
 from mbsrun.optimal.control import OptimalControl
-from mbsrun.optimal.programs import KEPT, Programs
 from mbsrun.optimal.progress import Board, draw_curve, find_display
 from mbsrun.optimal.result import MissingPackageError, Solved, Unsolved
 from mbsrun.results import UnknownNameError
@@ -103,11 +104,12 @@ def test_copies_of_one_structure_share_a_program(swing: OptimalControl, solved: 
 
 def test_the_latest_programs_are_kept(swing: OptimalControl, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    monkeypatch.setattr("mbsrun.optimal.programs.Solver", lambda problem, _: made.append(problem.intervals))
+    make = "mbsrun.ocp.programs.PhasedSolver"
+    monkeypatch.setattr(make, lambda whole, _: made.append(whole.phases[0].problem.intervals))
     programs = Programs()
-    variants = [swing.with_changes(intervals=n).value for n in range(2, 4 + KEPT)]
+    variants = [list_one(swing.with_changes(intervals=n).value) for n in range(2, 4 + KEPT)]
     for value in (*variants, variants[-1], variants[0]):
-        programs.find(value, swing.plant)
+        programs.find(value, Plants((swing.plant,)))
     assert made == [*range(2, 4 + KEPT), 2]
 
 

@@ -17,7 +17,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
 from mbsrun.ocp.problem import SolverOptions, Unknown
-from mbsrun.ocp.solution import Run, Size, Solution, Starts, list_misfits, read_file, write_parts
+from mbsrun.ocp.solution import Run, Size, Solution, Starts, join_parts, list_misfits, read_file
 from mbsrun.ocp.status import ACCEPTABLE
 from mbsrun.ocp.trajectory import Trajectory
 
@@ -172,7 +172,12 @@ def _adapter() -> TypeAdapter[_File]:
 
 
 def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
-    """Write a solution to a file, one line for each of its parts."""
+    """Write a solution to a file."""
+    path.write_text(dump_phased_solution(solution), encoding="utf-8")
+
+
+def dump_phased_solution(solution: PhasedSolution) -> str:
+    """Return the text of a solution's file, one line for each of its parts."""
     parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     phases = parts.pop("phases")
     if not solution.sensitivities:
@@ -185,7 +190,7 @@ def write_phased_solution(solution: PhasedSolution, path: Path) -> None:
         for phase in phases
     ]
     lines.append('  "phases": [\n' + ",\n".join(inner) + "\n  ]")
-    write_parts(FORMAT, lines, path)
+    return join_parts(FORMAT, lines)
 
 
 def read_phased_solution(path: Path) -> PhasedSolution:

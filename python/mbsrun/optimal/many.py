@@ -1,0 +1,204 @@
+"""Many problems of one kind in Python: a problem and the values of its keys -> a solution for each case, in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.documents import Data, abbreviate
+from mbsrun.ocp.cases import Case, Outcome, solve_cases
+from mbsrun.ocp.checks import Line, ProblemError
+from mbsrun.ocp.phases.problem import Plants
+from mbsrun.ocp.solution import Run
+from mbsrun.optimal import display
+from mbsrun.optimal.plain import make_plain
+from mbsrun.optimal.result import Unsolved, import_pandas
+
+Array = NDArray[np.float64]
+Values = Mapping[str, Any]  # of keys, which are paths such as end.pose.cart or constraints[0].range
+Over = Mapping[str, Sequence[Any]] | Sequence[Values]  # columns of values by key, or the values of each case
+Show = Callable[[int, Any], None]  # the number and the outcome of a case
+
+NAMED = 5  # cases with faults that an error names
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolvedMany(Sequence[Any]):
+    """The outcomes of cases in order: `found[3]` is what `solve` returns for case 3, Unsolved where that fails."""
+
+    cases: tuple[Values, ...]
+    outcomes: tuple[Any, ...]
+
+    def __getitem__(self, k: int | slice) -> Any:
+        """Return the outcome of a case, or of several."""
+        return self.outcomes[k]
+
+    def __len__(self) -> int:
+        """Count the cases."""
+        return len(self.outcomes)
+
+    @property
+    def is_solved(self) -> NDArray[np.bool_]:
+        """Return which cases have a solution, shape (cases,)."""
+        return np.array([found.is_solved for found in self.outcomes], dtype=bool)
+
+    @property
+    def statuses(self) -> tuple[str, ...]:
+        """Return the solver's word for each case."""
+        return tuple(found.status for found in self.outcomes)
+
+    @property
+    def cost(self) -> Array:
+        """Return the whole cost of each case, shape (cases,); not a number where there is no solution."""
+        return np.array([np.nan if isinstance(found, Unsolved) else found.cost for found in self.outcomes])
+
+    @property
+    def iterations(self) -> NDArray[np.int64]:
+        """Return the iterations of each case, shape (cases,)."""
+        return np.array([_read_run(found).iterations for found in self.outcomes], dtype=np.int64)
+
+    @property
+    def shortcomings(self) -> dict[int, list[str]]:
+        """Return what is short of the problem's wishes in solutions, by the number of the case."""
+        found = {k: x.shortcomings for k, x in enumerate(self.outcomes) if not isinstance(x, Unsolved)}
+        return {k: texts for k, texts in found.items() if texts}
+
+    def to_frame(self) -> Any:
+        """Return a pandas frame: a row for each case, with its keys, status, cost and iterations.
+
+        Raises MissingPackageError without pandas.
+        """
+        rows = [dict(case) for case in self.cases]
+        numbers = {"status": self.statuses, "cost": self.cost, "iterations": self.iterations}
+        return import_pandas().DataFrame(rows).assign(**numbers)
+
+    def __repr__(self) -> str:
+        return display.write_text("cases", self._rows)
+
+    def _repr_html_(self) -> str:
+        return display.write_table("cases", self._rows)
+
+    @property
+    def _rows(self) -> dict[str, str]:
+        rows = {"solved": f"{int(self.is_solved.sum())} of {len(self)}"}
+        if self.is_solved.any():
+            rows["cost"] = f"{np.nanmin(self.cost):.8g} to {np.nanmax(self.cost):.8g}"
+        if self.shortcomings:
+            rows["short"] = f"{len(self.shortcomings)} of them, see shortcomings"
+        for k, found in enumerate(self.outcomes):
+            if isinstance(found, Unsolved) and len(rows) < NAMED + 2:
+                rows[f"case {k}"] = f"{found.status}: {found.reason}"
+        return rows
+
+
+def _read_run(found: Any) -> Run:
+    run: Run = found.failure.run if isinstance(found, Unsolved) else found.solution.run
+    return run
+
+
+def list_cases(name: str, over: Over) -> tuple[Values, ...]:
+    """List the values of each case: columns of equal length by key, or a mapping for each case. Raises ProblemError."""
+    if not isinstance(over, Mapping):
+        return tuple(dict(case) for case in over) or _refuse(name, "over", "there is no case", "give at least one")
+    lengths = {key: len(values) for key, values in over.items()}
+    if not lengths or not max(lengths.values()):
+        _refuse(name, "over", "there is no case", "give each key a list of values")
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{key} {length}" for key, length in lengths.items())
+        _refuse(name, "over", f"the keys have different numbers of values: {told}", "give all the same number")
+    keys = tuple(over)
+    return tuple(dict(zip(keys, row, strict=True)) for row in zip(*over.values(), strict=True))
+
+
+def change(name: str, data: Mapping[str, Data], values: Values) -> dict[str, Data]:
+    """Return the data of a problem with other values of some keys.
+
+    None drops a key of the top, which has its default then. Raises ProblemError for a path that leads nowhere.
+    """
+    changed: Any = dict(data)
+    for path, value in make_plain(name, values).items():
+        changed = _put(name, path, changed, _split(name, path), value)
+    return {key: value for key, value in changed.items() if value is not None}
+
+
+def _split(name: str, path: str) -> list[str | int]:
+    """Split a path into keys and numbers: constraints[0].range -> constraints, 0, range."""
+    steps: list[str | int] = [int(m[2]) if m[2] else m[1] for m in _STEP.finditer(path)]
+    spelled = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    if not steps or spelled[1:] != path:
+        _refuse(name, path, "this is no path of keys", "write keys with dots and numbers in brackets: end.pose.cart")
+    return steps
+
+
+def _put(name: str, path: str, data: Any, steps: Sequence[str | int], value: Data) -> Any:
+    """Return data with a value put where a path leads; mappings on the way are made, lists are not."""
+    step, *rest = steps
+    if isinstance(step, int):
+        if not isinstance(data, list) or step >= len(data):
+            found = f"a list of {len(data)}" if isinstance(data, list) else "no list"
+            _refuse(name, path, f"found {found} where the path has [{step}]", "give the number of an entry, from 0")
+        below = [*data]
+        below[step] = _put(name, path, data[step], rest, value) if rest else value
+        return below
+    if data is not None and not isinstance(data, Mapping):
+        remedy = "write a path of keys of the problem"
+        _refuse(name, path, f"found {abbreviate(data)} where the path has {step}", remedy)
+    held = dict(data or {})
+    held[step] = _put(name, path, held.get(step), rest, value) if rest else value
+    return held
+
+
+def _refuse(name: str, place: str, finding: str, remedy: str) -> Any:
+    raise ProblemError(name, [(place, finding, remedy)])
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A problem whose keys take many values: how it becomes one case."""
+
+    name: str
+    data: Mapping[str, Data]  # as a problem file holds it
+    plants: Plants
+    restate: Callable[[Mapping[str, Data]], Any]  # data -> a problem in Python. Raises ProblemError
+    state: Callable[[Any, Any, bool], Case]  # a problem, a guess or None, whether it is checked -> a case
+    read: Callable[[Case, Outcome], Any]  # an outcome as `solve` returns it
+
+    def list_cases(self, cases: Sequence[Values], guesses: Sequence[Any] | None = None, *, check: bool) -> list[Case]:
+        """Return the case of each mapping of values. Raises ProblemError with the faults of the first."""
+        if guesses is not None and len(guesses) != len(cases):
+            _refuse(self.name, "guesses", f"there are {len(guesses)} for {len(cases)} cases", "give one for each")
+        found, faults, wrong = list[Case](), list[Line](), 0
+        for k, case in enumerate(cases):
+            try:
+                problem = self.restate(change(self.name, self.data, case))
+                found.append(self.state(problem, None if guesses is None else guesses[k], check))
+            except ProblemError as error:
+                wrong += 1
+                own = [(f"case {k}: {place}", finding, remedy) for place, finding, remedy in error.findings]
+                faults += own if wrong <= NAMED else []
+        if wrong > NAMED:
+            faults.append(("cases", f"{wrong - NAMED} more of {len(cases)} have faults", "mend these first"))
+        if faults:
+            raise ProblemError(self.name, faults)
+        return found
+
+
+def solve_family(
+    family: Family, over: Over, guesses: Sequence[Any] | None, threads: int, watch: Show | None, *, check: bool
+) -> SolvedMany:
+    """Solve a problem for many values of its keys; see `OptimalControl.solve_many`."""
+    values = list_cases(family.name, over)
+    if threads < 1:
+        _refuse(family.name, "threads", f"found {threads}", "give 1 or more")
+    cases, found = family.list_cases(values, guesses, check=check), dict[int, Any]()
+    for k, outcome in solve_cases(cases, family.plants, threads):
+        found[k] = family.read(cases[k], outcome)
+        if watch is not None:
+            watch(k, found[k])
+    return SolvedMany(values, tuple(found[k] for k in range(len(cases))))
