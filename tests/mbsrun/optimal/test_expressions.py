@@ -20,6 +20,7 @@ from mbsrun.ocp.backends import numpy as in_numpy
 from mbsrun.ocp.backends.evaluations import FormulaEvaluation
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.functions import Formula, Input, SymbolicCall
+from mbsrun.ocp.phases.problem import Plants, list_one
 from mbsrun.ocp.problem import Form, Problem, Representation
 from mbsrun.ocp.transcription import transcribe
 from mbsrun.optimal.control import OptimalControl
@@ -216,7 +217,7 @@ def test_files_hold_no_code(written: OptimalControl, tmp_path: Path) -> None:
 
 
 def transcribe_checked(problem: Problem, control: OptimalControl) -> None:
-    control.programs.find(problem, control.plant)
+    control.programs.find(list_one(problem), Plants((control.plant,)))
 
 
 def test_controllers_take_no_expressions_in_casadi(written: OptimalControl) -> None:
