@@ -3,6 +3,7 @@
 c = mbsrun.controller("DIR")
 c.data["end_q"][:] = 1.5
 c.solve().status                    "solved"
+c.solve_batch(states).inputs        of many starts
 c.prepare(shift=True)
 inputs, step = c.feedback(state)
 """
@@ -10,9 +11,11 @@ inputs, step = c.feedback(state)
 from __future__ import annotations
 
 import os
+import queue
 import re
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +32,7 @@ from mbsrun.library import compile_library, find_compiler
 
 Array = NDArray[np.float64]
 
+SOLVED = ("solved", "acceptable")
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _NUMBER = re.compile(r"#define \w+ \d+")
 _ALIGNMENT = 16
@@ -57,7 +61,7 @@ class Result:
     @property
     def is_solved(self) -> bool:
         """Return whether a solution was found, if only to the acceptable tolerance."""
-        return self.status in ("solved", "acceptable")
+        return self.status in SOLVED
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,19 @@ class Step:
     stationarity: float
     deviation: float  # of the measured state from the plan's first one, scaled
     length: float
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The outcomes of many solves; each array has a row for each problem: without a solution, of the last iterate."""
+
+    statuses: tuple[str, ...]  # words of `read_statuses`
+    is_solved: NDArray[np.bool_]  # (problems,): a solution was found, if only to the acceptable tolerance
+    iterations: NDArray[np.intc]
+    cost: Array
+    inputs: Array  # (problems, inputs): to apply first
+    plan_states: Array  # (problems, N + 1, states)
+    plan_inputs: Array  # (problems, N, inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +127,7 @@ class Controller:
         rows = [name for name in sources if name.startswith("mbs_stages_")]
         self.library = compile_library(self.folder, self._name, sources, compiler, rows=rows, given=PLAIN)
         self._library: Any = self._ffi.dlopen(str(self.library))
-        size = self._call("bytes")
-        self._memory = self._ffi.new("char[]", size + _ALIGNMENT)
-        address = int(self._ffi.cast("uintptr_t", self._memory))
-        self._start = self._memory + (-address) % _ALIGNMENT
-        self._controller = self._call("create", self._start, size)
-        if self._controller == self._ffi.NULL:
-            raise ControllerError(f"{self.folder}: no controller can be made of it; write the folder again")
+        self._memory, self._controller = self._make()
         self._clock = self._ffi.callback("double(void *)", lambda _: time.perf_counter())
         self.data = MappingProxyType(self._view())
 
@@ -156,6 +167,51 @@ class Controller:
         limits.warm = warm
         self._call("solve", self._controller, limits)
         return self._describe_result()
+
+    def solve_batch(
+        self,
+        states: ArrayLike | None = None,
+        *,
+        data: Mapping[str, ArrayLike] | None = None,
+        threads: int = 1,
+        iterations: int | None = None,
+        seconds: float | None = None,
+        tolerance: float | None = None,
+    ) -> Batch:
+        """Solve many problems that differ in their numbers, each anew from the kept plan, in other memory.
+
+        `states`, (problems, states), are where they start; `data` has rows of other data by name, (problems, size). The
+        others are as the controller has them. Data, options and plan of this controller stay. No result depends on
+        the other problems, nor on `threads`. Raises ControllerError for shapes that do not fit.
+        """
+        if threads < 1:
+            raise ControllerError(f"threads = {threads!r}: give at least one")
+        rows, count = self._collect(states, data or {})
+        limits = self._limit(iterations=iterations, seconds=seconds, tolerance=tolerance)
+        N, nx, nu = self.manifest.intervals, len(self.manifest.states), len(self.manifest.inputs)
+        status, taken = np.zeros(count, dtype=np.intc), np.zeros(count, dtype=np.intc)
+        found = [np.zeros((count, *shape)) for shape in ((), (nu,), (N + 1, nx), (N, nu))]
+        batch = self._ffi.new(f"{self._name}_batch *")
+        batch.data, batch.limits = self._pass(rows), limits
+        batch.status, batch.iterations = (self._ffi.cast("int *", x.ctypes.data) for x in (status, taken))
+        batch.cost, batch.inputs, batch.plan_states, batch.plan_inputs = map(self._pass, found)
+        size = max(1, count // (4 * threads))
+        spans = [(i, min(count, i + size)) for i in range(0, count, size)]
+        workers = [self._make() for _ in range(min(threads, len(spans)))]
+        free = queue.SimpleQueue[Any]()
+        for worker in workers:
+            free.put(worker)
+
+        def solve(span: tuple[int, int]) -> None:
+            memory, worker = free.get()
+            self._call("solve_batch", worker, self._controller, batch, *span)
+            free.put((memory, worker))
+
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(solve, spans))
+        words = tuple(self._statuses[k] for k in status.tolist())
+        solved = np.array([word in SOLVED for word in words], dtype=bool)
+        return Batch(words, solved, taken, *found)
 
     def prepare(self, *, shift: bool = False) -> Step:
         """Begin a sampling period, before its state is measured; `shift` moves the plan ahead by one interval."""
@@ -234,6 +290,46 @@ class Controller:
 
     def _call(self, function: str, *arguments: Any) -> Any:
         return getattr(self._library, f"{self.manifest.symbols}_{function}")(*arguments)
+
+    def _make(self) -> tuple[Any, Any]:
+        """Make a controller; return its memory, which must outlive it, and the controller."""
+        size = self._call("bytes")
+        memory = self._ffi.new("char[]", size + _ALIGNMENT)
+        address = int(self._ffi.cast("uintptr_t", memory))
+        made = self._call("create", memory + (-address) % _ALIGNMENT, size)
+        if made == self._ffi.NULL:
+            raise ControllerError(f"{self.folder}: no controller can be made of it; write the folder again")
+        return memory, made
+
+    def _collect(self, states: ArrayLike | None, data: Mapping[str, ArrayLike]) -> tuple[Array, int]:
+        """Return rows of all data, and how many there are."""
+        known = [field.name for field in self.manifest.data]
+        for name in data:
+            if name not in known:
+                raise ControllerError(f"data: there is no {name!r}; there are {', '.join(known)}")
+        nx, sizes = len(self.manifest.states), {field.name: field.size for field in self.manifest.data}
+        given = {name: self._check_rows(name, values, sizes[name]) for name, values in data.items()}
+        starts = None if states is None else self._check_rows("states", states, nx)
+        counts = {name: len(x) for name, x in given.items()} | ({} if starts is None else {"states": len(starts)})
+        if not counts:
+            raise ControllerError("solve_batch: give states, or rows of data")
+        if len(set(counts.values())) > 1:
+            told = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise ControllerError(f"solve_batch: the rows differ in number: {told}")
+        count = next(iter(counts.values()))
+        rows = np.hstack([given.get(name, np.tile(self.data[name].ravel(), (count, 1))) for name in known])
+        if starts is not None:
+            rows[:, :nx] = starts
+        return np.ascontiguousarray(rows), count
+
+    def _check_rows(self, name: str, values: ArrayLike, size: int) -> Array:
+        try:
+            array = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ControllerError(f"{name}: no array of numbers; give rows of {size}") from None
+        if array.ndim < 2 or array[0:1].size != size * len(array[0:1]):
+            raise ControllerError(f"{name} has shape {array.shape}; give rows of {size} numbers, one for each problem")
+        return array.reshape(len(array), size)
 
     def _tag(self, declarations: str) -> str:
         """Return declarations of functions by their symbols in the library."""

@@ -193,6 +193,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         "states": _Group("STATE", "a state", tuple(states)),
         "inputs": _Group("INPUT", "the inputs", tuple(inputs)),
         "fields": fields,
+        "data": design.sources.count,
         "predicts": _Prediction(layout.nq, len(design.prediction) == 1) if design.prediction else None,
         "is_late": histories is not None and bool(histories.acting),
         "histories": histories,

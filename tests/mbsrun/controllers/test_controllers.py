@@ -393,6 +393,46 @@ def test_controllers_in_threads_share_nothing(case: Case) -> None:
     assert all(np.array_equal(c.plan().states, alone.plan().states) for c in several)
 
 
+def test_a_batch_is_solves_one_by_one(case: Case, controller: Controller) -> None:
+    """To the last bit, in any number of threads; the controller stays as it is."""
+    controller.data["weights"][:] = 0.7, 3.0, 0.2
+    controller.solve()
+    before, plan = controller.variables.copy(), controller.plan()
+    starts = np.array([[0.1 * k, 0.3 - 0.1 * k, 0.0, 0.1] for k in range(5)])
+    uppers = np.array([[5.0 + k] for k in range(5)])
+    found = controller.solve_batch(starts, data={"u_upper": uppers})
+    again = controller.solve_batch(starts, data={"u_upper": uppers}, threads=3)
+    assert np.array_equal(controller.variables, before)
+    assert np.array_equal(controller.plan().states, plan.states)
+    assert controller.data["start_q"].tolist() == [0, 0.4]
+    assert found.is_solved.all()
+    for name in ("cost", "iterations", "inputs", "plan_states", "plan_inputs"):
+        assert np.array_equal(getattr(found, name), getattr(again, name))
+    other = mbsrun.controller(case.folder)
+    for k, start in enumerate(starts):
+        other.reset()
+        other.data["weights"][:] = 0.7, 3.0, 0.2
+        other.data["u_upper"][:] = uppers[k]
+        other.data["start_q"][:], other.data["start_qd"][:] = start[:2], start[2:]
+        other.variables[:] = before
+        result = other.solve()
+        assert (found.statuses[k], found.iterations[k]) == (result.status, result.iterations)
+        assert found.cost[k] == result.cost
+        assert np.array_equal(found.plan_states[k], other.plan().states)
+        assert np.array_equal(found.plan_inputs[k], other.plan().inputs)
+        assert np.array_equal(found.inputs[k], other.plan().inputs[0])
+
+
+def test_a_problem_of_a_batch_may_fail(controller: Controller) -> None:
+    good = [0.1, 0.3, 0, 0]
+    found = controller.solve_batch([good, [np.nan, 0, 0, 0], good], iterations=200)
+    assert found.statuses[1] == "bad problem"
+    assert found.is_solved.tolist() == [True, False, True]
+    assert found.cost[0] == found.cost[2]
+    few = controller.solve_batch([good], iterations=1)
+    assert few.statuses == ("iteration limit",)
+
+
 def test_data_outlive_their_controller(case: Case) -> None:
     data = mbsrun.controller(case.folder).data["start_q"]
     assert data == pytest.approx([0, 0.4])
@@ -406,6 +446,13 @@ def test_data_outlive_their_controller(case: Case) -> None:
         (lambda c: c.predict(np.zeros(4), [1.0], -1.0), "give a time"),
         (lambda c: c.predict(np.zeros(4), [np.inf], 1.0), "no acceleration on the way"),
         (lambda c: c.solve(iterations=0), "iterations = 0 is no limit"),
+        (lambda c: c.solve_batch(), "give states, or rows of data"),
+        (lambda c: c.solve_batch(np.zeros(4)), r"states has shape \(4,\); give rows of 4 numbers"),
+        (lambda c: c.solve_batch(np.zeros((2, 3))), r"states has shape \(2, 3\); give rows of 4 numbers"),
+        (lambda c: c.solve_batch("up"), "states: no array of numbers; give rows of 4"),
+        (lambda c: c.solve_batch(data={"mass": [[1]]}), "data: there is no 'mass'; there are start_q"),
+        (lambda c: c.solve_batch(np.zeros((2, 4)), data={"weights": np.ones((1, 3))}), "weights 1, states 2"),
+        (lambda c: c.solve_batch(np.zeros((2, 4)), threads=0), "threads = 0: give at least one"),
     ],
 )
 def test_misuse_is_told(controller: Controller, call: Callable[[Controller], object], message: str) -> None:
