@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-learning bench-startup bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-gpu bench-learning bench-startup bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -107,6 +107,10 @@ bench-loops: $(VENV)/installed-bench
 # Kernels in batches, in lanes and one by one: three minutes.
 bench-batches: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.batches $(BENCH)
+
+# Kernels on a GPU of NVIDIA, beside frax: a minute. Where there is none, it says so, and writes nothing.
+bench-gpu: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.gpu $(BENCH)
 
 # The price of calls inside JAX and PyTorch, and steps a second beside MuJoCo and MJX: five minutes. BENCH=--quick: a
 # minute, without MJX, which compiles long.

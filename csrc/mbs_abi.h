@@ -24,15 +24,19 @@
 #define MBS_RESTRICT restrict
 #endif
 
-/* A function that is not to become a part of another again. */
-#if defined(__GNUC__)
+/* A function that is not to become a part of another again. On a GPU it is one: what lies in memory would be slow. */
+#if defined(__CUDACC__)
+#define MBS_APART
+#elif defined(__GNUC__)
 #define MBS_APART __attribute__((noinline))
 #else
 #define MBS_APART
 #endif
 
 /* The next loop, written out: only then do its numbers stay in registers, at any optimisation. */
-#if defined(__clang__)
+#if defined(__CUDACC__)
+#define MBS_UNROLLED _Pragma("unroll")
+#elif defined(__clang__)
 #define MBS_UNROLLED _Pragma("clang loop unroll(full)")
 #elif defined(__GNUC__) && __GNUC__ >= 8
 #define MBS_UNROLLED _Pragma("GCC unroll 16")

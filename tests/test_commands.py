@@ -95,6 +95,7 @@ def simulate(name: str, kind: Kind) -> Iterator[Command]:
     pictures = ("page.html", "pictures.png")
     outputs = [word for picture in pictures for word in ("-o", picture)]
     yield Command("mbsrun", ("animate", file, "motion.csv", *outputs), pictures)
+    yield Command("mbsrun", ("cuda", file, "--functions", "impl", "--derivatives", "0", "-o", "gpu"), ("gpu",))
     yield Command("mbsrun", ("fmu", file), (f"{name}.fmu",))
     yield Command("mbsrun", ("fmu", file, "--fmi", "2.0", "--source-only", "-o", "2.fmu"), ("2.fmu",))
 

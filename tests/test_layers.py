@@ -114,6 +114,11 @@ MBSRUN = Package(
         "jax.primitives",
         "jax.functions torch.functions",
         "jax torch",
+        "cuda.nvrtc",
+        "cuda.driver cuda.images",
+        "cuda.arrays",
+        "cuda.functions",
+        "cuda",
         "fmu",
         "linearisation.equations",
         "linearisation.pictures",
@@ -201,8 +206,9 @@ MBSRUN = Package(
         "commands.searching commands.failures commands.columns",
         "commands.recorded commands.animated commands.robots",
         "commands.cases",
-        "commands.advise commands.animate commands.cache commands.chart commands.controller commands.fit_motion "
-        "commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise commands.playground "
+        "commands.advise commands.animate commands.cache commands.chart commands.controller commands.cuda "
+        "commands.fit_motion commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise "
+        "commands.playground "
         "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
@@ -227,6 +233,7 @@ MBSRUN = Package(
         "ocp.stages.formulas": "mbsgen.formulas",
         "fmu": "mbsgen.targets",
         "commands.fmu": "mbsgen.targets",
+        "cuda.images": "mbsgen.targets",
         "controllers.writing": "mbsgen.targets",
         "controllers.making": "mbsgen.targets",
         "controllers.sources": "mbsgen.targets",

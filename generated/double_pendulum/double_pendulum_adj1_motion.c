@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_dcc545fc_motion, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_403a3256_motion, casadi_int)
 
-int double_pendulum_dcc545fc_compute_adj1_motion(
+int double_pendulum_403a3256_compute_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -31,7 +31,7 @@ int double_pendulum_compute_adj1_motion(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_dcc545fc_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
+    return double_pendulum_403a3256_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
 }
 #endif
 
@@ -42,7 +42,7 @@ int double_pendulum_compute_adj1_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_motion
 #undef adj1_double_pendulum_motion
-#define double_pendulum_compute_adj1_motion MBS_STATES_NAME(double_pendulum_dcc545fc_compute_adj1_motion)
+#define double_pendulum_compute_adj1_motion MBS_STATES_NAME(double_pendulum_403a3256_compute_adj1_motion)
 #define adj1_double_pendulum_motion MBS_STATES_NAME(adj1_double_pendulum_motion)
 #endif
 

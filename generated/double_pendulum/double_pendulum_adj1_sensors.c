@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_dcc545fc_sensors, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_403a3256_sensors, casadi_int)
 
-int double_pendulum_dcc545fc_compute_adj1_sensors(
+int double_pendulum_403a3256_compute_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q);
@@ -22,7 +22,7 @@ int double_pendulum_compute_adj1_sensors(
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q)
 {
-    return double_pendulum_dcc545fc_compute_adj1_sensors(q, adj_position, adj_q);
+    return double_pendulum_403a3256_compute_adj1_sensors(q, adj_position, adj_q);
 }
 #endif
 
@@ -33,7 +33,7 @@ int double_pendulum_compute_adj1_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_sensors
 #undef adj1_double_pendulum_sensors
-#define double_pendulum_compute_adj1_sensors MBS_STATES_NAME(double_pendulum_dcc545fc_compute_adj1_sensors)
+#define double_pendulum_compute_adj1_sensors MBS_STATES_NAME(double_pendulum_403a3256_compute_adj1_sensors)
 #define adj1_double_pendulum_sensors MBS_STATES_NAME(adj1_double_pendulum_sensors)
 #endif
 

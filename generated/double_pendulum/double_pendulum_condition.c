@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_dcc545fc_condition, casadi_int)
+MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_403a3256_condition, casadi_int)
 
-int double_pendulum_dcc545fc_compute_condition(
+int double_pendulum_403a3256_compute_condition(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated);
@@ -22,7 +22,7 @@ int double_pendulum_compute_condition(
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated)
 {
-    return double_pendulum_dcc545fc_compute_condition(q, elimination, articulated);
+    return double_pendulum_403a3256_compute_condition(q, elimination, articulated);
 }
 #endif
 
@@ -33,7 +33,7 @@ int double_pendulum_compute_condition(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_condition
 #undef double_pendulum_condition
-#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_dcc545fc_compute_condition)
+#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_403a3256_compute_condition)
 #define double_pendulum_condition MBS_STATES_NAME(double_pendulum_condition)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_dcc545fc_frames, casadi_int)
+MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_403a3256_frames, casadi_int)
 
-int double_pendulum_dcc545fc_compute_frames(
+int double_pendulum_403a3256_compute_frames(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R);
@@ -22,7 +22,7 @@ int double_pendulum_compute_frames(
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R)
 {
-    return double_pendulum_dcc545fc_compute_frames(q, p, R);
+    return double_pendulum_403a3256_compute_frames(q, p, R);
 }
 #endif
 
@@ -33,7 +33,7 @@ int double_pendulum_compute_frames(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_frames
 #undef double_pendulum_frames
-#define double_pendulum_compute_frames MBS_STATES_NAME(double_pendulum_dcc545fc_compute_frames)
+#define double_pendulum_compute_frames MBS_STATES_NAME(double_pendulum_403a3256_compute_frames)
 #define double_pendulum_frames MBS_STATES_NAME(double_pendulum_frames)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_dcc545fc_impl, casadi_int)
+MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_403a3256_impl, casadi_int)
 
-int double_pendulum_dcc545fc_compute_impl(
+int double_pendulum_403a3256_compute_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_impl(
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_dcc545fc_compute_impl(q, qd, qdd, Phi);
+    return double_pendulum_403a3256_compute_impl(q, qd, qdd, Phi);
 }
 #endif
 
@@ -36,7 +36,7 @@ int double_pendulum_compute_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_impl
 #undef double_pendulum_impl
-#define double_pendulum_compute_impl MBS_STATES_NAME(double_pendulum_dcc545fc_compute_impl)
+#define double_pendulum_compute_impl MBS_STATES_NAME(double_pendulum_403a3256_compute_impl)
 #define double_pendulum_impl MBS_STATES_NAME(double_pendulum_impl)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_dcc545fc_motion, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_403a3256_motion, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_adj1_motion(
+int double_pendulum_403a3256_compute_jac_adj1_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -43,7 +43,7 @@ int double_pendulum_compute_jac_adj1_motion(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega)
 {
-    return double_pendulum_dcc545fc_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
+    return double_pendulum_403a3256_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
 }
 #endif
 
@@ -54,7 +54,7 @@ int double_pendulum_compute_jac_adj1_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_motion
 #undef jac_adj1_double_pendulum_motion
-#define double_pendulum_compute_jac_adj1_motion MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_adj1_motion)
+#define double_pendulum_compute_jac_adj1_motion MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_adj1_motion)
 #define jac_adj1_double_pendulum_motion MBS_STATES_NAME(jac_adj1_double_pendulum_motion)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_dcc545fc_sensors, casadi_int)
+MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_403a3256_sensors, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_adj1_sensors(
+int double_pendulum_403a3256_compute_jac_adj1_sensors(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT jac_adj_q_q,
@@ -25,7 +25,7 @@ int double_pendulum_compute_jac_adj1_sensors(
     mbs_real *MBS_RESTRICT jac_adj_q_q,
     mbs_real *MBS_RESTRICT jac_adj_q_adj_position)
 {
-    return double_pendulum_dcc545fc_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
+    return double_pendulum_403a3256_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
 }
 #endif
 
@@ -36,7 +36,7 @@ int double_pendulum_compute_jac_adj1_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_sensors
 #undef jac_adj1_double_pendulum_sensors
-#define double_pendulum_compute_jac_adj1_sensors MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_adj1_sensors)
+#define double_pendulum_compute_jac_adj1_sensors MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_adj1_sensors)
 #define jac_adj1_double_pendulum_sensors MBS_STATES_NAME(jac_adj1_double_pendulum_sensors)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_impl, jac_double_pendulum_dcc545fc_impl, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_impl, jac_double_pendulum_403a3256_impl, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_impl(
+int double_pendulum_403a3256_compute_jac_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -31,7 +31,7 @@ int double_pendulum_compute_jac_impl(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_dcc545fc_compute_jac_impl(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return double_pendulum_403a3256_compute_jac_impl(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -42,7 +42,7 @@ int double_pendulum_compute_jac_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_impl
 #undef jac_double_pendulum_impl
-#define double_pendulum_compute_jac_impl MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_impl)
+#define double_pendulum_compute_jac_impl MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_impl)
 #define jac_double_pendulum_impl MBS_STATES_NAME(jac_double_pendulum_impl)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_dcc545fc_motion, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_403a3256_motion, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_motion(
+int double_pendulum_403a3256_compute_jac_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_v_q,
@@ -28,7 +28,7 @@ int double_pendulum_compute_jac_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_dcc545fc_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
+    return double_pendulum_403a3256_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -39,7 +39,7 @@ int double_pendulum_compute_jac_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_motion
 #undef jac_double_pendulum_motion
-#define double_pendulum_compute_jac_motion MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_motion)
+#define double_pendulum_compute_jac_motion MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_motion)
 #define jac_double_pendulum_motion MBS_STATES_NAME(jac_double_pendulum_motion)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_semi_res, jac_double_pendulum_dcc545fc_semi_res, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_semi_res, jac_double_pendulum_403a3256_semi_res, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_semi_res(
+int double_pendulum_403a3256_compute_jac_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -31,7 +31,7 @@ int double_pendulum_compute_jac_semi_res(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_dcc545fc_compute_jac_semi_res(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return double_pendulum_403a3256_compute_jac_semi_res(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -42,7 +42,7 @@ int double_pendulum_compute_jac_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_semi_res
 #undef jac_double_pendulum_semi_res
-#define double_pendulum_compute_jac_semi_res MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_semi_res)
+#define double_pendulum_compute_jac_semi_res MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_semi_res)
 #define jac_double_pendulum_semi_res MBS_STATES_NAME(jac_double_pendulum_semi_res)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_dcc545fc_sensors, casadi_int)
+MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_403a3256_sensors, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jac_sensors(
+int double_pendulum_403a3256_compute_jac_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q);
 int double_pendulum_compute_jac_sensors(
@@ -19,7 +19,7 @@ int double_pendulum_compute_jac_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_dcc545fc_compute_jac_sensors(q, jac_position_q);
+    return double_pendulum_403a3256_compute_jac_sensors(q, jac_position_q);
 }
 #endif
 
@@ -30,7 +30,7 @@ int double_pendulum_compute_jac_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_sensors
 #undef jac_double_pendulum_sensors
-#define double_pendulum_compute_jac_sensors MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jac_sensors)
+#define double_pendulum_compute_jac_sensors MBS_STATES_NAME(double_pendulum_403a3256_compute_jac_sensors)
 #define jac_double_pendulum_sensors MBS_STATES_NAME(jac_double_pendulum_sensors)
 #endif
 

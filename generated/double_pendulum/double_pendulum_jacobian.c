@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_dcc545fc_jacobian, casadi_int)
+MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_403a3256_jacobian, casadi_int)
 
-int double_pendulum_dcc545fc_compute_jacobian(
+int double_pendulum_403a3256_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J);
 int double_pendulum_compute_jacobian(
@@ -19,7 +19,7 @@ int double_pendulum_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J)
 {
-    return double_pendulum_dcc545fc_compute_jacobian(q, J);
+    return double_pendulum_403a3256_compute_jacobian(q, J);
 }
 #endif
 
@@ -30,7 +30,7 @@ int double_pendulum_compute_jacobian(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jacobian
 #undef double_pendulum_jacobian
-#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_dcc545fc_compute_jacobian)
+#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_403a3256_compute_jacobian)
 #define double_pendulum_jacobian MBS_STATES_NAME(double_pendulum_jacobian)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_impl, double_pendulum_dcc545fc_lin_impl, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_impl, double_pendulum_403a3256_lin_impl, casadi_int)
 
-int double_pendulum_dcc545fc_compute_lin_impl(
+int double_pendulum_403a3256_compute_lin_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_impl(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_dcc545fc_compute_lin_impl(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return double_pendulum_403a3256_compute_lin_impl(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -45,7 +45,7 @@ int double_pendulum_compute_lin_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_impl
 #undef double_pendulum_lin_impl
-#define double_pendulum_compute_lin_impl MBS_STATES_NAME(double_pendulum_dcc545fc_compute_lin_impl)
+#define double_pendulum_compute_lin_impl MBS_STATES_NAME(double_pendulum_403a3256_compute_lin_impl)
 #define double_pendulum_lin_impl MBS_STATES_NAME(double_pendulum_lin_impl)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_dcc545fc_lin_motion, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_403a3256_lin_motion, casadi_int)
 
-int double_pendulum_dcc545fc_compute_lin_motion(
+int double_pendulum_403a3256_compute_lin_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_dcc545fc_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
+    return double_pendulum_403a3256_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -45,7 +45,7 @@ int double_pendulum_compute_lin_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_motion
 #undef double_pendulum_lin_motion
-#define double_pendulum_compute_lin_motion MBS_STATES_NAME(double_pendulum_dcc545fc_compute_lin_motion)
+#define double_pendulum_compute_lin_motion MBS_STATES_NAME(double_pendulum_403a3256_compute_lin_motion)
 #define double_pendulum_lin_motion MBS_STATES_NAME(double_pendulum_lin_motion)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_dcc545fc_lin_sensors, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_403a3256_lin_sensors, casadi_int)
 
-int double_pendulum_dcc545fc_compute_lin_sensors(
+int double_pendulum_403a3256_compute_lin_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q);
@@ -22,7 +22,7 @@ int double_pendulum_compute_lin_sensors(
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_dcc545fc_compute_lin_sensors(q, position, jac_position_q);
+    return double_pendulum_403a3256_compute_lin_sensors(q, position, jac_position_q);
 }
 #endif
 
@@ -33,7 +33,7 @@ int double_pendulum_compute_lin_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_sensors
 #undef double_pendulum_lin_sensors
-#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_dcc545fc_compute_lin_sensors)
+#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_403a3256_compute_lin_sensors)
 #define double_pendulum_lin_sensors MBS_STATES_NAME(double_pendulum_lin_sensors)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_dcc545fc_motion, casadi_int)
+MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_403a3256_motion, casadi_int)
 
-int double_pendulum_dcc545fc_compute_motion(
+int double_pendulum_403a3256_compute_motion(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -25,7 +25,7 @@ int double_pendulum_compute_motion(
     mbs_real *MBS_RESTRICT v,
     mbs_real *MBS_RESTRICT omega)
 {
-    return double_pendulum_dcc545fc_compute_motion(q, qd, v, omega);
+    return double_pendulum_403a3256_compute_motion(q, qd, v, omega);
 }
 #endif
 
@@ -36,7 +36,7 @@ int double_pendulum_compute_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_motion
 #undef double_pendulum_motion
-#define double_pendulum_compute_motion MBS_STATES_NAME(double_pendulum_dcc545fc_compute_motion)
+#define double_pendulum_compute_motion MBS_STATES_NAME(double_pendulum_403a3256_compute_motion)
 #define double_pendulum_motion MBS_STATES_NAME(double_pendulum_motion)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_power, double_pendulum_dcc545fc_power, casadi_int)
+MBS_NAME_CASADI(double_pendulum_power, double_pendulum_403a3256_power, casadi_int)
 
-int double_pendulum_dcc545fc_compute_power(
+int double_pendulum_403a3256_compute_power(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power);
@@ -22,7 +22,7 @@ int double_pendulum_compute_power(
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power)
 {
-    return double_pendulum_dcc545fc_compute_power(q, qd, power);
+    return double_pendulum_403a3256_compute_power(q, qd, power);
 }
 #endif
 
@@ -32,7 +32,7 @@ int double_pendulum_compute_power(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_power
 #undef double_pendulum_power
-#define double_pendulum_compute_power MBS_STATES_NAME(double_pendulum_dcc545fc_compute_power)
+#define double_pendulum_compute_power MBS_STATES_NAME(double_pendulum_403a3256_compute_power)
 #define double_pendulum_power MBS_STATES_NAME(double_pendulum_power)
 #endif
 

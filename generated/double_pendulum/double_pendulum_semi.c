@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_dcc545fc_semi, casadi_int)
+MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_403a3256_semi, casadi_int)
 
-int double_pendulum_dcc545fc_compute_semi(
+int double_pendulum_403a3256_compute_semi(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
@@ -25,7 +25,7 @@ int double_pendulum_compute_semi(
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c)
 {
-    return double_pendulum_dcc545fc_compute_semi(q, qd, M, c);
+    return double_pendulum_403a3256_compute_semi(q, qd, M, c);
 }
 #endif
 
@@ -36,7 +36,7 @@ int double_pendulum_compute_semi(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi
 #undef double_pendulum_semi
-#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_dcc545fc_compute_semi)
+#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_403a3256_compute_semi)
 #define double_pendulum_semi MBS_STATES_NAME(double_pendulum_semi)
 #endif
 

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_dcc545fc_semi_res, casadi_int)
+MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_403a3256_semi_res, casadi_int)
 
-int double_pendulum_dcc545fc_compute_semi_res(
+int double_pendulum_403a3256_compute_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_semi_res(
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_dcc545fc_compute_semi_res(q, qd, qdd, Phi);
+    return double_pendulum_403a3256_compute_semi_res(q, qd, qdd, Phi);
 }
 #endif
 
@@ -36,7 +36,7 @@ int double_pendulum_compute_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi_res
 #undef double_pendulum_semi_res
-#define double_pendulum_compute_semi_res MBS_STATES_NAME(double_pendulum_dcc545fc_compute_semi_res)
+#define double_pendulum_compute_semi_res MBS_STATES_NAME(double_pendulum_403a3256_compute_semi_res)
 #define double_pendulum_semi_res MBS_STATES_NAME(double_pendulum_semi_res)
 #endif
 

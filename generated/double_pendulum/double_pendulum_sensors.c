@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_sensors, double_pendulum_dcc545fc_sensors, casadi_int)
+MBS_NAME_CASADI(double_pendulum_sensors, double_pendulum_403a3256_sensors, casadi_int)
 
-int double_pendulum_dcc545fc_compute_sensors(
+int double_pendulum_403a3256_compute_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position);
 int double_pendulum_compute_sensors(
@@ -19,7 +19,7 @@ int double_pendulum_compute_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position)
 {
-    return double_pendulum_dcc545fc_compute_sensors(q, position);
+    return double_pendulum_403a3256_compute_sensors(q, position);
 }
 #endif
 
@@ -30,7 +30,7 @@ int double_pendulum_compute_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_sensors
 #undef double_pendulum_sensors
-#define double_pendulum_compute_sensors MBS_STATES_NAME(double_pendulum_dcc545fc_compute_sensors)
+#define double_pendulum_compute_sensors MBS_STATES_NAME(double_pendulum_403a3256_compute_sensors)
 #define double_pendulum_sensors MBS_STATES_NAME(double_pendulum_sensors)
 #endif
 

@@ -107,7 +107,11 @@ typedef mbs_word mbs_bits __attribute__((vector_size(MBS_PACK * sizeof(MBS_REAL)
 #define mbs_from_bits(bits) ((mbs_pack)(bits))
 #else
 #define MBS_ENTRY(pack, i) (pack)
+#if defined(__CUDACC__)
+#define MBS_COLD __noinline__
+#else
 #define MBS_COLD
+#endif
 typedef mbs_real mbs_pack;
 typedef mbs_word mbs_bits;
 typedef union {

@@ -16,7 +16,7 @@ from mbsgen.errors import Fault, InputError
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux: <fcntl.h>, <linux/fs.h>
 # The files that mbsgen writes for a model with prefix {0}, and files that compilers and Python add to them.
 _OWN = (
-    r"{0}(_\w+)?\.(c|h|hpp|pc|py|jl|fmu)|mbs_\w+\.(c|h|hpp)|CMakeLists\.txt|manifest\.json|report\.(json|md)"
+    r"{0}(_\w+)?\.(c|h|cu|hpp|pc|py|jl|fmu)|mbs_\w+\.(c|h|hpp)|CMakeLists\.txt|manifest\.json|report\.(json|md)"
     r"|matlab|matlab/{0}_\w+\.m|check|\w+\.o|__pycache__|__pycache__/.*"
     r"|rust|rust/(src|tests|target)|rust/Cargo\.(toml|lock)|rust/src/\w+\.rs|rust/src/kernels|rust/src/kernels/\w+\.rs"
     r"|rust/tests/references\.rs|rust/target/.*"

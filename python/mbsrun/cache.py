@@ -97,7 +97,13 @@ def find_or_make(name: PurePath, make: Callable[[Path], Path]) -> Path:
 
 def list_entries(cache: Path) -> tuple[Entry, ...]:
     """List the entries of a cache, by path."""
-    kinds: dict[str, Kind] = {".o": "object", ".ci": "object", ".so": "library", ".wasm": "library"}
+    kinds: dict[str, Kind] = {
+        ".o": "object",
+        ".ci": "object",
+        ".so": "library",
+        ".wasm": "library",
+        ".cubin": "library",
+    }
     compiled = [
         _describe(path, kinds[path.suffix], path.parent.name)
         for path in cache.glob(f"{COMPILED}/*/*")

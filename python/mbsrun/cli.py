@@ -42,6 +42,7 @@ COMMANDS = {
         Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
     ),
     "Other programs": (
+        Entry("cuda", "MODEL", "Compile kernels for a GPU; print their registers."),
         Entry("fmu", "MODEL", "Write a functional mock-up unit of FMI 2.0 or 3.0."),
         Entry("playground", "MODEL", "Write a page that simulates the mechanism by its C."),
     ),

@@ -46,7 +46,7 @@ ACCEPTED = re.compile(
     r"|-fno-sanitize=undefined|-W(no-)?[a-z][\w=+-]*|-D_FORTIFY_SOURCE=[0-3]|-U_FORTIFY_SOURCE|-D_GLIBCXX_ASSERTIONS"
 )
 SHARED = "mbs"  # the part of the cache for C that serves every model: the names of its files begin with this
-_FILE = re.compile(r"[A-Za-z0-9_]+\.[ch]", re.ASCII)
+_FILE = re.compile(r"[A-Za-z0-9_]+\.(c|h|cu)", re.ASCII)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]*)"', re.MULTILINE)
 _FAST_MATH = re.compile(r"#define (__FAST_MATH__|__FINITE_MATH_ONLY__) 1\b")
 

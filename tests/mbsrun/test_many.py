@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbsgen.manifest import Kernel
 from mbsgen.pipeline import Options, generate
 from mbsgen.roles import Order, Role
 from mbsgen.targets.contract import Family
 from mbsrun import load, many
 from mbsrun.kernel import ArgumentError, Array, Kernels
 from tests.mbsgen.targets.guarded import guarded_tape
+from tests.mbsrun.many_inputs import draw
 from tests.sample import write_sample
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -50,23 +50,6 @@ def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Kernels:
     folder = tmp_path_factory.mktemp("pendulum") / "double_pendulum"
     generate(MODELS / "double_pendulum.yaml", folder, Options())
     return load(folder)
-
-
-def draw(kernel: Kernel, states: int, seed: int = 0, pose: tuple[float, ...] = ()) -> dict[str, Array]:
-    """Draw inputs; coordinates of closed loops near a pose in which they are closed."""
-    rng = np.random.default_rng(seed)
-    inputs = {}
-    for a in kernel.inputs:
-        if a.nnz and a.role not in (Role.SETUP, Role.DESIGN, Role.REMAINDER):
-            shape = (a.rows,) if a.cols == 1 and not a.matrix else (a.rows, a.cols)
-            values = rng.normal(size=(states, *shape))
-            if a.row is not None and a.colind is not None:
-                pattern = np.zeros((a.rows, a.cols), dtype=bool)
-                pattern[np.array(a.row, dtype=int), np.repeat(np.arange(a.cols), np.diff(a.colind))] = True
-                values *= pattern.reshape(shape)
-            is_near = pose and a.role is Role.COORDINATE
-            inputs[a.name] = np.array(pose) + 0.05 * values if is_near else values
-    return inputs
 
 
 def compute_one_by_one(kernels: Kernels, name: str, inputs: dict[str, Array]) -> tuple[dict[str, Array], Array]:

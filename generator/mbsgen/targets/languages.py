@@ -17,6 +17,7 @@ from mbsgen.targets.acados import add_acados
 from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.cpp import list_headers, write_cpp
+from mbsgen.targets.cuda import pack_cuda
 from mbsgen.targets.double_double import add_double_double
 from mbsgen.targets.fmu import pack_source
 from mbsgen.targets.julia import write_julia
@@ -65,6 +66,7 @@ TARGETS: tuple[Target, ...] = (
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
     Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", write_rust),
     Target("julia", "Also write a Julia module that calls the C.", write_julia),
+    Target("cuda", "Also write CUDA C that computes many states on a GPU, a state a thread.", pack=pack_cuda),
     Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
