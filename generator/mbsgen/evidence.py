@@ -216,6 +216,7 @@ class _Comparison:
                 [k for k, name in enumerate(self.whole.elements) if name in self.reduced.elements],
                 len(self.whole.elements),
             ),
+            Axis.MOMENTS: ([bodies.index(x.name) for x in self.reduced.bodies], len(bodies)),
             Axis.BODIES: ([bodies.index(x.name) for x in self.reduced.bodies], len(bodies)),
             Axis.FRAMES: ([frames.index(frame) for frame in _frames(self.reduced)], len(frames)),
         }

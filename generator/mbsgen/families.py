@@ -100,6 +100,9 @@ def _write_chosen(
             families.append(Family(tape, title=entry.title))
             continue
         tell(f"{name} and its derivatives")
+        if entry.by_adjoint:
+            families.append(Family(tape, adj1=differentiate(tape, differentiable(tape)).adj1, title=entry.title))
+            continue
         if entry.is_form:
             found = dynamics.differentiate(tape, forms)
             forms.append(found)

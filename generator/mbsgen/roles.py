@@ -53,7 +53,11 @@ class Role(Enum):
 
 
 # Functions that are written only where they are named: few uses need them, and each use of them knows its name.
-ON_REQUEST = ("accelerations", "attitudes", "lengths", "tensions", "contact_forces", "reactions")
+ON_REQUEST = ("accelerations", "attitudes", "lengths", "tensions", "contact_forces", "reactions", "regressor")
+
+# The numbers of a body by which forces are linear: mass [kg], first moment [kg m], and the tensor [kg m2] about the
+# origin of the body's frame, along its axes.
+MOMENTS = ("m", "Sx", "Sy", "Sz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
 class Axis(Enum):
@@ -73,6 +77,7 @@ class Axis(Enum):
     FRAMES = "frames"  # one entry or more for each body, then for each sensor
     BODIES = "bodies"  # the bodies, by the joints that carry them, followers included
     ELEMENTS = "elements"  # springs and cables
+    MOMENTS = "moments"  # ten for each body, in the order of the bodies, followers included
 
 
 class Order(Enum):

@@ -241,7 +241,7 @@ def test_functions_that_there_are_not_are_told_at_once(model: Path) -> None:
     model.write_text(BRANCHED.partition("frames:")[0])
     with pytest.raises(OptionError) as told:
         make(model, Options(functions=("imlp", "motion", "xyz", "impl")))
-    known = "impl, semi, semi_res, exp1, exp2, reactions, condition, energy, power, frames"
+    known = "impl, semi, semi_res, exp1, exp2, reactions, regressor, condition, energy, power, frames"
     assert str(told.value).splitlines() == [
         "functions: there is no function 'imlp'; is impl meant?",
         "functions: motion is of sensors, and branched has none; name some under `frames:`",

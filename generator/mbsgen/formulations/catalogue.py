@@ -33,6 +33,7 @@ from mbsgen.formulations import (
     rates,
     reactions,
     reduced,
+    regressor,
     semi,
     velocities,
 )
@@ -100,6 +101,7 @@ class Entry:
     is_form: bool = False  # of the equations of motion
     row: Row | None = None
     iterated: Callable[[Tree], Procedure] | None = None  # the same by iterations, if this is to be differentiated
+    by_adjoint: bool = False  # of its derivatives the adjoint alone is written: others would be long
     same_as: str = ""  # another entry that computes the same, and is judged in its place
 
     def gives(self, role: Role) -> bool:
@@ -223,6 +225,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         _plainly(reactions.build),
         "forces and moments in the joints",
         results=(ports.REACTION_FORCE, ports.REACTION_MOMENT),
+    ),
+    "regressor": Entry(
+        _plainly(regressor.build),
+        "regressor of the bodies' inertias",
+        results=(ports.REGRESSOR,),
+        order=1,
+        by_adjoint=True,
     ),
     "condition": Entry(
         project(condition.build, coupling.write_condition),

@@ -182,6 +182,14 @@ REACTION_MOMENT = Port(
     meaning="moments by which joints act on their bodies, about the bodies' origins, in the base frame, a column each",
 )
 
+REGRESSOR = Port(
+    "Y",
+    Role.RESULT,
+    Axis.VELOCITIES,
+    Axis.MOMENTS,
+    meaning="derivatives of the residual by the moments m, S, J of each body about its origin, ten columns each",
+)
+
 ELIMINATION = Port(
     "elimination",
     Role.CONDITION,

@@ -30,6 +30,7 @@ from mbsgen.model.tree import (
     signal_symbol,
 )
 from mbsgen.procedure.procedure import Computation
+from mbsgen.roles import MOMENTS
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DECIMALS, evaluate
 from mbsgen.tape.lowering import lower
@@ -54,7 +55,7 @@ from mbsgen.verification.geometry import (
     write_numbers,
 )
 from mbsgen.verification.loops import Closures
-from mbsgen.verification.states import Numbers, State
+from mbsgen.verification.states import Numbers, State, draw
 
 Results = Mapping[str, Numbers]  # nonzeros of each output
 
@@ -380,6 +381,20 @@ class Truth:
             spin = [S[1][2] - S[2][1], S[2][0] - S[0][2], S[0][1] - S[1][0]]
             yield self.poses[mass.body].place(mass.com), [mass.m * x for x in a], spin
 
+    def gain(self, body: int, moments: Sequence[Decimal]) -> tuple[Vector, Vector]:
+        """Return what momentum and moment of momentum about its origin a body of given moments gains, less the weight.
+
+        The moment is S x A with a sum of r x r'' dm, where P = tr(J)/2 - J is the integral of s sT dm.
+        """
+        R, change, axes = self.poses[body].R, self.bends[body].R, self.mechanism.matrix(f"axes_{body}")
+        m, S, (xx, xy, xz, yy, yz, zz) = moments[0], apply(axes, list(moments[1:4])), moments[4:]
+        J = times(times(axes, [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), transpose(axes))
+        A = add(self.bends[body].p, [-x for x in self.mechanism.gravity])
+        P = [[(J[0][0] + J[1][1] + J[2][2]) / 2 * int(r == c) - J[r][c] for c in range(3)] for r in range(3)]
+        W = times(times(R, P), transpose(change))
+        spin = [W[1][2] - W[2][1], W[2][0] - W[0][2], W[0][1] - W[1][0]]
+        return add([m * x for x in A], apply(change, S)), add(cross(apply(R, S), A), spin)
+
     def list_applied(self, bodies: frozenset[int]) -> Iterator[tuple[Vector, Vector, Vector]]:
         """Yield the places of external wrenches, with the opposites of their forces and moments, in the base frame."""
         for wrench, place, force, moment in self.list_wrenches():
@@ -601,6 +616,27 @@ def _reactions(truth: Truth, tape: Computation, results: Results) -> Iterator[Co
             yield Comparison(name, results[name], expected, size)
 
 
+def _regressor(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare Y pi, of drawn moments pi, with the virtual power of inertia and weight."""
+    output = tape.output("Y")
+    width, count = len(MOMENTS), len(truth.tree.bodies)
+    drawn = draw("moments", width * count, truth.state.number)
+    written = {c // width for _, c in output.sparsity.entries}
+    drawn = tuple(x if k // width in written else ZERO for k, x in enumerate(drawn))
+    found = [ZERO] * truth.n
+    for (r, c), value in zip(output.sparsity.entries, results["Y"], strict=True):
+        found[r] += value * drawn[c]
+    wrenches = [truth.gain(i, drawn[width * (i - 1) : width * i]) for i in range(1, count + 1)]
+    expected, size = [], ZERO
+    for j in range(truth.n):
+        unit = truth.move([Decimal(int(i == j)) for i in range(truth.n)])
+        speeds = truth.mechanism.speed(truth.q, unit)[1][1:]
+        powers = [dot(F, v) + dot(N, OM) for (F, N), (v, OM) in zip(wrenches, speeds, strict=True)]
+        expected.append(sum(powers, ZERO))
+        size = max(size, largest(powers))
+    yield Comparison("Y", found, expected, size)
+
+
 def _takes(tape: Computation, port: Port) -> bool:
     return any(i.port == port for i in tape.inputs)
 
@@ -767,6 +803,7 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.CONTACT_FORCE: _contact_forces,
     ports.REACTION_FORCE: _reactions,
     ports.REACTION_MOMENT: _reactions,
+    ports.REGRESSOR: _regressor,
     ports.SENSOR_JACOBIAN: _jacobian,
     ports.ORIGINS: _frames,
     ports.ROTATIONS: _frames,
