@@ -84,7 +84,50 @@ def make_swing() -> str:
     return "t [s],angle [deg]\n" + "".join(f"{a:.2f},{b:.3f}\n" for a, b in zip(t, angle, strict=True))
 
 
-FILES = {"swing.trc": make_markers, "pendulum.csv": make_swing}
+# Of the arm that was recorded: moments about the joints, mass of the second link, length of the first, friction.
+LINKS = {"J1": 0.31, "S1": 0.52, "J2": 0.082, "S2": 0.27, "m2": 1.4, "l": 0.4}
+DAMPING, DRY = (0.12, 0.08), (0.35, 0.2)
+SLOWNESS = 0.02  # of dry friction [rad/s]
+READING, TORQUE_NOISE = 1e-4, 0.05  # of an angle [rad]; of a torque, relative to its root mean square
+
+
+def move_links(t: Array) -> tuple[Array, Array, Array]:
+    """Return angles, velocities and accelerations of the two links, (K, 2) each: five harmonics of 10 s."""
+    rng = np.random.default_rng(5)
+    q, qd, qdd = np.zeros((3, t.size, 2))
+    for k in range(1, 6):
+        w = 2 * np.pi * k / 10
+        for a, wave in zip(rng.normal(size=(2, 2)), (0.0, np.pi / 2), strict=True):
+            q += 0.5 * a * np.sin(w * t + wave)[:, None]
+            qd += 0.5 * a * w * np.cos(w * t + wave)[:, None]
+            qdd -= 0.5 * a * w**2 * np.sin(w * t + wave)[:, None]
+    return q, qd, qdd
+
+
+def find_torques(q: Array, qd: Array, qdd: Array) -> Array:
+    """Return the torques of two links that hang and swing in a plane, (K, 2): the textbook's closed form."""
+    J1, S1, J2, S2, m2, l, g = *LINKS.values(), 9.81
+    (a, b), (v, w), (p, r) = q.T, qd.T, qdd.T
+    c, s = np.cos(b), np.sin(b)
+    fall = g * S2 * np.sin(a + b)
+    first = (J1 + J2 + m2 * l**2 + 2 * l * S2 * c) * p + (J2 + l * S2 * c) * r - l * S2 * s * (2 * v * w + w**2)
+    second = (J2 + l * S2 * c) * p + J2 * r + l * S2 * s * v**2
+    torques = np.stack((first + g * (S1 + m2 * l) * np.sin(a) + fall, second + fall), axis=1)
+    return np.asarray(torques + np.array(DAMPING) * qd + np.array(DRY) * np.tanh(qd / SLOWNESS))
+
+
+def make_links() -> str:
+    """Return the recording of the two links, as CSV at 50 Hz: angles and torques with noise."""
+    t, rng = np.arange(501) / 50, np.random.default_rng(6)
+    q, qd, qdd = move_links(t)
+    u = find_torques(q, qd, qdd)
+    q = q + READING * rng.standard_normal(q.shape)
+    u = u + TORQUE_NOISE * np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
+    rows = (f"{a:.2f},{x[0]:.5f},{x[1]:.5f},{y[0]:.4f},{y[1]:.4f}\n" for a, x, y in zip(t, q, u, strict=True))
+    return "t,shoulder,elbow,u[shoulder],u[elbow]\n" + "".join(rows)
+
+
+FILES = {"swing.trc": make_markers, "pendulum.csv": make_swing, "two_link.csv": make_links}
 
 if __name__ == "__main__":
     for name, make in FILES.items():

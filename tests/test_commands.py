@@ -35,6 +35,7 @@ ROBOTS: dict[str, str | None] = {  # commands that read robots alone
     "compare": "files of URDF are compared",
     "import": "it is a model file already",
 }
+UNLOADED: dict[str, str | None] = {"identify": "torque"}  # the motions of kinds have none
 TARGETED: dict[str, str | None] = dict.fromkeys(("sweep", "study"), "targets for no sensor")
 
 
@@ -91,6 +92,7 @@ def simulate(name: str, kind: Kind) -> Iterator[Command]:
     for k, options in enumerate(("", "--settle", "--regulate 1", "--settle --regulate 1")):
         yield Command("mbsrun", ("linearise", file, *options.split(), "-o", f"linear{k}"), (f"linear{k}",))
     yield Command("mbsrun", ("inverse-dynamics", file, "motion.csv", "-o", "forces"), ("forces",))
+    yield Command("mbsrun", ("identify", file, "motion.csv", "-o", "found"), ("found",))
     yield Command("mbsrun", ("fit-motion", file, "marks.csv", "-o", "fit"), ("fit",), codes=(0, NOT_DONE))
     pictures = ("page.html", "pictures.png")
     outputs = [word for picture in pictures for word in ("-o", picture)]
@@ -180,7 +182,7 @@ def check(run: Run, commands: Iterable[Command], kind: Kind) -> None:
     for command in commands:
         if command.needs and not Path(command.needs).exists():
             continue
-        known = (*ROBOTS.items(), *kind.refused.items(), *TARGETED.items())
+        known = (*ROBOTS.items(), *kind.refused.items(), *TARGETED.items(), *UNLOADED.items())
         refused = next((words for label, words in known if _is_part(label, command.label)), None)
         faults += [f"{command.label}: {fault}" for fault in judge(run, command, refused)]
     assert not faults, "\n".join(faults)

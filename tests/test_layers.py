@@ -73,7 +73,7 @@ MBSGEN = Package(
         "equations.printing",
         "equations",
         "arrows",
-        "report drawing appearance output scaling oracle interpreted closed_comparison formulas",
+        "report drawing appearance output renumbering scaling oracle interpreted closed_comparison formulas",
         "comparison",
         "pipeline",
         "commands",
@@ -123,6 +123,13 @@ MBSRUN = Package(
         "linearisation.equations",
         "linearisation.pictures",
         "linearisation",
+        "identification.settings",
+        "identification.unknowns",
+        "identification.equations identification.result",
+        "identification.structure identification.reading identification.physical",
+        "identification.estimation identification.writing identification.pictures",
+        "identification.identify",
+        "identification",
         "ocp.conditions ocp.optimality ocp.quantities ocp.rewriting",
         "ocp.backends ocp.structure ocp.stages ocp.given ocp.driving",
         "ocp.values ocp.contacts",
@@ -207,8 +214,8 @@ MBSRUN = Package(
         "commands.recorded commands.animated commands.robots",
         "commands.cases",
         "commands.advise commands.animate commands.cache commands.chart commands.controller commands.cuda "
-        "commands.fit_motion commands.fmu commands.inverse commands.inverse_dynamics commands.lab commands.linearise "
-        "commands.playground "
+        "commands.fit_motion commands.fmu commands.identify commands.inverse commands.inverse_dynamics commands.lab "
+        "commands.linearise commands.playground "
         "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",

@@ -56,6 +56,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "phases.md",
             "python.md",
             "recordings.md",
+            "identification.md",
             "gait.md",
             "muscles.md",
             "quantities.md",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from sympy import Expr, Symbol
 
-from mbsgen import __version__, manifest
+from mbsgen import __version__, manifest, renumbering
 from mbsgen.appearance import describe_appearance, write_formulas
 from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held, list_redundant
@@ -38,6 +38,7 @@ from mbsgen.model.tree import IDENTITY, NO_FORCE, Kind, Motion, Tree, Vector
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
+from mbsgen.renumbering import Changes, Numbers
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.request import DEFAULT, OptionError, Options, Request, merge
 from mbsgen.targets.c import Sources, write_c
@@ -492,3 +493,23 @@ def _settle(tree: Tree, number: int, point: Vector, values: Mapping[Symbol, Expr
     axes = tree.bodies[number - 1].axes if number else IDENTITY
     x, y, z = (total(axes[r][c] * point[r] for r in range(3)).xreplace(values) for c in range(3))
     return x, y, z
+
+
+def read_numbers(model: Path | Model, parameters: Mapping[str, float]) -> Numbers:
+    """Read the numbers of a model that can be identified. Raises InputError with every fault of the file."""
+    return renumbering.read_numbers(read(model), parameters)
+
+
+def change_numbers(model: Path | Model, changes: Changes, remarks: Sequence[str]) -> str:
+    """Return a model with other numbers as the text of a model file, after remarks as comments, one a line.
+
+    Raises InputError where the changed model is none.
+    """
+    changed = renumbering.change_numbers(read(model), changes)
+    faults = [
+        Fault(f"model {abbreviate(changed.name)}", 0, write_path(x.place), x.finding, x.remedy)
+        for x in find_faults(changed)
+    ]
+    if faults:
+        raise refuse(faults)
+    return "".join(f"# {line}".rstrip() + "\n" for line in remarks) + ("\n" if remarks else "") + write_model(changed)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mbsrun.controllers.loading import Controller, controller
     from mbsrun.external import Mechanism, load
+    from mbsrun.identification.identify import identify
     from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
     from mbsrun.rollouts import rollout
@@ -18,6 +19,7 @@ __all__ = [
     "OptimalControl",
     "ProblemError",
     "controller",
+    "identify",
     "load",
     "problem",
     "read_problem",
@@ -28,6 +30,7 @@ _MODULES = {
     **dict.fromkeys(("Controller", "controller"), "controllers.loading"),
     **dict.fromkeys(("Mechanism", "load"), "external"),
     "ProblemError": "ocp.checks",
+    "identify": "identification.identify",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
     "rollout": "rollouts",
 }

@@ -40,6 +40,7 @@ COMMANDS = {
     "Recorded motions": (
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers."),
         Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
+        Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
     "Other programs": (
         Entry("cuda", "MODEL", "Compile kernels for a GPU; print their registers."),

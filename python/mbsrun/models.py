@@ -101,6 +101,26 @@ def derive_equations(path: Path, extent: Extent, parameters: Mapping[str, float]
     return derive_equations(path, _make_options(extent), parameters, numbers=numbers)
 
 
+def read_numbers(path: Path, parameters: Mapping[str, float]) -> Any:
+    """Read the inertias, frictions and rotors of a model file: an `mbsgen.renumbering.Numbers`.
+
+    `parameters` replace the model's. Raises InputError with every fault of the file.
+    """
+    from mbsgen.pipeline import read_numbers
+
+    return read_numbers(path, parameters)
+
+
+def change_numbers(path: Path, remarks: Sequence[str], **changes: Mapping[str, Any]) -> str:
+    """Write a model file with other numbers, the fields of `mbsgen.renumbering.Changes`, after remarks as comments.
+
+    Raises InputError where the changed model is none.
+    """
+    from mbsgen.pipeline import Changes, change_numbers
+
+    return change_numbers(path, Changes(**changes), remarks)
+
+
 def import_robot(path: Path, choices: Mapping[str, Any]) -> tuple[Path, tuple[str, ...]]:
     """Import a robot's file; return the path of its model file in the cache, which has its stem, and warnings.
 

@@ -15,6 +15,7 @@ from mbsrun.commands.animated import equip
 from mbsrun.commands.console import NumberType, choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
     cut,
+    read_loads,
     recording_options,
     set_parameters,
     split_pairs,
@@ -28,7 +29,7 @@ from mbsrun.quantities import Quantity, find_unit
 from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
-from mbsrun.simulation.recorded import Load, Recalled, analyse
+from mbsrun.simulation.recorded import Recalled, analyse
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def inverse_dynamics_command(
             mechanism,
             Treatment(int(degree), noise, gap, cutoff),
             columns=split_pairs("column", columns, manifest.positions),
-            loads={name: _read_load(text) for name, text in named.items()} or None,
+            loads={name: read_loads(text) for name, text in named.items()} or None,
             load_recording=load_recording,
             report=lambda done, total: report("computing forces", done, total),
         )
@@ -133,17 +134,6 @@ def inverse_dynamics_command(
     _plot(found.forces, manifest, forces, out / PICTURE)
     _print_summary(found, forces)
     say(f"wrote {list_written(out, (TABLE, SUMMARY, PICTURE))}")
-
-
-def _read_load(text: str) -> Load:
-    """Read FORCE[,POINT[,MOMENT]]; a part may be empty."""
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) > 3 or not any(parts):
-        raise click.BadParameter(
-            f"found {text!r}; give FORCE, FORCE,POINT or FORCE,POINT,MOMENT", param_hint="--wrench"
-        )
-    force, point, moment = (*parts, "", "")[:3]
-    return Load(force, point or None, moment or None)
 
 
 def _list_forces(forces: Forces, manifest: Manifest) -> dict[str, Array]:

@@ -17,6 +17,7 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import NumberType
 from mbsrun.kernel import Kernels
 from mbsrun.recordings import Recording
+from mbsrun.simulation.recorded import Load
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,17 @@ def read_numbers(option: str, pairs: Sequence[str], known: Collection[str] | Non
 def set_parameters(kernels: Kernels, pairs: Sequence[str]) -> dict[str, float]:
     """Read values of the model's parameters."""
     return read_numbers("parameter", pairs, list(kernels.parameters))
+
+
+def read_loads(text: str) -> Load:
+    """Read FORCE[,POINT[,MOMENT]]; a part may be empty."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) > 3 or not any(parts):
+        raise click.BadParameter(
+            f"found {text!r}; give FORCE, FORCE,POINT or FORCE,POINT,MOMENT", param_hint="--wrench"
+        )
+    force, point, moment = (*parts, "", "")[:3]
+    return Load(force, point or None, moment or None)
 
 
 def write_table(path: Path, header: Sequence[str], rows: Array) -> None:

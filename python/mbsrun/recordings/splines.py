@@ -144,7 +144,7 @@ def _fit_piece(t: Array, y: Array, times: Array, treatment: Treatment) -> Piece:
         degree = len(t) - 1 - (len(t) % 2 == 1)  # odd: 1 or 3
     if treatment.cutoff is not None:
         within = times[(times >= t[0]) & (times <= t[-1])]
-        y = _filter(within, make_interp_spline(t, y, degree)(within) if len(within) > len(t) else y, treatment.cutoff)
+        y = low_pass(within, make_interp_spline(t, y, degree)(within) if len(within) > len(t) else y, treatment.cutoff)
         t = within
     if treatment.noise is None or len(t) <= degree + 1:
         spline = make_interp_spline(t, y, degree)
@@ -159,8 +159,8 @@ def _fit_piece(t: Array, y: Array, times: Array, treatment: Treatment) -> Piece:
     return Piece(degree, tuple(knots.tolist()), tuple(coefficients.tolist()))
 
 
-def _filter(t: Array, y: Array, cutoff: float) -> Array:
-    """Filter even samples forward and backward."""
+def low_pass(t: Array, y: Array, cutoff: float) -> Array:
+    """Filter even samples (K, ...) forward and backward, by a cut-off [Hz]. Raises SplineError for uneven ones."""
     steps = np.diff(t)
     step = float(steps.mean())
     if np.abs(steps - step).max() > UNEVEN * step:
@@ -173,7 +173,7 @@ def _filter(t: Array, y: Array, cutoff: float) -> Array:
     from scipy.signal import butter, filtfilt  # only here, and late: few commands filter, and all would wait for it
 
     b, a = butter(2, corner, fs=1 / step)
-    return np.asarray(filtfilt(b, a, y))
+    return np.asarray(filtfilt(b, a, y, axis=0))
 
 
 def count_gaps(times: Array, values: Array, treatment: Treatment) -> tuple[int, int]:

@@ -46,6 +46,20 @@ class Load:
 
 
 @dataclass(frozen=True, eq=False)
+class Retraced:
+    """The motion along a recording, with the open wrenches that act meanwhile, and what became of its gaps."""
+
+    t: Array  # (K,)
+    q: Array  # (K, nq)
+    qd: Array  # (K, n)
+    qdd: Array  # (K, n)
+    w: Array  # (K, ...)
+    samples: int  # of the recording
+    bridged: int  # gaps
+    left_open: int
+
+
+@dataclass(frozen=True, eq=False)
 class Recalled:
     """The forces along a recording, and what became of its gaps."""
 
@@ -70,6 +84,21 @@ def analyse(
     `columns` names the columns of coordinates that have other names. Loads come from another recording, where one is
     given. Raises InputError, SplineError, and what `invert` raises.
     """
+    found = retrace(recording, kernels, treatment, columns=columns, loads=loads, load_recording=load_recording)
+    forces = balance(kernels, found.t, found.q, found.qd, found.qdd, found.w, report)
+    return Recalled(forces, found.samples, found.bridged, found.left_open)
+
+
+def retrace(
+    recording: Recording,
+    kernels: Mechanism,
+    treatment: Treatment,
+    *,
+    columns: Mapping[str, str] | None = None,
+    loads: Mapping[str, Load] | None = None,
+    load_recording: Recording | None = None,
+) -> Retraced:
+    """Compute the motion along a recording, at its own times outside gaps, as `analyse` does."""
     check_kernels(kernels)
     manifest = kernels.manifest
     tracks, bridged, left_open = _fit_coordinates(recording, manifest, treatment, columns or {})
@@ -81,8 +110,9 @@ def analyse(
     if not times.size:
         finding = "at no time are all coordinates and forces known"
         raise InputError([Fault(recording.file, 0, "", finding, "bridge longer gaps, or leave columns out")])
-    forces = _move(kernels, tracks, times, loads, parts, report)
-    return Recalled(forces, len(recording.times), bridged, left_open)
+    q, qd, qdd = _move(kernels, tracks, times)
+    w = _resolve(kernels, times, q, loads, parts)
+    return Retraced(times, q, qd, qdd, w, len(recording.times), bridged, left_open)
 
 
 def _fit_coordinates(
@@ -106,15 +136,8 @@ def _fit_coordinates(
     return tracks, bridged, left_open
 
 
-def _move(
-    kernels: Mechanism,
-    tracks: Mapping[str, Track],
-    times: Array,
-    loads: Mapping[str, Load],
-    parts: Mapping[str, Mapping[str, Track]],
-    report: Report | None,
-) -> Forces:
-    """Compute the motion, and the forces along it."""
+def _move(kernels: Mechanism, tracks: Mapping[str, Track], times: Array) -> tuple[Array, Array, Array]:
+    """Compute the motion of all joints."""
     manifest, alone = kernels.manifest, _pair_alone(kernels.manifest)
     if manifest.loops and set(manifest.independent) <= set(alone):
         recorded = [i for i, name in alone.items() if name in tracks]
@@ -122,14 +145,11 @@ def _move(
         own = [tracks[alone[i]] for i in chosen]
         course = Course(lambda t: (stack(own, t), stack(own, t, 1), stack(own, t, 2)), False)
         moved = invert(kernels, chosen, course, times)
-        q, qd, qdd = moved.q, moved.qd, moved.qdd
-    else:
-        every = [tracks[name] for name in manifest.positions]
-        rates = [stack(every, times, order) for order in range(3)]
-        q, *rates = scale(rates, manifest)
-        q, qd, qdd = _close(kernels, q, *find_velocities(kernels, q, *rates))
-    w = _resolve(kernels, times, q, loads, parts)
-    return balance(kernels, times, q, qd, qdd, w, report)
+        return moved.q, moved.qd, moved.qdd
+    every = [tracks[name] for name in manifest.positions]
+    rates = [stack(every, times, order) for order in range(3)]
+    q, *rates = scale(rates, manifest)
+    return _close(kernels, q, *find_velocities(kernels, q, *rates))
 
 
 def _pair_alone(manifest: Manifest) -> dict[int, str]:
