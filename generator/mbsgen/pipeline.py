@@ -53,7 +53,7 @@ from mbsgen.verification.verify import Verification, verify
 if TYPE_CHECKING:
     from mbsgen.equations import Motion as Equations
 
-__all__ = ["OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
+__all__ = ["Changes", "OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
 
 OBJECTS = 500_000  # that are made between two searches for cycles
