@@ -18,6 +18,8 @@
 #define STILL 1e-10 /* m/s, rad/s: slower velocities are rounding of rest, and may change by any part of themselves */
 #define CONTRADICTION 1e-6 /* of the equations: those left out at a singular pose must hold to this part */
 #define SHORTEST 1e-14     /* of the time */
+#define HALVINGS 40        /* to leave a guard that is 0 at the start */
+#define CLOSEST 4          /* roundings of the time: the place of an event */
 
 typedef struct {
     const mbs_explicit *p;
@@ -39,6 +41,10 @@ typedef struct {
     casadi_real least_pivot; /* the least of these in a step */
     casadi_real gap;   /* the largest |h| before the last closing */
     casadi_real volume; /* the logarithm of the dependent joints' determinant */
+    casadi_real *first, *tried;         /* nq + n: the rates at the start of a step, the end of a shorter one */
+    casadi_real *start, *end, *between; /* guards and then their rates, in a step */
+    casadi_real lowest, fraction; /* of the guards at the stages of a step, and where in it */
+    int is_watching;   /* stages note the lowest guard */
     int is_ready;      /* J is decomposed, or dependent joints are chosen */
 } mbs_run;
 
@@ -71,7 +77,8 @@ static int fail(mbs_run *r, int status, const casadi_real *equations)
 casadi_int mbs_explicit_reals(const mbs_explicit *p, casadi_int stages)
 {
     const casadi_int size = p->nq + p->n;
-    return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1);
+    const casadi_int guards = p->modes ? 2 * size + 6 * p->modes->guards : 0;
+    return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1) + guards;
 }
 
 casadi_int mbs_explicit_integers(const mbs_explicit *p)
@@ -90,10 +97,13 @@ static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_rea
     r.least.size = r.least.factor + p->e, r.least.y = r.least.size + 2 * p->e, r.x = r.least.y + p->n;
     r.g = r.x + 2 * p->n, r.saved = r.g + 2 * p->e, r.sum = r.saved + p->n, r.k = r.sum + p->nq + p->n;
     r.least.A = r.B, r.least.e = p->e, r.least.n = 0, r.least.rank = 0;
+    r.first = r.k + (p->nq + p->n) * how->stages, r.tried = r.first + p->nq + p->n, r.start = r.tried + p->nq + p->n;
+    r.end = r.start + (p->modes ? 2 * p->modes->guards : 0), r.between = r.end + (r.end - r.start);
+    r.lowest = r.fraction = 0, r.is_watching = 0;
     for (i = 0, k = 0; i < p->n; ++i)
         if (k < p->d && p->driven[k] == i)
             ++k;
-        else
+        else if (!p->modes || !p->modes->held[i])
             r.moves[r.free++] = i;
     out->evaluations = out->rejected = out->switches = out->steps = 0;
     out->status = out->loop = 0;
@@ -382,6 +392,17 @@ static int guide(mbs_run *r, casadi_real t, casadi_int i)
 
 /* --- accelerations ------------------------------------------------------------------------------------------------- */
 
+/* Return the friction of a joint that slides. */
+static casadi_real brake(const mbs_explicit *p, casadi_int i)
+{
+    const mbs_modes *m = p->modes;
+    casadi_real x;
+    if (!m || m->sign[i] == 0)
+        return 0;
+    x = p->qd[i] * m->slowness[i];
+    return -m->sign[i] * (m->torque[i] + (m->fall[i] != 0 ? m->fall[i] * exp(-x * x) : 0));
+}
+
 /* Compute accelerations (n, in x) from M, c, J and gamma, with Baumgarte's terms, by the joints' own ones that loops change
  * least in the norm of M. */
 static int solve(mbs_run *r)
@@ -401,7 +422,7 @@ static int solve(mbs_run *r)
     for (k = 0; k < n; ++k)
         r->x[k] = p->rest[k];
     for (k = 0; k < f; ++k)
-        r->x[n + k] = -p->r[r->moves[k]];
+        r->x[n + k] = brake(p, r->moves[k]) - p->r[r->moves[k]];
     mbs_cholesky_forward(f, r->M, r->x + n);
     mbs_cholesky_backward(f, r->M, r->x + n);
     for (k = 0; k < f; ++k)
@@ -437,7 +458,7 @@ static int accelerate(mbs_run *r, casadi_real *rate)
     casadi_int k;
     int status = 0, is_solved = 0;
     ++r->out->evaluations;
-    if (p->direct.f && r->how->keeping != MBS_BAUMGARTE && r->last > SINGULAR) {
+    if (p->direct.f && !p->modes && r->how->keeping != MBS_BAUMGARTE && r->last > SINGULAR) {
         status = call(p->direct);
         is_solved = !status;
         if (status && (status <= p->n || !p->e))
@@ -489,6 +510,43 @@ static void combine(const mbs_run *r, casadi_int count, const casadi_real *weigh
         y[c] = x ? x[c] + h * y[c] : h * y[c];
 }
 
+/* Write the guards at the plant's state, then their rates; those of forces are 0. `rate` holds the rates of the state. */
+static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
+{
+    const mbs_explicit *p = r->p;
+    const mbs_modes *m = p->modes;
+    casadi_int k;
+    int status = 0, is_held = 0;
+    for (k = 0; k < m->guards; ++k)
+        is_held |= m->kind[k] == MBS_FORCE;
+    for (k = 0; k < p->n && is_held; ++k)
+        p->rest[k] = rate[p->nq + k];
+    if (is_held && (status = call(p->residual)) != 0)
+        return status;
+    for (k = 0; k < m->guards; ++k) {
+        const casadi_int i = m->joint[k];
+        const casadi_real x = m->kind[k] == MBS_PLACE ? p->q[m->place[k]] : m->kind[k] == MBS_SPEED ? p->qd[i] : p->r[i];
+        const casadi_real slope = m->kind[k] == MBS_PLACE ? p->qd[i] : m->kind[k] == MBS_SPEED ? rate[p->nq + i] : 0;
+        values[k] = m->side[k] * (x - m->level[k]);
+        values[m->guards + k] = m->side[k] * slope;
+    }
+    return 0;
+}
+
+/* Note where in a step a guard is lowest, at stage i. */
+static int watch(mbs_run *r, casadi_int i)
+{
+    const casadi_int count = r->p->modes->guards;
+    const int status = guard(r, r->k + (r->p->nq + r->p->n) * i, r->between);
+    casadi_int k;
+    for (k = 0; k < count && !status; ++k)
+        if (r->between[k] < r->lowest) {
+            r->lowest = r->between[k];
+            r->fraction = r->how->c[i];
+        }
+    return status;
+}
+
 /* Compute the rates of stage i at time t and state y. */
 static int evaluate(mbs_run *r, casadi_real t, casadi_int i, const casadi_real *y)
 {
@@ -503,7 +561,9 @@ static int evaluate(mbs_run *r, casadi_real t, casadi_int i, const casadi_real *
         r->p->v[k] = r->inputs[(r->row_of_step + i) * r->p->m + k];
     if (!status && !r->inputs && r->how->inputs && r->how->inputs(t))
         status = MBS_STOPPED;
-    return status ? status : accelerate(r, r->k + (r->p->nq + r->p->n) * i);
+    if (!status)
+        status = accelerate(r, r->k + (r->p->nq + r->p->n) * i);
+    return !status && i && r->is_watching ? watch(r, i) : status;
 }
 
 /* Take a step from x, whose rates are there if `is_ready`, to y; the stages are in k. */
@@ -606,7 +666,160 @@ static int begin(mbs_run *r, casadi_real t, const casadi_real *x, casadi_real *h
     return status;
 }
 
-static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_real *times, casadi_real *states)
+/* --- events -------------------------------------------------------------------------------------------------------- */
+
+/* Take a step of length h from x to `tried`, and write the guards there to `values` and their rates; stage 0 is in `first`. */
+static int try_step(mbs_run *r, casadi_real t, casadi_real h, const casadi_real *x, casadi_real *values)
+{
+    const casadi_int size = r->p->nq + r->p->n;
+    casadi_int c;
+    int status;
+    for (c = 0; c < size; ++c)
+        r->k[c] = r->first[c];
+    status = step(r, t, h, x, 1, r->tried);
+    if (!status)
+        status = finish(r, t + h, h, r->tried);
+    if (!status)
+        status = evaluate(r, t + h, 0, r->tried);
+    return status ? status : guard(r, r->k, values);
+}
+
+static int has_guards(const mbs_run *r)
+{
+    return r->p->modes && r->p->modes->guards;
+}
+
+/* Return whether a guard is below 0. */
+static int is_below(casadi_int count, const casadi_real *values)
+{
+    casadi_int k;
+    for (k = 0; k < count; ++k)
+        if (values[k] < 0)
+            return 1;
+    return 0;
+}
+
+/* Find the first time at which a guard is 0 in a step of length h, where one is below 0: write the state there to y, and
+ * the length of the step to there. */
+static int locate(mbs_run *r, casadi_real t, casadi_real *h, const casadi_real *x, casadi_real *y)
+{
+    const casadi_int size = r->p->nq + r->p->n, count = r->p->modes->guards;
+    const casadi_real least = CLOSEST * MBS_EPSILON * (fabs(t) + *h);
+    casadi_int *fired = r->p->modes->fired, k, i;
+    casadi_real *low = r->start, *high = r->end, *middle = r->between, lo = 0, hi = *h;
+    int status = 0, side = 0;
+    for (k = 0; k < count; ++k) /* a guard may be 0 at the start: the joint has just left it */
+        fired[k] = high[k] < 0;
+    for (i = 0; i < HALVINGS; ++i) {
+        int is_left = 1;
+        for (k = 0; k < count; ++k)
+            is_left &= !(fired[k] && low[k] <= 0);
+        if (is_left || hi - lo <= least)
+            break;
+        lo = hi / 2;
+        if ((status = try_step(r, t, lo, x, low)) != 0)
+            return status;
+        if (is_below(count, low)) {
+            for (k = 0; k < count; ++k) {
+                high[k] = low[k], fired[k] = low[k] < 0;
+                low[k] = 0;
+            }
+            hi = lo, lo = 0;
+        }
+    }
+    for (i = 0; i < 200 && hi - lo > least; ++i) {
+        casadi_real at = hi;
+        for (k = 0; k < count; ++k)
+            if (high[k] < 0) {
+                const casadi_real root = lo + (hi - lo) * low[k] / (low[k] - high[k]);
+                at = root < at ? root : at;
+            }
+        if (i > 30)
+            at = lo + (hi - lo) / 2;
+        at = at < lo + least / 2 ? lo + least / 2 : at > hi - least / 2 ? hi - least / 2 : at;
+        if (!(at > lo && at < hi)) /* neighbours */
+            break;
+        if ((status = try_step(r, t, at, x, middle)) != 0)
+            return status;
+        if (is_below(count, middle)) {
+            for (k = 0; k < count; ++k) {
+                high[k] = middle[k], fired[k] = high[k] < 0;
+                low[k] = side == 1 ? low[k] / 2 : low[k]; /* Illinois: the end that stays has less weight */
+            }
+            hi = at, side = 1;
+        } else {
+            for (k = 0; k < count; ++k) {
+                low[k] = middle[k];
+                high[k] = side == -1 ? high[k] / 2 : high[k];
+            }
+            lo = at, side = -1;
+        }
+    }
+    status = try_step(r, t, hi, x, middle);
+    for (k = 0; k < size; ++k)
+        y[k] = r->tried[k];
+    *h = hi;
+    return status;
+}
+
+/* Return the fraction of a step at which the cubic through a guard and its rates at both ends is lowest, or 0, if both
+ * ends are above 0 and it may be below 0 between them. */
+static casadi_real find_dip(casadi_real h, casadi_real a, casadi_real da, casadi_real b, casadi_real db)
+{
+    const casadi_real c3 = 2 * (a - b) + h * (da + db), c2 = 3 * (b - a) - h * (2 * da + db), c1 = h * da;
+    const casadi_real root = c2 * c2 - 3 * c3 * c1;
+    casadi_real s, value;
+    if (!(da < 0 && db > 0) || !(root >= 0))
+        return 0;
+    s = c2 + sqrt(root) != 0 ? -c1 / (c2 + sqrt(root)) : 0;
+    value = a + s * (c1 + s * (c2 + s * c3));
+    return s > 0 && s < 1 && value < 0.25 * (a < b ? a : b) ? s : 0;
+}
+
+/* After a step from x to y: look for an event in it. Leaves the rates at the end in stage 0 if there is none; else returns
+ * MBS_EVENT, with the shorter step and its end. */
+static int look(mbs_run *r, casadi_real t, casadi_real *h, const casadi_real *x, casadi_real *y)
+{
+    const casadi_int count = r->p->modes->guards, size = r->p->nq + r->p->n;
+    const casadi_real *inputs = r->inputs, *courses = r->courses;
+    casadi_real *start = r->start, *end = r->end, fractions[2] = {0, 0}, part = *h;
+    casadi_int k, i;
+    int status = 0, is_found = 0;
+    r->inputs = r->courses = 0, r->is_watching = 0;
+    fractions[0] = r->lowest < 0 ? r->fraction : 0;
+    for (k = 0; k < size; ++k)
+        r->first[k] = r->k[k];
+    lay(r, x);
+    status = guide(r, t, 0);
+    if (!status && r->how->inputs && r->how->inputs(t))
+        status = MBS_STOPPED;
+    if (!status)
+        status = guard(r, r->first, start);
+    if (!status)
+        status = evaluate(r, t + *h, 0, y);
+    if (!status)
+        status = guard(r, r->k, end);
+    is_found = !status && is_below(count, end);
+    for (k = 0; k < count && !status && !is_found; ++k) {
+        const casadi_real dip = find_dip(*h, start[k], start[count + k], end[k], end[count + k]);
+        fractions[1] = dip > 0 ? dip : fractions[1];
+    }
+    for (i = 0; i < 2 && !status && !is_found; ++i)
+        if (fractions[i] > 0 && fractions[i] < 1) {
+            part = fractions[i] * *h;
+            status = try_step(r, t, part, x, end);
+            is_found = !status && is_below(count, end);
+        }
+    if (!status && is_found && (status = locate(r, t, &part, x, y)) == 0) {
+        *h = part;
+        status = MBS_EVENT;
+    } else if (!status && (fractions[0] > 0 || fractions[1] > 0)) /* the rates at the end were overwritten */
+        status = evaluate(r, t + *h, 0, y);
+    r->inputs = inputs, r->courses = courses;
+    return status;
+}
+
+static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, casadi_real *times, casadi_real *states)
 {
     const casadi_int size = r->p->nq + r->p->n;
     int status = 0;
@@ -615,10 +828,17 @@ static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, const casadi_r
         const casadi_real *x = states + size * r->out->steps;
         casadi_real *y = states + size * (r->out->steps + 1);
         status = renew(r);
+        r->lowest = 0, r->is_watching = has_guards(r);
         if (!status)
             status = step(r, t, h, x, 0, y);
         if (!status)
             status = finish(r, times[r->out->steps + 1], h, y);
+        if (!status && r->is_watching) {
+            casadi_real length = h;
+            status = look(r, t, &length, x, y);
+            if (status == MBS_EVENT)
+                times[++r->out->steps] = t + length;
+        }
         if (status)
             break;
     }
@@ -673,11 +893,20 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
         else if (2 * length > left)
             length = left / 2;
         r->least_pivot = r->last;
+        r->lowest = 0, r->is_watching = has_guards(r);
         status = step(r, t, length, x, 1, y);
         if (!status)
             error = estimate(r, length, x, y);
         if (!status && error <= 1)
             status = finish(r, length == left ? end : t + length, length, y);
+        if (!status && error <= 1 && r->is_watching) {
+            casadi_real part = length;
+            status = look(r, t, &part, x, y);
+            if (status == MBS_EVENT) {
+                times[++r->out->steps] = t + part;
+                return status;
+            }
+        }
         if ((status && may_retry(status)) || error > 1 || error != error) {
             factor = status || error != error ? 0.25 : 0.9 * pow(error, -1 / (casadi_real)r->how->order);
             *h = length * (factor < 0.2 ? 0.2 : factor);
@@ -698,7 +927,7 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
         if (length * factor > *h || length == *h)
             *h = length * factor;
         was_rejected = 0;
-        if (r->out->steps < steps && times[r->out->steps] < end)
+        if (r->out->steps < steps && times[r->out->steps] < end && !r->is_watching) /* else the rates are there */
             status = begin_next(r, times[r->out->steps], y, is_known);
     }
     return status;

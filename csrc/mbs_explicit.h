@@ -8,6 +8,9 @@
  *     MBS_MASS_PROJECTION   likewise, of least norm in the mass matrix
  *     MBS_BAUMGARTE         by no correction: J qdd + gamma + 2 alpha hd + beta^2 h = 0 instead
  *
+ * Of a tree, joints may be held where they are, and sliding ones braked; a run stops at the first time at which a guard, a
+ * number of the state, falls below 0.
+ *
  * Hairer, Lubich, Wanner, "Geometric Numerical Integration", section IV.4; Wehage, Haug, Journal of Mechanical Design 104
  * (1982); Baumgarte, Computer Methods in Applied Mechanics and Engineering 1 (1972).
  */
@@ -25,7 +28,13 @@ extern "C" {
 #define MBS_MASS_PROJECTION 2
 #define MBS_BAUMGARTE 3
 
+/* Guards: of a coordinate, of a velocity, of the force that holds a joint. */
+#define MBS_PLACE 0
+#define MBS_SPEED 1
+#define MBS_FORCE 2
+
 /* Statuses; kernels have positive ones. */
+#define MBS_EVENT (-7)     /* not a failure: a guard is 0 at the end of the last step */
 #define MBS_RUNAWAY (-1)   /* numbers that are not finite */
 #define MBS_STOPPED (-2)   /* a function for inputs returned a number other than 0 */
 #define MBS_SHORT (-3)     /* the step has become too short */
@@ -47,6 +56,17 @@ typedef struct {
     const casadi_int *place;
 } mbs_entries;
 
+/* The joints that are held, the friction -sign (torque + fall exp(-(qd/speed)^2)) of those that slide, and guards
+ * side (x - level) >= 0. Accelerations are no results of `direct` then. */
+typedef struct {
+    const casadi_int *held;                             /* n: 1, where a joint does not move */
+    const casadi_real *sign, *torque, *fall, *slowness; /* n: slowness: 1/speed */
+    casadi_int guards;
+    const casadi_int *kind, *joint, *place; /* of each guard: MBS_PLACE, ...; the entry of qd, and of q */
+    const casadi_real *side, *level;
+    casadi_int *fired; /* written at an event: 1 where a guard falls below 0 */
+} mbs_modes;
+
 typedef struct {
     casadi_int n, nq, m, e, d; /* velocities, coordinates, inputs, equations of loops, driven joints */
     casadi_real *q, *qd;       /* where kernels read coordinates and velocities, */
@@ -65,6 +85,7 @@ typedef struct {
     const casadi_int *driven; /* their entries of qd */
     const casadi_int *place;  /* and of q */
     const casadi_int *loop;   /* of each equation: the number of its loop, from 1 */
+    const mbs_modes *modes;   /* NULL: no joint is held or braked, and there are no guards */
 } mbs_explicit;
 
 /* How to step: A, b, c and E of a Runge-Kutta method; E has a row for each of `estimates` estimates of a step's error: none
@@ -86,7 +107,7 @@ typedef struct {
     int status, loop;  /* of status MBS_OPEN to MBS_DEPENDENT: the number of the loop, from 1 */
 } mbs_outcome;
 
-/* Room for a run. */
+/* Room for a run; `plant` has its modes, with as many guards as there will be. */
 casadi_int mbs_explicit_reals(const mbs_explicit *plant, casadi_int stages);
 casadi_int mbs_explicit_integers(const mbs_explicit *plant);
 
@@ -94,7 +115,8 @@ casadi_int mbs_explicit_integers(const mbs_explicit *plant);
  * *h; else *h is the first to try, or 0, and on return the next one. Of each step times[k] and states[k] are written: nq
  * coordinates, then n velocities. Steps of a fixed length end where the caller's times say, times[1], ... are given, and
  * inputs and courses may be given for them: for all stages of each step, then for its end, rows of m and of 3 d numbers;
- * NULL: the manner's functions are asked. */
+ * NULL: the manner's functions are asked. The place of an event is found to rounding of the time, by shorter steps, for
+ * which the manner's functions are asked in any case. */
 void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, casadi_real end, casadi_real *h,
                       casadi_int steps, const casadi_real *inputs, const casadi_real *courses, casadi_real *times,
                       casadi_real *states, casadi_real *reals, casadi_int *integers, mbs_outcome *outcome);

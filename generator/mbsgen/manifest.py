@@ -94,6 +94,22 @@ class Kernel(_Entry):
         return next((a for a in self.outputs if a.role is role), None)
 
 
+class Stops(_Entry):
+    """Where a joint is stopped."""
+
+    lower: float | None  # rad or m; None: nowhere
+    upper: float | None
+    restitution: float | None  # of rigid stops, whose forces no kernel has; None: compliant, in the force law
+
+
+class Friction(_Entry):
+    """Dry friction of a joint [N m or N], which no kernel has."""
+
+    torque: float  # against sliding
+    static: float  # the most that holds the joint at rest
+    stribeck: float | None  # speed over which the latter falls to the former; None: at once
+
+
 class Coordinate(_Entry):
     """One joint: an entry of qd and qdd, and of q unless `configuration` lists others."""
 
@@ -104,6 +120,17 @@ class Coordinate(_Entry):
     upper: float | None
     max_speed: float | None = None  # of qd, either way [rad/s or m/s]; None: unbounded
     max_force: float | None = None  # of u, either way [N m or N]
+    stops: Stops | None = None
+    friction: Friction | None = None
+
+    @property
+    def is_smooth(self) -> bool:
+        """Return whether the kernels hold all forces on the joint: it has neither dry friction nor rigid stops."""
+        return self.friction is None and (self.stops is None or self.stops.restitution is None)
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if x is not None or k not in ("stops", "friction")}
 
     @property
     def unit(self) -> str:
@@ -432,6 +459,11 @@ class Manifest(_Entry):
             for axis in "xyz"
         ]
         return (*joints, *parts, *self.signals)
+
+    @property
+    def switching(self) -> tuple[str, ...]:
+        """Names of the joints with dry friction or rigid stops, which no kernel has: simulations alone do."""
+        return tuple(c.name for c in self.coordinates if not c.is_smooth)
 
     @property
     def open_entries(self) -> int:

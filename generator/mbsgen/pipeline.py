@@ -26,7 +26,7 @@ from mbsgen.families import Functions, Tell, say_nothing, write_families, write_
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
-from mbsgen.manifest import Coordinate, Frame, Loop, Manifest, Parameter, Wrench
+from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, Stops, Wrench
 from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
@@ -356,6 +356,8 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     text += repr((tree.name, told, [(p.name, p.value, p.kind) for p in tree.parameters]))
     bounds = [(j.max_speed, j.max_force) for j in (b.joint for b in tree.bodies)]
     text += repr(bounds) if any(map(any, bounds)) else ""
+    ends = [(j.stops, j.dry) for j in (b.joint for b in tree.bodies)]
+    text += repr(ends) if any(map(any, ends)) else ""
     written = [function for family in families for function in family.functions]
     tapes = [_content(function) for function in written]
     return hashlib.sha256(f"{text}{tapes!r}".encode()).hexdigest()
@@ -400,6 +402,8 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
                 upper=j.upper,
                 max_speed=j.max_speed,
                 max_force=j.max_force,
+                stops=j.stops and Stops(lower=j.stops.lower, upper=j.stops.upper, restitution=j.stops.restitution),
+                friction=j.dry and Friction(torque=j.dry.torque, static=j.dry.static, stribeck=j.dry.stribeck),
             )
             for j in joints
         ),

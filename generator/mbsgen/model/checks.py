@@ -24,6 +24,7 @@ from mbsgen.model.loop_checks import check_loops
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inertia, Joint, Law, Model
 from mbsgen.model.naming import check_names
 from mbsgen.model.placements import centre_inertia
+from mbsgen.model.stop_checks import check_stops
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
 from mbsgen.model.undetermined import check_undetermined_joints
@@ -55,6 +56,7 @@ def find_faults(model: Model, doubtful: Container[Place] = frozenset()) -> list[
         valuation.placement(("frames", i), frame.placement)
     findings += check_forces(model, valuation)
     findings += check_followers(model, valuation)
+    findings += check_stops(model, valuation)
     findings += check_loops(model, valuation, doubtful)
     findings += valuation.findings
     if findings or not valuation.is_complete:  # a doubtful number is a fault of the file already

@@ -35,6 +35,7 @@ from mbsgen.model.model import (
     Carrier,
     Constraint,
     Contact,
+    DryFriction,
     Fixed,
     Follow,
     ForceElement,
@@ -53,10 +54,11 @@ from mbsgen.model.model import (
     Plane,
     Rotation,
     Sphere,
+    Stops,
     Triple,
     Wrench,
 )
-from mbsgen.model.sections import read_direction, read_number
+from mbsgen.model.sections import read_direction, read_friction, read_number
 from mbsgen.model.tree import Cut, Kind, Motion
 
 Quantity = Expression | float | str  # a number, or an expression as text
@@ -79,7 +81,8 @@ class Setting(TypedDict, total=False):
     stiffness: Quantity  # force: -stiffness (q - rest) - damping qd - T tanh(qd/v) + force
     rest: Quantity
     damping: Quantity
-    friction: tuple[Quantity, Quantity]  # T, v
+    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity]  # T, v; or dry, by the keys of a file
+    stops: Mapping[str, Quantity]  # by the keys of a file
     force: Quantity  # over parameters, q and qd
     armature: Quantity  # of the rotor that drives it
     follows: tuple[str, Quantity, Quantity]  # another joint, ratio, offset: it has no coordinate and no input then
@@ -402,19 +405,39 @@ def _make_joint(
     stiffness: Quantity = 0.0,
     rest: Quantity = 0.0,
     damping: Quantity = 0.0,
-    friction: tuple[Quantity, Quantity] | None = None,
+    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity] | None = None,
+    stops: Mapping[str, Quantity] | None = None,
     force: Quantity = 0.0,
     armature: Quantity = 0.0,
     follows: tuple[str, Quantity, Quantity] | None = None,
 ) -> Joint:
     lower, upper, speed, effort = (None if x is None else number(x) for x in (*limits, max_speed, max_force))
-    dry = None if friction is None else Friction(number(friction[0]), number(friction[1]))
-    law = Law(number(stiffness), number(rest), number(damping), dry, number(force))
+    smooth, dry = (None, None) if friction is None else _read_friction(friction)
+    ends = None if stops is None else Stops(**_read_keys(stops, ("restitution", "stiffness", "dissipation")))
+    law = Law(number(stiffness), number(rest), number(damping), smooth, number(force))
     direction = _direct(axis)
     place = _place(position, orientation)
     follow = None if follows is None else Follow(follows[0], number(follows[1]), number(follows[2]))
     driven = actuated and follow is None
-    return Joint(motion, direction, name, place, driven, lower, upper, law, speed, effort, number(armature), follow)
+    bounds = lower, upper, law, speed, effort, number(armature), follow
+    return Joint(motion, direction, name, place, driven, *bounds, dry=dry, stops=ends)
+
+
+def _read_friction(
+    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity],
+) -> tuple[Friction | None, DryFriction | None]:
+    if not isinstance(friction, Mapping):
+        return read_friction(number(friction[0]), number(friction[1]))
+    numbers = _read_keys(friction, ("torque", "speed", "static", "stribeck"))
+    if "torque" not in numbers:
+        raise WrongValueError("friction without a torque", 'give one: {"torque": 0.5}')
+    return read_friction(**numbers)
+
+
+def _read_keys(values: Mapping[str, Quantity], known: Sequence[str]) -> dict[str, Expression]:
+    if unknown := sorted(values.keys() - {*known}):
+        raise WrongValueError(f"found {_show(unknown[0])}", f"give some of {', '.join(known)}")
+    return {key: number(value) for key, value in values.items()}
 
 
 def _direct(axis: Direction) -> Triple:

@@ -160,7 +160,8 @@ def _list_candidates(model: Model) -> list[str]:
     joints = [
         step.name
         for step in reversed(list_joints(model))
-        if not (step.joint.actuated or step.joint.floats or step.joint.follows) and step.name not in kept
+        if not (step.joint.actuated or step.joint.floats or step.joint.follows or step.joint.dry or step.joint.stops)
+        and step.name not in kept
     ]
     return sorted(joints, key=lambda name: name in rough)
 

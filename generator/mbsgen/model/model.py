@@ -8,7 +8,7 @@ file (`writer`). `reduction.build_tree` makes of it the Tree that the recursions
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
@@ -116,6 +116,24 @@ FREE = Law()
 
 
 @dataclass(frozen=True)
+class DryFriction:
+    """Coulomb's friction: a joint at rest sticks, a sliding one is braked; it is no part of the force law."""
+
+    torque: Expression  # against sliding; of a prismatic joint, the force [N m or N]
+    static: Expression | None = None  # the most that holds a joint at rest; None: the same
+    stribeck: Expression | None = None  # speed over which `static` falls to `torque` [rad/s or m/s]; None: at once
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What ends the motion of a joint at its limits: rigid with a restitution, or compliant with a stiffness."""
+
+    restitution: Expression | None = None  # the part of the speed that is kept; None: compliant
+    stiffness: Expression | None = None  # [N m/rad or N/m]
+    dissipation: Expression = ZERO  # of a compliant one, over the speed of entry [s/rad or s/m]
+
+
+@dataclass(frozen=True)
 class Follow:
     """The rule of a joint without a coordinate: its q is ratio times the q of another joint, plus offset."""
 
@@ -143,6 +161,35 @@ class Joint:
     floats: bool = False  # one of the joints of a quaternion, see `joints`: at 0, in a moving frame
     part_of: str = ""  # the joint type that the author named, where its elementary joints alone do not show it
     row: Row | None = field(default=None, compare=False)  # of a table, which `placement` is of
+    dry: DryFriction | None = None
+    stops: Stops | None = None
+
+    @property
+    def acting_law(self) -> Law:
+        """The force law with the forces of compliant stops: Hunt and Crossley's, which never pull.
+
+        Of a depth x beyond a limit: stiffness max(x, 0) max(1 + dissipation dx/dt, 0).
+        """
+        if self.stops is None or self.stops.stiffness is None:
+            return self.law
+        q, qd, force = Name(COORDINATE), Name(RATE), self.law.force
+        if self.lower is not None:
+            pressed = _press(self.stops, Operation("-", self.lower, q), Negation(qd))
+            force = pressed if force == ZERO else Operation("+", force, pressed)
+        if self.upper is not None:
+            pressed = _press(self.stops, Operation("-", q, self.upper), qd)
+            force = Negation(pressed) if force == ZERO else Operation("-", force, pressed)
+        return replace(self.law, force=force)
+
+
+def _press(stops: Stops, depth: Expression, rate: Expression) -> Expression:
+    """Return the force of a compliant stop."""
+    assert stops.stiffness is not None, "a compliant stop has a stiffness"
+    force = Operation("*", stops.stiffness, Call("max", (depth, ZERO)))
+    if stops.dissipation == ZERO:
+        return force
+    loss = Operation("+", ONE, Operation("*", stops.dissipation, rate))
+    return Operation("*", force, Call("max", (loss, ZERO)))
 
 
 @dataclass(frozen=True)

@@ -409,9 +409,11 @@ def _make_body(mover: _Mover, part: RigidPart, *parts: RigidPart, reader: _Reade
             actuated=mover.joint.actuated,
             lower=reader.limit(mover.joint.lower),
             upper=reader.limit(mover.joint.upper),
-            law=reader.law(mover.joint.law),
+            law=reader.law(mover.joint.acting_law),
             max_speed=reader.limit(mover.joint.max_speed),
             max_force=reader.limit(mover.joint.max_force),
+            stops=_make_stops(mover.joint, reader),
+            dry=_make_dry(mover.joint.dry, reader),
             armature=reader.number(mover.joint.armature),
         ),
         position=mover.position,
@@ -422,6 +424,21 @@ def _make_body(mover: _Mover, part: RigidPart, *parts: RigidPart, reader: _Reade
         axes=mover.axes,
         parts=parts,
     )
+
+
+def _make_stops(joint: model.Joint, reader: _Reader) -> tree.Stops | None:
+    if joint.stops is None:
+        return None
+    ends = reader.limit(joint.lower), reader.limit(joint.upper)
+    return tree.Stops(*ends, reader.limit(joint.stops.restitution))
+
+
+def _make_dry(dry: model.DryFriction | None, reader: _Reader) -> tree.DryFriction | None:
+    if dry is None:
+        return None
+    torque = reader.constant(dry.torque)
+    static = torque if dry.static is None else reader.constant(dry.static)
+    return tree.DryFriction(torque, static, reader.limit(dry.stribeck))
 
 
 def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Sensor:

@@ -28,6 +28,7 @@ from mbsgen.model.model import (
     Cable,
     Constraint,
     Contact,
+    DryFriction,
     Fixed,
     ForceElement,
     Frame,
@@ -43,6 +44,7 @@ from mbsgen.model.model import (
     Plane,
     Row,
     Sphere,
+    Stops,
     Triple,
     Wrench,
 )
@@ -187,11 +189,29 @@ class _Release:
             max_speed=self._keep(step.joint.max_speed),
             max_force=self._keep(step.joint.max_force),
             law=self._law(step.joint.law, step.name),
+            dry=self._dry(step.joint.dry),
+            stops=self._stops(step.joint.stops, step.name),
             armature=self._number(f"{step.name}.armature", step.joint.armature),
         )
 
     def _keep(self, limit: Expression | None) -> Expression | None:
         return None if limit is None else Number(self._valuation.number((), limit))
+
+    def _dry(self, dry: DryFriction | None) -> DryFriction | None:
+        if dry is None:
+            return None
+        torque = Number(self._valuation.number((), dry.torque))
+        return DryFriction(torque, self._keep(dry.static), self._keep(dry.stribeck))
+
+    def _stops(self, stops: Stops | None, joint: str) -> Stops | None:
+        """Release compliant stops; a restitution stays."""
+        if stops is None or stops.stiffness is None:
+            return stops and replace(stops, restitution=self._keep(stops.restitution))
+        return replace(
+            stops,
+            stiffness=self._number(f"{joint}.stops.stiffness", stops.stiffness),
+            dissipation=self._number(f"{joint}.stops.dissipation", stops.dissipation),
+        )
 
     def _law(self, law: Law, joint: str) -> Law:
         released = replace_numbers(law, joint, self._number)

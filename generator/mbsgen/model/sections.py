@@ -16,7 +16,21 @@ from pydantic import Discriminator, Field, PlainValidator, Tag
 from mbsgen import documents
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
-from mbsgen.model.model import ONE, ORIGIN, UNITS, ZERO, Follow, Friction, Joint, Law, Placement, Rotation, Triple
+from mbsgen.model.model import (
+    ONE,
+    ORIGIN,
+    UNITS,
+    ZERO,
+    DryFriction,
+    Follow,
+    Friction,
+    Joint,
+    Law,
+    Placement,
+    Rotation,
+    Stops,
+    Triple,
+)
 from mbsgen.model.orientations import turn_quaternion, write_turns
 
 _DIRECTION = "give x, y, z, -x, -y, -z or a direction such as [0, 0.6, 0.8]"
@@ -31,6 +45,11 @@ def read_limit(value: Any) -> Expression | None:
     """Read a number, an expression, or nothing where there is no limit."""
     if isinstance(value, float) and math.isinf(value):
         raise WrongValueError(f"found {value}", "give null where there is no limit")
+    return None if value is None else read_number(value)
+
+
+def read_optional_number(value: Any) -> Expression | None:
+    """Read a number, an expression, or nothing."""
     return None if value is None else read_number(value)
 
 
@@ -53,6 +72,9 @@ Written = float | str  # a number, or an expression
 WrittenDirection = Literal["x", "y", "z", "-x", "-y", "-z"] | tuple[Written, Written, Written]
 NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written)]
 LimitField = Annotated[Expression | None, PlainValidator(read_limit, json_schema_input_type=Written | None)]
+OptionalNumberField = Annotated[
+    Expression | None, PlainValidator(read_optional_number, json_schema_input_type=Written | None)
+]
 DirectionField = Annotated[Triple, PlainValidator(read_direction, json_schema_input_type=WrittenDirection)]
 OptionalDirectionField = Annotated[
     Triple | None, PlainValidator(read_optional_direction, json_schema_input_type=WrittenDirection | None)
@@ -180,10 +202,44 @@ class PlacementSection(Section):
 
 
 class FrictionSection(Section):
-    """Dry friction, smoothed: -torque*tanh(qd/speed)."""
+    """Dry friction: smoothed by a speed, -torque*tanh(qd/speed); without one the joint sticks and slides."""
 
     torque: NumberField = Field(examples=[0.5], description="Nm; of a prismatic joint, the force in N")
-    speed: NumberField = Field(examples=[0.01], description="at which 3/4 of it are reached, in rad/s or m/s")
+    speed: OptionalNumberField = Field(
+        None, examples=[0.01], description="smooths: at this speed 3/4 of it are reached, in rad/s or m/s"
+    )
+    static: OptionalNumberField = Field(
+        None, examples=[0.6], description="the most that holds the joint at rest; by default the same"
+    )
+    stribeck: OptionalNumberField = Field(
+        None, examples=[0.02], description="speed over which static falls to torque, in rad/s or m/s; by default at once"
+    )
+
+
+class StopsSection(Section):
+    """What stops a joint at its limits: rigid, or compliant."""
+
+    restitution: OptionalNumberField = Field(
+        None, examples=[0.5], description="of rigid stops: the part of the speed that is kept, 0 to 1"
+    )
+    stiffness: OptionalNumberField = Field(
+        None, examples=[1e4], description="of compliant stops: Nm/rad, of a prismatic joint N/m"
+    )
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.5], description="of compliant stops: Hunt and Crossley's factor of the speed, s/rad or s/m"
+    )
+
+
+def read_friction(
+    torque: Expression,
+    speed: Expression | None = None,
+    static: Expression | None = None,
+    stribeck: Expression | None = None,
+) -> tuple[Friction | None, DryFriction | None]:
+    """Return friction that is smoothed, or dry; of numbers that contradict each other both, which a check refuses."""
+    smooth = None if speed is None else Friction(torque, speed)
+    is_dry = smooth is None or static is not None or stribeck is not None
+    return smooth, DryFriction(torque, static, stribeck) if is_dry else None
 
 
 class FollowSection(Section):
@@ -206,6 +262,7 @@ class SettingSection(Section):
     rest: NumberField = Field(ZERO, examples=[0.1], description="q where the spring is slack")
     damping: NumberField = Field(ZERO, examples=[0.1], description="of a damper: -damping*qd")
     friction: FrictionSection | None = Field(None, examples=[{"torque": 0.5, "speed": 0.01}])
+    stops: StopsSection | None = Field(None, examples=[{"restitution": 0.5}], description="at the limits")
     follows: FollowSection | None = Field(
         None, examples=[{"joint": "q1", "ratio": -1.0}], description="another joint; then it has no coordinate and no u"
     )
@@ -218,7 +275,8 @@ class SettingSection(Section):
 
     def apply(self, joint: Joint) -> Joint:
         """Return an elementary joint with these settings."""
-        dry = None if self.friction is None else Friction(self.friction.torque, self.friction.speed)
+        smooth, dry = (None, None) if self.friction is None else read_friction(**dict(self.friction))
+        ends = None if self.stops is None else Stops(**dict(self.stops))
         followed = self.follows
         follows = None if followed is None else Follow(followed.joint, followed.ratio, followed.offset)
         actuated = joint.actuated and follows is None
@@ -230,7 +288,9 @@ class SettingSection(Section):
             upper=self.limits[1],
             max_speed=self.max_speed,
             max_force=self.max_force,
-            law=Law(self.stiffness, self.rest, self.damping, dry, self.force),
+            law=Law(self.stiffness, self.rest, self.damping, smooth, self.force),
             armature=self.armature,
             follows=follows,
+            dry=dry,
+            stops=ends,
         )

@@ -50,6 +50,24 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Stops:
+    """The limits at which a joint is stopped, None where it is not; no force of rigid ones is in the equations."""
+
+    lower: float | None
+    upper: float | None
+    restitution: float | None  # of rigid stops; None: compliant, and part of the joint's law
+
+
+@dataclass(frozen=True)
+class DryFriction:
+    """Coulomb's friction [N m or N], which is not in the equations."""
+
+    torque: float  # against sliding
+    static: float  # the most that holds a joint at rest
+    stribeck: float | None  # speed over which the latter falls to the former; None: at once
+
+
+@dataclass(frozen=True)
 class Joint:
     """One degree of freedom: rotation (rad) or translation (m) about or along an axis of the body's frame."""
 
@@ -62,6 +80,8 @@ class Joint:
     law: Expr = NO_FORCE  # Qp(q, qd): force added to the actuator's, in COORDINATE, RATE and parameters [N m or N]
     max_speed: float | None = field(default=None, repr=False)  # of qd either way [rad/s or m/s]; None: unbounded
     max_force: float | None = field(default=None, repr=False)  # of u either way [N m or N]
+    stops: Stops | None = field(default=None, repr=False)
+    dry: DryFriction | None = field(default=None, repr=False)
     armature: Expr = field(default=ZERO, repr=False)  # what the rotor that drives it adds to M_ii [kg m2 or kg]
 
 

@@ -27,6 +27,7 @@ from mbsgen.model.model import (
     Body,
     Constraint,
     Contact,
+    DryFriction,
     Follow,
     ForceElement,
     Frame,
@@ -40,6 +41,7 @@ from mbsgen.model.model import (
     Parameter,
     Placement,
     Sphere,
+    Stops,
     Triple,
     Visual,
     Wrench,
@@ -165,6 +167,10 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
         if bound is not None:
             content[key] = _write_number(bound)
     content |= _write_law(joint.law)
+    if joint.dry is not None:
+        content["friction"] = _write_given(joint.dry, ("torque", "static", "stribeck"))
+    if joint.stops is not None:
+        content["stops"] = _write_given(joint.stops, ("restitution", "stiffness", "dissipation"))
     if joint.armature != ZERO:
         content["armature"] = _write_number(joint.armature)
     return content
@@ -189,6 +195,11 @@ def _write_law(law: Law) -> Mapped:
         speed, torque = _write_number(law.friction.speed), _write_number(law.friction.torque)
         content["friction"] = {"torque": torque, "speed": speed}
     return content
+
+
+def _write_given(part: DryFriction | Stops, keys: tuple[str, ...]) -> Mapped:
+    given = {key: x for key in keys if (x := getattr(part, key)) is not None}
+    return {key: _write_number(x) for key, x in given.items() if key != "dissipation" or x != ZERO}
 
 
 def _write_placement(placement: Placement) -> Mapped:

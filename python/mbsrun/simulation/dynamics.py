@@ -96,6 +96,11 @@ class Dynamics(Equations):
         M = self.call(self._evaluated.mass, q, qd, v, rest)[self._mass_result]
         return -self.solve(M, self.call(self._evaluated.function, q, qd, v, rest)["Phi"])
 
+    def mass_matrix(self, q: Array, qd: Array, v: Array) -> Array:
+        """Compute the mass matrix, (..., n, n), in a formulation that has one."""
+        assert self._evaluated.mass is not None, "a formulation of accelerations has no mass matrix"
+        return self.call(self._evaluated.mass, q, qd, v, np.zeros_like(qd))[self._mass_result]
+
     def slopes(self, q: Array, qd: Array, v: Array) -> tuple[Array, Array]:
         """Differentiate the accelerations by q and by qd, a row for each."""
         self.effort.jacobians += _states(q)

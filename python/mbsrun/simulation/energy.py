@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.holding import Forces
+from mbsrun.simulation.joints import Joints
 from mbsrun.simulation.motion import Chunk, Stages
 
 Array = NDArray[np.float64]
@@ -37,9 +39,28 @@ def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
     power = dynamics.call("power", q, qd, v)["power"]
     driven = list(dynamics.kernels.manifest.driven)
     if driven:
-        driving = dynamics.forces(stages.t.ravel(), q, qd, v)[1]
+        if chunk.segment is None:
+            driving = dynamics.forces(stages.t.ravel(), q, qd, v)[1]
+        else:
+            modes = np.tile(chunk.segment.modes, (k * s, 1))
+            driving = Forces(dynamics).drive(stages.t.ravel(), q, qd, v, modes)
         power = power.reshape(-1) + (driving * qd[:, driven]).sum(axis=1)
     return np.asarray(length * (power.reshape(k, s) @ stages.weights))
+
+
+def add_up_friction(joints: Joints, chunk: Chunk) -> Array:
+    """Compute the energy that dry friction takes in each step, shape (k,): exact where it is constant."""
+    assert chunk.segment is not None and chunk.dense is not None, "a chunk with a mode"
+    length, lost = np.diff(chunk.t), np.zeros(len(chunk.t) - 1)
+    sliding = [i for i, mode in enumerate(chunk.segment.modes) if abs(mode) == 1 and joints.is_dry[i]]
+    for i in sliding:
+        lost += joints.torque[i] * np.abs(np.diff(chunk.q[:, joints.place[i]]))
+    if any(joints.stribeck[i] > 0 for i in sliding):
+        t = chunk.t[:-1, None] + length[:, None] * NODES
+        qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))[1]
+        power = ((joints.rub(qd) - joints.torque) * np.abs(qd))[:, sliding].sum(axis=1)
+        lost += length * (power.reshape(t.shape) @ WEIGHTS)
+    return lost
 
 
 def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:

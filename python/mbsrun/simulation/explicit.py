@@ -11,7 +11,8 @@ Hairer, Norsett, Wanner, "Solving ordinary differential equations I", chapter II
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 
 STEPS = 1024  # taken in C at a time
 FREE_STEPS = 128  # the same by a tolerance: each may take many attempts
-RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT = -1, -2, -3, -4, -5, -6  # the C functions' statuses
+RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT, EVENT = -1, -2, -3, -4, -5, -6, -7  # the C functions' statuses
 KEEPING = {  # the C functions' numbers
     Keeping.PROJECTION: 1,
     Keeping.MASS_PROJECTION: 2,
@@ -43,12 +44,24 @@ KEEPING = {  # the C functions' numbers
     Keeping.BAUMGARTE: 3,
 }
 
-_RESULT, _TABLEAU = "result ", "tableau "  # begin the names of arrays that are no kernel's input
+PLACE, SPEED, FORCE = 0, 1, 2  # kinds of guards
+MOST_GUARDS = 4  # of a joint
+
+_RESULT, _TABLEAU, _MODE = "result ", "tableau ", "mode "  # begin the names of arrays that are no kernel's input
+_WHOLE = ("held", "kind", "joint", "place", "fired")
 
 _CDEF = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
 typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
+typedef struct {
+    const long long *held;
+    const double *sign, *torque, *fall, *slowness;
+    long long guards;
+    const long long *kind, *joint, *place;
+    const double *side, *level;
+    long long *fired;
+} mbs_modes;
 typedef struct {
     long long n, nq, m, e, d;
     double *q, *qd, *v, *course, *rest;
@@ -56,6 +69,7 @@ typedef struct {
     mbs_entries M, J;
     mbs_call direct, residual, mass, closure, rates, jacobian, change;
     const long long *driven, *place, *loop;
+    const mbs_modes *modes;
 } mbs_explicit;
 typedef struct {
     long long stages, estimates, order;
@@ -111,8 +125,8 @@ def march(
 ) -> Iterator[Chunk]:
     """Go through a piece likewise; raise LimitError where the allowance is used up."""
     if "plant" not in equations.kept:
-        equations.kept["plant"] = _Plant(equations, pair, settings)
-    plant: _Plant = equations.kept["plant"]
+        equations.kept["plant"] = Plant(equations, pair, settings)
+    plant: Plant = equations.kept["plant"]
     plant.open(piece)
     count = 0 if plant.manner.estimates else count_steps(piece, settings.step)
     time, first = piece.start, 0
@@ -130,6 +144,28 @@ def march(
             yield Chunk(times[: done + 1], q, qd, dense)
         if halt is not None:
             raise halt
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A number of the state that is not negative while a mode lasts: side (x - level)."""
+
+    kind: int  # PLACE, SPEED, or FORCE that holds the joint
+    joint: int  # entry of qd
+    place: int  # entry of q
+    side: float
+    level: float
+
+
+@dataclass(frozen=True, eq=False)
+class Brakes:
+    """Joints that are held, and the friction -sign (torque + fall exp(-(slowness qd)^2)) of those that slide: (n,) each."""
+
+    held: list[int]
+    sign: Array
+    torque: Array
+    fall: Array
+    slowness: Array
 
 
 class _Feed:
@@ -172,24 +208,30 @@ class _Feed:
         return ffi.callback("int(double)", call)
 
 
-class _Plant:
+class Plant:
     """A model as the C functions take it, with the memory that they use."""
 
-    def __init__(self, dynamics: Equations, pair: Pair, settings: Settings) -> None:
+    def __init__(self, dynamics: Equations, pair: Pair, settings: Settings, *, switches: bool = False) -> None:
+        """Lay a model out; with `switches` joints may be held and braked, and guards watched."""
         self.dynamics, self.manifest = dynamics, dynamics.kernels.manifest
         self.ffi, self.lib = load_functions(_CDEF, "mbs_explicit.c", "mbs_least.c")
         self.plant, self.manner = self.ffi.new("mbs_explicit *"), self.ffi.new("mbs_manner *")
         self.length = self.ffi.new("double *")  # of the next step
         self.is_tree = not is_constrained(self.manifest)
-        self.is_dense = bool(pair.E) or not self.is_tree  # states within steps are asked for
+        self.switches = switches
+        self.is_event = False  # a guard ended the last run
+        self.is_dense = bool(pair.E) or not self.is_tree or self.switches  # states within steps are asked for
         self.memory = self._lay_plant()
         self.feed = _Feed(dynamics.course, self.memory.arrays)
         self._lay_manner(pair, settings)
+        self.modes = self._lay_modes() if self.switches else None
         reals, integers = (
             self.lib.mbs_explicit_reals(self.plant, len(pair.tableau.b)),
             self.lib.mbs_explicit_integers(self.plant),
         )
         self.room = self.memory.add("reals", reals + 1), self.memory.integers([0] * integers)
+        if self.modes is not None:
+            self.modes.guards = 0
 
     def _lay_plant(self) -> Memory:
         dynamics, manifest, p = self.dynamics, self.manifest, self.plant
@@ -225,8 +267,9 @@ class _Plant:
         """Lay accelerations, if the formulation gives them, and what solves for them elsewhere."""
         p, evaluated = self.plant, self.dynamics.formulation.evaluated
         if evaluated.is_direct:
-            self._lay_call(memory, p.direct, evaluated.function, {"qdd": "qdd"})
-            if self.is_tree:
+            if not self.switches:
+                self._lay_call(memory, p.direct, evaluated.function, {"qdd": "qdd"})
+            if self.is_tree and not self.switches:
                 return
             evaluated = Formulation.SEMI.evaluated
         assert evaluated.mass is not None, "a residual comes with a mass matrix"
@@ -242,6 +285,38 @@ class _Plant:
             matrix.nonzeros = memory.add(_RESULT + results[argument.name], argument.nnz + 1)
             matrix.entries, matrix.place = argument.nnz, memory.place(entry, argument)
         call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + x for key, x in results.items()})
+
+    def _lay_modes(self) -> Any:
+        """Lay the arrays of modes; a joint has four guards at most: two stops, and one or two of its friction."""
+        n, memory, modes = self.dynamics.size, self.memory, self.ffi.new("mbs_modes *")
+        for name in ("sign", "torque", "fall", "slowness"):
+            setattr(modes, name, memory.add(_MODE + name, n))
+        for name in ("side", "level"):
+            setattr(modes, name, memory.add(_MODE + name, MOST_GUARDS * n))
+        self.whole = {name: self.ffi.new("long long[]", n if name == "held" else MOST_GUARDS * n) for name in _WHOLE}
+        for name, numbers in self.whole.items():
+            setattr(modes, name, numbers)
+        modes.guards = MOST_GUARDS * n
+        self.plant.modes = memory.keep(modes)
+        return modes
+
+    def switch(self, brakes: Brakes, guards: Sequence[Guard]) -> None:
+        """Hold and brake joints, and watch guards."""
+        arrays = self.memory.arrays
+        self.whole["held"][0 : self.dynamics.size] = brakes.held
+        for name in ("sign", "torque", "fall", "slowness"):
+            arrays[_MODE + name][:] = getattr(brakes, name)
+        for k, guard in enumerate(guards):
+            for name in ("side", "level"):
+                arrays[_MODE + name][k] = getattr(guard, name)
+            for name in ("kind", "joint", "place"):
+                self.whole[name][k] = getattr(guard, name)
+        self.modes.guards = len(guards)
+
+    @property
+    def fired(self) -> list[int]:
+        """List the guards that are below 0 at an event."""
+        return [k for k in range(self.modes.guards) if self.whole["fired"][k]]
 
     def _lay_manner(self, pair: Pair, settings: Settings) -> None:
         memory, tableau, m = self.memory, pair.tableau, self.manner
@@ -285,6 +360,7 @@ class _Plant:
         effort.switches += outcome.switches
         effort.pivot = min(effort.pivot, outcome.pivot)
         effort.gap = max(effort.gap, outcome.gap)
+        self.is_event = outcome.status == EVENT
         return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
 
     def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
@@ -321,7 +397,7 @@ class _Plant:
             return HaltError(Halt(time, None, error.finding, error.remedy))
         if outcome.status == STOPPED:
             return error
-        if not outcome.status:
+        if outcome.status in (0, EVENT):
             return None
         return HaltError(describe_status(self.dynamics, outcome.status, outcome.loop, time, self.memory.arrays["qd"]))
 

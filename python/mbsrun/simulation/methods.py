@@ -8,7 +8,7 @@ from functools import partial
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes
-from mbsrun.simulation import adaptive, explicit, implicit, multipliers, variational
+from mbsrun.simulation import adaptive, explicit, implicit, multipliers, switching, variational
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family, Integrator, Method
 from mbsrun.simulation.motion import Keeping, Settings
@@ -30,7 +30,7 @@ _STEP, _TOLERANCES = ("step",), ("rtol", "atol")
 
 def _explicit(order: int, title: str, pair: explicit.Pair, stability: float) -> Method:
     family, settings = (Family.ADAPTIVE, _TOLERANCES) if pair.E else (Family.EXPLICIT, _STEP)
-    integrate = partial(explicit.integrate, pair)
+    integrate = partial(switching.integrate, pair)
     return Method(family, order, title, integrate, settings, stability, closed=integrate, keeps=explicit.KEEPS)
 
 
@@ -129,6 +129,8 @@ def find_idle(settings: Settings, given: Collection[str]) -> Iterator[tuple[str,
 def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
     """Find what a model's loops and driven joints forbid: the setting, the finding and the remedy."""
     method = METHODS[settings.method]
+    if manifest.switching:
+        yield from _refuse_switching(settings, manifest)
     if not (manifest.loops or manifest.driven):
         if settings.loops is not None:
             yield "loops", "the model has no loops", "leave it out"
@@ -148,6 +150,17 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
         if method.has_fixed_steps and gain * settings.step > 1:
             finding = f"the gain {gain:g} 1/s times the step {settings.step:g} s is {gain * settings.step:.3g}"
             yield "step", finding, "keep it below 1, else the loops' own motion diverges"
+
+
+def _refuse_switching(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
+    joints = ", ".join(manifest.switching)
+    if METHODS[settings.method].stability is None:
+        known = ", ".join(name for name, x in METHODS.items() if x.stability is not None)
+        finding = f"{settings.method} takes no rigid stops or dry friction, which joints have: {joints}"
+        yield "method", finding, f"give one of {known}; or smooth friction by a speed, and give stops a stiffness"
+    if manifest.loops:
+        finding = f"a model with loops, and with rigid stops or dry friction of joints {joints}, is not simulated"
+        yield "loops", finding, "smooth the friction by a speed, and give stops a stiffness"
 
 
 def takes_too_many_steps(settings: Settings) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, IntEnum
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,49 @@ class Settings:
     max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up
 
 
+class Mode(IntEnum):
+    """What a joint with stops or dry friction does."""
+
+    BACKWARD = -1  # it slides
+    FREE = 0
+    FORWARD = 1  # it slides
+    STICKS = 2
+    LOWER = 3  # it rests on its lower stop
+    UPPER = 4
+
+
+class Kind(Enum):
+    """What happens to a joint in an event."""
+
+    IMPACT = "hits"  # a stop
+    REST = "rests"  # on a stop; the joint may have hit it infinitely often
+    LEAVE = "leaves"  # a stop
+    STICK = "sticks"
+    SLIP = "slips"
+    REVERSE = "reverses"  # it slides, without a time at rest
+
+
+@dataclass(frozen=True)
+class Event:
+    """A switch of a joint."""
+
+    time: float  # s
+    joint: str
+    kind: Kind
+    before: float  # velocity [rad/s or m/s]
+    after: float
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The mode of some steps, and what happened at their start."""
+
+    modes: tuple[int, ...]  # by velocity
+    events: tuple[Event, ...] = ()
+    loss: float = 0.0  # J: of impacts
+    driven: float = 0.0  # J: work of driven joints in impacts
+
+
 @dataclass(frozen=True)
 class Halt:
     """Why a simulation ended early."""
@@ -93,6 +136,8 @@ class Energy:
     kinetic: Array
     potential: Array  # of gravity
     work: Array  # done so far by all other forces: inputs, springs, dampers, friction, wrenches
+    friction: Array | None = None  # taken so far by dry friction, which is not in `work`; None: there is none
+    impacts: Array | None = None  # and by impacts on stops
 
     @property
     def total(self) -> Array:
@@ -101,8 +146,9 @@ class Energy:
 
     @property
     def drift(self) -> Array:
-        """Return the total minus its start and the work done since: the error of the integration."""
-        return np.asarray(self.total - self.total[0] - self.work)
+        """Return the total minus its start and the work done since, plus losses: the error of the integration."""
+        lost = sum((x for x in (self.friction, self.impacts) if x is not None), start=np.zeros_like(self.work))
+        return np.asarray(self.total - self.total[0] - self.work + lost)
 
     @property
     def exchanged(self) -> float:
@@ -153,6 +199,8 @@ class Motion:
     effort: Effort
     closure: ClosureRecord | None = None  # of a model with loops or driven joints
     halt: Halt | None = None
+    events: tuple[Event, ...] = ()  # of joints with stops or dry friction
+    modes: NDArray[np.int_] | None = None  # (K, n), as `Mode` lists them; None without such joints
     warnings: tuple[str, ...] = ()
     qdd: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)  # (K, n), not a number where it fails
     kernels: Kernels | None = field(default=None, repr=False)  # of the mechanism, for further numbers
@@ -226,3 +274,4 @@ class Chunk:
     dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = None
     # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation
     stages: Stages | None = None
+    segment: Segment | None = None  # of a model with stops or dry friction

@@ -18,8 +18,10 @@ from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
 from mbsrun.simulation.drive import Drive, DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.energy import add_up_work
+from mbsrun.simulation.energy import add_up_friction, add_up_work
 from mbsrun.simulation.formulation import Formulation
+from mbsrun.simulation.holding import Forces
+from mbsrun.simulation.joints import Joints
 from mbsrun.simulation.method import Family
 from mbsrun.simulation.methods import METHODS, complete_settings, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import (
@@ -29,10 +31,12 @@ from mbsrun.simulation.motion import (
     ClosureRecord,
     Effort,
     Energy,
+    Event,
     Halt,
     HaltError,
     Keeping,
     Motion,
+    Segment,
     Settings,
 )
 
@@ -135,6 +139,7 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
+        needed |= {"semi", "semi_res"} if kernels.manifest.switching else set()
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
@@ -173,6 +178,12 @@ class _Record:
         self.piece: Piece | None = None
         self.work_is_known = True
         self.steps = 0
+        self.switches = bool(kernels.manifest.switching)
+        self.joints, self.forces = Joints.of(kernels.manifest), Forces(self.observer)
+        self.events: list[Event] = []
+        self.modes: list[tuple[int, ...]] = []  # of the states that are kept
+        self.taken = np.zeros(2)  # by friction and impacts so far [J]
+        self.losses = [self.taken]
 
     def open(self, piece: Piece) -> None:
         """Begin a piece; the inputs at its start are its own."""
@@ -194,6 +205,8 @@ class _Record:
             numbers = self.steps + 1 + np.arange(len(chunk.t) - 1)
             chosen = np.flatnonzero(numbers % stride == 0) + 1
             self.steps += len(numbers)
+        if chunk.segment is not None:
+            self._add_losses(chunk, chunk.segment, chosen)
         work = self.done + np.concatenate(([0.0], np.cumsum(self._add_up(chunk))))
         self._keep(chunk, work, chosen)
         self.last, self.last_time, self.done = (chunk.q[-1], chunk.qd[-1]), float(chunk.t[-1]), float(work[-1])
@@ -206,12 +219,16 @@ class _Record:
             self.q.append(self.last[0])
             self.qd.append(self.last[1])
             self.work.append(self.done)
+            self.losses.append(self.taken)
+            self.modes += self.modes[-1:]
 
     def finish(self, effort: Effort, halt: Halt | None) -> Motion:
         """Make the motion of all states that were kept."""
         t, q, qd, inputs = (np.array(kept) for kept in (self.t, self.q, self.qd, self.inputs))
         energies = self.kernels("energy", q=q, qd=qd)
-        energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work))
+        losses = np.array(self.losses).T if self.switches else (None, None)
+        energy = Energy(energies["kinetic"][:, 0], energies["potential"][:, 0], np.array(self.work), *losses)
+        modes = np.array(self.modes).reshape(len(t), -1) if self.switches and self.modes else None
         warnings = [*_find_exceeded_limits(self.kernels, t, q), *self._find_stiffness(effort, t, q, qd, inputs)]
         is_known = self.work_is_known and bool(np.isfinite(energy.drift).all())
         return Motion(
@@ -222,27 +239,48 @@ class _Record:
             inputs=inputs,
             energy=energy if is_known else None,
             effort=effort,
-            closure=self._find_closure(t, q, qd, inputs) if self.is_closed else None,
+            closure=self._find_closure(t, q, qd, inputs, modes) if self.is_closed else None,
             halt=halt,
+            events=tuple(self.events),
+            modes=modes,
             warnings=(
                 *warnings,
                 *(_find_drift(energy) if is_known else ()),
                 *_find_singularity(self.settings, effort),
             ),
-            qdd=self.observer.find_accelerations(t, q, qd, inputs),
+            qdd=self.observer.find_accelerations(t, q, qd, inputs)
+            if modes is None
+            else self.forces.find_accelerations(t, q, qd, inputs, modes),
             kernels=self.kernels,
         )
 
     def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:
         return self.equations.measure(q), self.equations.measure_rates(q, qd)
 
-    def _find_closure(self, t: Array, q: Array, qd: Array, inputs: Array) -> ClosureRecord:
+    def _find_closure(
+        self, t: Array, q: Array, qd: Array, inputs: Array, modes: NDArray[np.int_] | None
+    ) -> ClosureRecord:
         """Compute how far loops are open along the motion, and the forces that keep them closed."""
         position, velocity = (
             np.abs(x).max(axis=1, initial=0.0) for x in (self.equations.gaps(q), self.equations.rates(q, qd))
         )
         most = [max(*x) for x in zip(self.gaps, self._measure_gaps(q, qd), strict=True)]
-        return ClosureRecord(position, velocity, (most[0], most[1]), *self.observer.forces(t, q, qd, inputs))
+        multipliers, driving = self.observer.forces(t, q, qd, inputs)
+        if modes is not None:
+            driving = self.forces.drive(t, q, qd, inputs, modes)
+        return ClosureRecord(position, velocity, (most[0], most[1]), multipliers, driving)
+
+    def _add_losses(self, chunk: Chunk, segment: Segment, chosen: NDArray[np.intp]) -> None:
+        """Add the losses of impacts before a chunk and of friction in it; note events and modes."""
+        self.events += segment.events
+        self.done += segment.driven
+        taken = self.taken + [0.0, segment.loss]
+        friction = np.cumsum(add_up_friction(self.joints, chunk))
+        if len(self.modes) < len(self.t):  # the start
+            self.modes.append(segment.modes)
+        self.losses += [taken + [friction[k - 1], 0.0] for k in chosen]
+        self.modes += [segment.modes] * len(chosen)
+        self.taken = taken + [friction[-1], 0.0]
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
         if chosen.size:
@@ -283,7 +321,7 @@ class _Record:
         def dense_in_parts(times: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
             return dense(times, step[part + 1])
 
-        return Chunk(t, q, qd, dense_in_parts), np.flatnonzero(np.isin(t, wanted))
+        return Chunk(t, q, qd, dense_in_parts, segment=chunk.segment), np.flatnonzero(np.isin(t, wanted))
 
     def _add_up(self, chunk: Chunk) -> Array:
         assert self.piece is not None, "a chunk lies in a piece"
@@ -340,7 +378,7 @@ def _find_exceeded_limits(kernels: Kernels, t: Array, q: Array) -> list[str]:
     columns = dict(zip(manifest.positions, q.T, strict=True))
     for coordinate in manifest.coordinates:
         column = columns.get(coordinate.name)
-        if column is None:  # a joint with a quaternion has no limits
+        if column is None or coordinate.stops is not None:  # a joint with a quaternion has no limits
             continue
         for limit, sign in ((coordinate.lower, -1), (coordinate.upper, 1)):
             if limit is None:

@@ -1,0 +1,81 @@
+"""Checks of stops and dry friction of joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from mbsgen.documents import Finding, Place, abbreviate
+from mbsgen.model.following import list_joints
+from mbsgen.model.model import ZERO, DryFriction, Joint, Law, Model, Stops
+from mbsgen.model.valuation import Valuation
+
+
+def check_stops(model: Model, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with stops and dry friction."""
+    for step in list_joints(model):
+        joint, place = step.joint, step.place
+        if joint.stops is not None:
+            yield from _check_stops((*place, "stops"), joint, joint.stops, valuation)
+        if joint.dry is not None:
+            yield from _check_dry((*place, "friction"), joint.law, joint.dry, valuation)
+        keys = [key for key, is_own in (("friction", joint.dry), ("stops", _is_rigid(joint.stops))) if is_own]
+        for key in keys:
+            what = "dry friction" if key == "friction" else "rigid stops"
+            if joint.follows is not None:
+                finding = f"{what} on a joint that follows {abbreviate(joint.follows.joint)}"
+                yield Finding((*place, key), finding, "give it to the other joint")
+            elif step.name in model.driven:
+                finding = f"{what} on a joint whose motion is given (driven)"
+                yield Finding((*place, key), finding, "leave it out: the given motion needs the force that it needs")
+
+
+def _is_rigid(stops: Stops | None) -> bool:
+    return stops is not None and stops.restitution is not None
+
+
+def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation) -> Iterator[Finding]:
+    if joint.lower is None and joint.upper is None:
+        yield Finding(place, "stops of a joint without limits", "give limits: [-1, 1], or null at an end without a stop")
+    if (stops.restitution is None) == (stops.stiffness is None):
+        found = "neither restitution nor stiffness" if stops.stiffness is None else "both restitution and stiffness"
+        yield Finding(place, found, "give restitution of rigid stops, or stiffness of compliant ones")
+    if stops.restitution is not None:
+        value = valuation.constant((*place, "restitution"), stops.restitution)
+        if value < 0 or value > 1:
+            yield Finding((*place, "restitution"), f"found {value:g}", "give 0, where nothing rebounds, to 1")
+        if stops.dissipation != ZERO:
+            yield Finding((*place, "dissipation"), "the dissipation of rigid stops", "leave it out, or give stiffness")
+        lower, upper = (
+            math.nan if x is None else valuation.constant((*place[:-1], "limits", k), x)
+            for k, x in enumerate((joint.lower, joint.upper))
+        )
+        if lower == upper:
+            finding = f"both stops are at {lower:g}"
+            yield Finding((*place[:-1], "limits"), finding, "leave the joint room, or make it fixed")
+    elif stops.stiffness is not None:
+        value = valuation.number((*place, "stiffness"), stops.stiffness)
+        if value <= 0:
+            yield Finding((*place, "stiffness"), f"found {value:g}", "give more than 0")
+        value = valuation.number((*place, "dissipation"), stops.dissipation)
+        if value < 0:
+            yield Finding((*place, "dissipation"), f"found {value:g}", "give 0 or more")
+
+
+def _check_dry(place: Place, law: Law, dry: DryFriction, valuation: Valuation) -> Iterator[Finding]:
+    if law.friction is not None:
+        finding = "smoothed friction (speed) that is dry too (static, stribeck)"
+        yield Finding(place, finding, "leave out speed, or static and stribeck")
+        return
+    torque = valuation.constant((*place, "torque"), dry.torque)
+    static = torque if dry.static is None else valuation.constant((*place, "static"), dry.static)
+    stribeck = math.nan if dry.stribeck is None else valuation.constant((*place, "stribeck"), dry.stribeck)
+    if torque < 0:
+        yield Finding((*place, "torque"), f"found {torque:g}", "give 0 or more")
+    if static < torque:
+        finding = f"{static:g} holds the joint at rest, and {torque:g} brakes it when it slides"
+        yield Finding((*place, "static"), finding, f"give {torque:g} or more")
+    if stribeck <= 0:
+        yield Finding((*place, "stribeck"), f"a speed of {stribeck:g}", "give more than 0")
+    if dry.stribeck is not None and dry.static is None:
+        yield Finding((*place, "stribeck"), "a stribeck speed without static", "give static too")

@@ -1,0 +1,116 @@
+"""Joints with rigid stops and dry friction: their numbers, by mode, as the C functions take them.
+
+A joint that slides is braked by T(qd) = torque + (static - torque) exp(-(qd/stribeck)^2), or by `torque` alone. The force
+that holds a joint at rest is at most `static`, either way; a stop adds any force away from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Manifest
+from mbsrun.simulation.explicit import FORCE, PLACE, SPEED, Brakes, Guard
+from mbsrun.simulation.motion import Mode
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-12  # m, rad: a joint that is as near to a stop touches it
+STILL = 1e-13  # of the fastest velocity: a slower joint rests
+SLACK = 1e-12  # of the forces of a joint: by how much the force that holds it may exceed the most that can
+HELD = (Mode.STICKS, Mode.LOWER, Mode.UPPER)
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """Stops and dry friction by joint, (n,) each."""
+
+    manifest: Manifest
+    place: tuple[int, ...]  # the entry of q; -1 of a joint with a quaternion
+    lower: Array  # infinite where nothing stops the joint
+    upper: Array
+    restitution: Array
+    is_dry: NDArray[np.bool_]
+    torque: Array
+    static: Array
+    stribeck: Array  # 0: none
+    is_driven: NDArray[np.bool_]
+    driven: list[int] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, manifest: Manifest) -> Joints:
+        """Read them from a manifest."""
+        joints, positions = manifest.coordinates, {name: k for k, name in enumerate(manifest.positions)}
+        rigid = [None if c.stops is None or c.stops.restitution is None else c.stops for c in joints]
+        dry = [c.friction for c in joints]
+        return cls(
+            manifest,
+            tuple(positions.get(c.name, -1) for c in joints),
+            np.array([-np.inf if x is None or x.lower is None else x.lower for x in rigid]),
+            np.array([np.inf if x is None or x.upper is None else x.upper for x in rigid]),
+            np.array([0.0 if x is None or x.restitution is None else x.restitution for x in rigid]),
+            np.array([x is not None for x in dry], dtype=np.bool_),
+            np.array([0.0 if x is None else x.torque for x in dry]),
+            np.array([0.0 if x is None else x.static for x in dry]),
+            np.array([0.0 if x is None or x.stribeck is None else x.stribeck for x in dry]),
+            np.isin(np.arange(len(joints)), manifest.driven),
+            list(manifest.driven),
+        )
+
+    @property
+    def starting(self) -> Array:
+        """The friction of joints that start to slide: the static one where it falls over a Stribeck speed."""
+        return np.where(self.stribeck > 0, self.static, self.torque)
+
+    def rub(self, qd: Array) -> Array:
+        """Return the friction of sliding joints, at velocities (..., n), against the motion."""
+        slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
+        fall = np.where(self.stribeck > 0, self.static - self.torque, 0.0)
+        return np.asarray(self.torque + fall * np.exp(-((qd * slowness) ** 2)))
+
+    def brake(self, modes: NDArray[np.int_]) -> Brakes:
+        """Return held joints, and the friction of others, for the C functions."""
+        slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
+        fall = np.where(self.stribeck > 0, self.static - self.torque, 0.0)
+        sign = np.where(np.abs(modes) == 1, modes, 0).astype(np.float64)
+        return Brakes([int(mode in HELD) for mode in modes], sign, self.torque, fall, slowness)
+
+    def guard(self, modes: NDArray[np.int_], forces: Array) -> list[Guard]:
+        """List what must hold while the modes last; `forces` hold joints at rest."""
+        found = []
+        for i, mode in enumerate(modes):
+            place = self.place[i]
+            if mode in HELD:
+                most, slack = self.static[i], SLACK * max(self.static[i], abs(forces[i]))
+                if mode != Mode.LOWER:
+                    found.append(Guard(FORCE, i, place, -1.0, most + slack))
+                if mode != Mode.UPPER:
+                    found.append(Guard(FORCE, i, place, 1.0, -most - slack))
+                continue
+            if abs(mode) == 1:
+                found.append(Guard(SPEED, i, place, float(mode), 0.0))
+            if np.isfinite(self.lower[i]):
+                found.append(Guard(PLACE, i, place, 1.0, float(self.lower[i])))
+            if np.isfinite(self.upper[i]):
+                found.append(Guard(PLACE, i, place, -1.0, float(self.upper[i])))
+        return found
+
+    def touch(self, q: Array) -> NDArray[np.int_]:
+        """Return 1 for joints at their lower stops, -1 for joints at their upper ones; put them there exactly, in q."""
+        sides = np.zeros(len(self.place), dtype=np.int_)
+        for i, k in enumerate(self.place):
+            for side, stop in ((1, self.lower[i]), (-1, self.upper[i])):
+                if np.isfinite(stop) and side * (q[k] - stop) <= TOUCH * max(1.0, abs(stop)):
+                    sides[i], q[k] = side, stop
+        return sides
+
+    def find_stops(self, sides: NDArray[np.int_]) -> Array:
+        """Return the places of the stops that are touched, else 0."""
+        return np.where(sides > 0, self.lower, np.where(sides < 0, self.upper, 0.0))
+
+    def still(self, qd: Array) -> None:
+        """Let joints rest whose velocities are rounding of rest."""
+        switching = self.is_dry | np.isfinite(self.lower) | np.isfinite(self.upper)
+        qd[switching & (np.abs(qd) <= STILL * np.abs(qd).max(initial=0.0))] = 0.0
