@@ -19,7 +19,7 @@
 #define CONTRADICTION 1e-6 /* of the equations: those left out at a singular pose must hold to this part */
 #define SHORTEST 1e-14     /* of the time */
 #define HALVINGS 40        /* to leave a guard that is 0 at the start */
-#define CLOSEST 4          /* roundings of the time: the place of an event */
+#define CLOSEST 4          /* roundings of a step: the place of an event in it */
 
 typedef struct {
     const mbs_explicit *p;
@@ -510,7 +510,7 @@ static void combine(const mbs_run *r, casadi_int count, const casadi_real *weigh
         y[c] = x ? x[c] + h * y[c] : h * y[c];
 }
 
-/* Write the guards at the plant's state, then their rates; those of forces are 0. `rate` holds the rates of the state. */
+/* Write the guards at the plant's state, then their rates; the rates of forces are 0. `rate` holds the rates of the state. */
 static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
 {
     const mbs_explicit *p = r->p;
@@ -704,7 +704,7 @@ static int is_below(casadi_int count, const casadi_real *values)
 static int locate(mbs_run *r, casadi_real t, casadi_real *h, const casadi_real *x, casadi_real *y)
 {
     const casadi_int size = r->p->nq + r->p->n, count = r->p->modes->guards;
-    const casadi_real least = CLOSEST * MBS_EPSILON * (fabs(t) + *h);
+    const casadi_real least = CLOSEST * MBS_EPSILON * *h;
     casadi_int *fired = r->p->modes->fired, k, i;
     casadi_real *low = r->start, *high = r->end, *middle = r->between, lo = 0, hi = *h;
     int status = 0, side = 0;

@@ -56,7 +56,7 @@ typedef struct {
     const casadi_int *place;
 } mbs_entries;
 
-/* The joints that are held, the friction -sign (torque + fall exp(-(qd/speed)^2)) of those that slide, and guards
+/* The joints that are held, the friction -sign (torque + fall exp(-(qd/speed)^2)) of sliding ones, and guards
  * side (x - level) >= 0. Accelerations are no results of `direct` then. */
 typedef struct {
     const casadi_int *held;                             /* n: 1, where a joint does not move */
@@ -115,7 +115,7 @@ casadi_int mbs_explicit_integers(const mbs_explicit *plant);
  * *h; else *h is the first to try, or 0, and on return the next one. Of each step times[k] and states[k] are written: nq
  * coordinates, then n velocities. Steps of a fixed length end where the caller's times say, times[1], ... are given, and
  * inputs and courses may be given for them: for all stages of each step, then for its end, rows of m and of 3 d numbers;
- * NULL: the manner's functions are asked. The place of an event is found to rounding of the time, by shorter steps, for
+ * NULL: the manner's functions are asked. The place of an event is found to rounding, by shorter steps, for
  * which the manner's functions are asked in any case. */
 void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, casadi_real end, casadi_real *h,
                       casadi_int steps, const casadi_real *inputs, const casadi_real *courses, casadi_real *times,

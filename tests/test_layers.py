@@ -85,7 +85,7 @@ MBSGEN = Package(
 MBSRUN = Package(
     source=ROOT / "python" / "mbsrun",
     layers=(
-        "trust limits forms reading stack",
+        "trust limits forms reading smoothness stack",
         "cache",
         "library models bare",
         "webassembly",

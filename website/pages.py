@@ -49,7 +49,18 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     {
         "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
     },
-    {"Simulate": ["simulation.md", "batches.md", "gpu.md", "animation.md", "playground.md", "learning.md", "fmu.md"]},
+    {
+        "Simulate": [
+            "simulation.md",
+            "stops.md",
+            "batches.md",
+            "gpu.md",
+            "animation.md",
+            "playground.md",
+            "learning.md",
+            "fmu.md",
+        ]
+    },
     {
         "Optimise": [
             "problem.md",

@@ -7,7 +7,7 @@ import hashlib
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -402,8 +402,8 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
                 upper=j.upper,
                 max_speed=j.max_speed,
                 max_force=j.max_force,
-                stops=j.stops and Stops(lower=j.stops.lower, upper=j.stops.upper, restitution=j.stops.restitution),
-                friction=j.dry and Friction(torque=j.dry.torque, static=j.dry.static, stribeck=j.dry.stribeck),
+                stops=None if j.stops is None else Stops(**asdict(j.stops)),
+                friction=None if j.dry is None else Friction(**asdict(j.dry)),
             )
             for j in joints
         ),

@@ -134,6 +134,9 @@ def generate_command(
     print_report(product.report)
     if notice := describe_mangling(product.manifest.model, product.manifest.prefix):
         click.echo(f"note: {notice}", err=True)
+    if hidden := product.manifest.switching:
+        notice = "have rigid stops or dry friction, which are in no kernel; mbsrun simulate applies them"
+        click.echo(f"note: joints {', '.join(hidden)} {notice}", err=True)
     click.echo(f"wrote {len(product.files) + len(product.packages)} files to {out}", err=True)
 
 

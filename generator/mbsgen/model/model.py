@@ -126,7 +126,7 @@ class DryFriction:
 
 @dataclass(frozen=True)
 class Stops:
-    """What ends the motion of a joint at its limits: rigid with a restitution, or compliant with a stiffness."""
+    """The stops of a joint at its limits: rigid with a restitution, or compliant with a stiffness."""
 
     restitution: Expression | None = None  # the part of the speed that is kept; None: compliant
     stiffness: Expression | None = None  # [N m/rad or N/m]

@@ -212,12 +212,14 @@ class FrictionSection(Section):
         None, examples=[0.6], description="the most that holds the joint at rest; by default the same"
     )
     stribeck: OptionalNumberField = Field(
-        None, examples=[0.02], description="speed over which static falls to torque, in rad/s or m/s; by default at once"
+        None,
+        examples=[0.02],
+        description="speed over which static falls to torque, rad/s or m/s; by default at once",
     )
 
 
 class StopsSection(Section):
-    """What stops a joint at its limits: rigid, or compliant."""
+    """The stops of a joint at its limits: rigid, or compliant."""
 
     restitution: OptionalNumberField = Field(
         None, examples=[0.5], description="of rigid stops: the part of the speed that is kept, 0 to 1"

@@ -36,7 +36,9 @@ def _is_rigid(stops: Stops | None) -> bool:
 
 def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation) -> Iterator[Finding]:
     if joint.lower is None and joint.upper is None:
-        yield Finding(place, "stops of a joint without limits", "give limits: [-1, 1], or null at an end without a stop")
+        yield Finding(
+            place, "stops of a joint without limits", "give limits: [-1, 1], or null at an end without a stop"
+        )
     if (stops.restitution is None) == (stops.stiffness is None):
         found = "neither restitution nor stiffness" if stops.stiffness is None else "both restitution and stiffness"
         yield Finding(place, found, "give restitution of rigid stops, or stiffness of compliant ones")

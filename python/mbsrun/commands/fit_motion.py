@@ -28,6 +28,7 @@ from mbsrun.external import Mechanism, load
 from mbsrun.recordings import AXES, Recording, find_column, name_coordinate, read_column, read_recording
 from mbsrun.recordings.fitting import FITTED, Fit, Fitter, Targets
 from mbsrun.recordings.pictures import Panel, plot_panels
+from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -106,6 +107,7 @@ def fit_motion_command(
         raise click.UsageError("--smooth and --gap must not be negative")
     recording = cut(read_recording(file), start, end)
     mechanism = load(model, extent=FITTED)
+    demand_smooth(mechanism.manifest, "a fit", stops=False)
     mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
     manifest = mechanism.manifest
     pairs = _pair_markers(recording, manifest, split_pairs("marker", markers, recording.markers))

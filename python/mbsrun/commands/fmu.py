@@ -12,6 +12,7 @@ from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.fmu import write_fmu
 from mbsrun.models import Extent
+from mbsrun.smoothness import demand_smooth
 
 FMU_HELP = """Write MODEL as a functional mock-up unit of FMI, for model exchange and co-simulation.
 
@@ -56,5 +57,6 @@ def fmu_command(model: Path, fmi: str, step: float | None, source_only: bool, ou
 
     needed, optional = list_functions()
     kernels = load(model, extent=Extent(needed, 1, optional=optional))
+    demand_smooth(kernels.manifest, "a functional mock-up unit", stops=True)
     out = write_fmu(kernels, out or Path(f"{model.stem}.fmu"), fmi=fmi, step=step, compiled=not source_only)
     say(f"wrote {out}")

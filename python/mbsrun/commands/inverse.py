@@ -19,6 +19,7 @@ from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.simulation.course import follow, place_driven
 from mbsrun.simulation.inverse import invert, measure, tabulate
+from mbsrun.smoothness import demand_smooth
 
 INVERSE_HELP = """Compute the forces that a given motion of MODEL takes, and write them as a table.
 
@@ -66,6 +67,7 @@ def inverse_command(
         raise click.UsageError("--duration and --output-step must be positive, with at most a million rows")
     mechanism = load(model, extent=INTEGRATED)
     manifest = mechanism.manifest
+    demand_smooth(manifest, "inverse dynamics", stops=False)
     expressions = _read_motions(motions, manifest)
     names = [c.name for c in manifest.coordinates]
     try:

@@ -30,6 +30,7 @@ from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
 from mbsrun.simulation.recorded import Recalled, analyse
+from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -109,6 +110,7 @@ def inverse_dynamics_command(
     recording = cut(read_recording(file), start, end)
     load_recording = None if other is None else read_recording(other)
     mechanism = load(model, extent=INTEGRATED)
+    demand_smooth(mechanism.manifest, "inverse dynamics", stops=False)
     given = set_parameters(mechanism, parameters)
     mechanism = equip(mechanism.with_parameters(**given), model, INTEGRATED, file, given)
     manifest = mechanism.manifest

@@ -23,6 +23,7 @@ from mbsrun.linearisation import Equilibrium, Linearisation, balance, find_pose,
 from mbsrun.linearisation.equations import LOST
 from mbsrun.linearisation.pictures import plot_poles, plot_responses
 from mbsrun.models import INTEGRATED
+from mbsrun.smoothness import demand_smooth
 
 LINEARISE_HELP = """Linearise the equations of motion of MODEL about a pose at rest.
 
@@ -105,6 +106,7 @@ def linearise_command(
 ) -> None:
     """Read, compute, write, print."""
     kernels = load(model, extent=INTEGRATED)
+    demand_smooth(kernels.manifest, "a linearisation", stops=False)
     if weight is None and (weights or input_weights):
         raise click.UsageError("--weigh and --weigh-input are for --regulate; give it too")
     start = None

@@ -17,6 +17,7 @@ from mbsrun.linearisation import balance, find_pose, linearise
 from mbsrun.models import Extent
 from mbsrun.playground.machine import FUNCTIONS, LOOPED, OPTIONAL, describe_controller, describe_regulator
 from mbsrun.playground.page import write_playground
+from mbsrun.smoothness import demand_smooth
 
 PLAYGROUND_HELP = """Write one HTML page on which MODEL moves, computed by its own C in WebAssembly.
 
@@ -70,6 +71,7 @@ def playground_command(
         raise click.UsageError("--pose is the pose of --regulate; give both")
     optional = (*OPTIONAL, *LOOPED, "loop_jacobian", *(() if weight is None else ("sensors",)))
     kernels = load(model, extent=Extent(FUNCTIONS, 0 if weight is None else 1, optional=optional))
+    demand_smooth(kernels.manifest, "a playground", stops=True)
     controllers = [describe_controller(folder, kernels.manifest) for folder in folders]
     if weight is not None:
         controllers.append(_regulate(kernels, poses, weight))

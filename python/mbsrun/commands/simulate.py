@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -338,6 +339,11 @@ def _print_motion(motion: Motion, manifest: Manifest) -> None:
         total, drift = energy.total, np.abs(energy.drift).max()
         rows["energy"] = f"{total[0]:.8g} J at the start, {total[-1]:.8g} J at the end, {energy.work[-1]:.4g} J of work"
         rows["energy drift"] = f"{drift:.1e} J at most"
+    if energy is not None and energy.friction is not None and energy.impacts is not None:
+        rows["losses"] = f"{energy.friction[-1]:.4g} J by dry friction, {energy.impacts[-1]:.4g} J by impacts"
+    if motion.modes is not None:
+        counts = Counter(event.kind.value for event in motion.events)
+        rows["events"] = ", ".join(f"{kind} {count}" for kind, count in counts.items()) or "none"
     if motion.closure is not None:
         position, velocity = motion.closure.most
         rows["loops open"] = f"{position:.1e} at most, at a rate of {velocity:.1e}"

@@ -21,6 +21,7 @@ from mbsgen.roles import Order, Role
 from mbsrun.binding import ArgumentError, Port
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.faces.operators import Operator
+from mbsrun.smoothness import demand_smooth
 
 A = TypeVar("A")  # an array of the library
 VALUES = "p"  # the input for values of run-time parameters, in place of `h`
@@ -48,6 +49,7 @@ class Face(ABC, Generic[A]):
     def __init__(self, model: str | Path | Mechanism | OnDemand, parameters: Mapping[str, float] | None = None) -> None:
         """Load a model file or a generated folder, or take what `mbsrun.load` has loaded."""
         loaded = load_on_demand(Path(model)) if isinstance(model, (str, Path)) else model
+        demand_smooth(loaded.manifest, f"a program of {self.place}", stops=True)
         self.kernels = loaded.with_parameters(**parameters) if parameters else loaded
         self._operators: dict[str, Operator] = {}
         self._filled: dict[str, Mapping[str, Any]] = {}

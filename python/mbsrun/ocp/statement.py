@@ -106,6 +106,7 @@ from mbsrun.quaternions import (
     normalise,
 )
 from mbsrun.reading import relate
+from mbsrun.smoothness import find_hidden
 
 PHASED = ("phases", "links")  # keys of problems that `phases.statement` reads
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
@@ -252,6 +253,8 @@ class _Reading(PartReading):
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
         self.closure = find_closure(self.plant)
+        if (hidden := find_hidden(self.manifest, stops=False)) is not None:
+            self.fault(("model",), f"an optimal control problem would miss {hidden[0]}", hidden[1])
         chosen_names = [x.name for x in unknowns]
         self.lengths = [name for name in self.closure.parameters if name in chosen_names] if self.closure else []
         chosen = section.controls or section.wrenches or section.signals or section.contacts or section.unknowns

@@ -4,15 +4,18 @@ from mbsrun.closure import OpenError
 from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.methods import METHODS, Formulation
-from mbsrun.simulation.motion import Keeping, Motion, Settings
+from mbsrun.simulation.motion import Event, Keeping, Kind, Mode, Motion, Settings
 from mbsrun.simulation.simulate import simulate
 
 __all__ = [
     "METHODS",
     "Course",
     "Drive",
+    "Event",
     "Formulation",
     "Keeping",
+    "Kind",
+    "Mode",
     "Motion",
     "OpenError",
     "Settings",

@@ -54,7 +54,7 @@ def solve_bounded(A: Array, b: Array, low: Array, high: Array) -> tuple[Array, A
 
 
 def _count_attempts(count: int) -> int:
-    return 100 + 3 ** min(count, 9)  # each place once, of a few entries; many take far fewer
+    return 100 + int(3 ** min(count, 9))  # each place once, of a few entries; many take far fewer
 
 
 def _evaluate(A: Array, b: Array, low: Array, high: Array, place: NDArray[np.int_]) -> tuple[Array, Array]:

@@ -50,7 +50,8 @@ def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
 
 def add_up_friction(joints: Joints, chunk: Chunk) -> Array:
     """Compute the energy that dry friction takes in each step, shape (k,): exact where it is constant."""
-    assert chunk.segment is not None and chunk.dense is not None, "a chunk with a mode"
+    assert chunk.segment is not None, "a chunk with a mode"
+    assert chunk.dense is not None, "a chunk of an explicit method"
     length, lost = np.diff(chunk.t), np.zeros(len(chunk.t) - 1)
     sliding = [i for i, mode in enumerate(chunk.segment.modes) if abs(mode) == 1 and joints.is_dry[i]]
     for i in sliding:

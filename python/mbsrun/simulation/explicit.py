@@ -159,7 +159,7 @@ class Guard:
 
 @dataclass(frozen=True, eq=False)
 class Brakes:
-    """Joints that are held, and the friction -sign (torque + fall exp(-(slowness qd)^2)) of those that slide: (n,) each."""
+    """Joints that are held, and the friction -sign (torque + fall exp(-(slowness qd)^2)) of sliding ones: (n,) each."""
 
     held: list[int]
     sign: Array
@@ -224,13 +224,14 @@ class Plant:
         self.memory = self._lay_plant()
         self.feed = _Feed(dynamics.course, self.memory.arrays)
         self._lay_manner(pair, settings)
-        self.modes = self._lay_modes() if self.switches else None
+        if switches:
+            self._lay_modes()
         reals, integers = (
             self.lib.mbs_explicit_reals(self.plant, len(pair.tableau.b)),
             self.lib.mbs_explicit_integers(self.plant),
         )
         self.room = self.memory.add("reals", reals + 1), self.memory.integers([0] * integers)
-        if self.modes is not None:
+        if switches:
             self.modes.guards = 0
 
     def _lay_plant(self) -> Memory:
@@ -286,7 +287,7 @@ class Plant:
             matrix.entries, matrix.place = argument.nnz, memory.place(entry, argument)
         call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + x for key, x in results.items()})
 
-    def _lay_modes(self) -> Any:
+    def _lay_modes(self) -> None:
         """Lay the arrays of modes; a joint has four guards at most: two stops, and one or two of its friction."""
         n, memory, modes = self.dynamics.size, self.memory, self.ffi.new("mbs_modes *")
         for name in ("sign", "torque", "fall", "slowness"):
@@ -297,8 +298,7 @@ class Plant:
         for name, numbers in self.whole.items():
             setattr(modes, name, numbers)
         modes.guards = MOST_GUARDS * n
-        self.plant.modes = memory.keep(modes)
-        return modes
+        self.modes = self.plant.modes = memory.keep(modes)
 
     def switch(self, brakes: Brakes, guards: Sequence[Guard]) -> None:
         """Hold and brake joints, and watch guards."""

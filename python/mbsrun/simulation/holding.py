@@ -1,4 +1,4 @@
-"""The equations of motion with joints that slide, stick, or rest on stops: their accelerations, and the forces on them."""
+"""The equations of motion with joints that slide, stick, or rest on stops: accelerations, and the forces that hold."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Joints with rigid stops and dry friction: their numbers, by mode, as the C functions take them.
 
-A joint that slides is braked by T(qd) = torque + (static - torque) exp(-(qd/stribeck)^2), or by `torque` alone. The force
-that holds a joint at rest is at most `static`, either way; a stop adds any force away from it.
+A joint that slides is braked by T(qd) = torque + (static - torque) exp(-(qd/stribeck)^2), or by `torque` alone. The
+force that holds a joint at rest is at most `static`, either way; a stop adds any force away from it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-12  # m, rad: a joint that is as near to a stop touches it
 STILL = 1e-13  # of the fastest velocity: a slower joint rests
-SLACK = 1e-12  # of the forces of a joint: by how much the force that holds it may exceed the most that can
+SLACK = 2e-14  # of the forces of a joint: by how much the force that holds it may exceed the most that can
 HELD = (Mode.STICKS, Mode.LOWER, Mode.UPPER)
 
 
@@ -59,6 +59,15 @@ class Joints:
             list(manifest.driven),
         )
 
+    def find_beyond(self, q: Array) -> list[tuple[str, float, float]]:
+        """Find joints beyond a stop: the name, the coordinate and the stop."""
+        return [
+            (self.manifest.coordinates[i].name, float(q[k]), float(stop))
+            for i, k in enumerate(self.place)
+            for side, stop in ((1, self.lower[i]), (-1, self.upper[i]))
+            if np.isfinite(stop) and side * (q[k] - stop) < -TOUCH * max(1.0, abs(stop))
+        ]
+
     @property
     def starting(self) -> Array:
         """The friction of joints that start to slide: the static one where it falls over a Stribeck speed."""
@@ -83,7 +92,7 @@ class Joints:
         for i, mode in enumerate(modes):
             place = self.place[i]
             if mode in HELD:
-                most, slack = self.static[i], SLACK * max(self.static[i], abs(forces[i]))
+                most, slack = self.static[i], SLACK * max(self.static[i], np.abs(forces).max())
                 if mode != Mode.LOWER:
                     found.append(Guard(FORCE, i, place, -1.0, most + slack))
                 if mode != Mode.UPPER:
@@ -111,6 +120,6 @@ class Joints:
         return np.where(sides > 0, self.lower, np.where(sides < 0, self.upper, 0.0))
 
     def still(self, qd: Array) -> None:
-        """Let joints rest whose velocities are rounding of rest."""
+        """Set velocities to 0 that are rounding of rest."""
         switching = self.is_dry | np.isfinite(self.lower) | np.isfinite(self.upper)
         qd[switching & (np.abs(qd) <= STILL * np.abs(qd).max(initial=0.0))] = 0.0

@@ -57,7 +57,7 @@ class Settings:
 
 
 class Mode(IntEnum):
-    """What a joint with stops or dry friction does."""
+    """The state of a joint with stops or dry friction."""
 
     BACKWARD = -1  # it slides
     FREE = 0
@@ -68,7 +68,7 @@ class Mode(IntEnum):
 
 
 class Kind(Enum):
-    """What happens to a joint in an event."""
+    """A kind of event."""
 
     IMPACT = "hits"  # a stop
     REST = "rests"  # on a stop; the joint may have hit it infinitely often

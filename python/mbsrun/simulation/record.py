@@ -27,7 +27,7 @@ from mbsrun.kernel import Kernels
 from mbsrun.quantities import Quantity, find_unit, list_input_units
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.methods import METHODS
-from mbsrun.simulation.motion import ClosureRecord, Keeping, Motion, Settings
+from mbsrun.simulation.motion import ClosureRecord, Keeping, Kind, Mode, Motion, Settings
 
 Array = NDArray[np.float64]
 
@@ -87,11 +87,29 @@ def _summarise(motion: Motion, kernels: Kernels) -> str:
             "end": float(energy.total[-1]),
             "work": float(energy.work[-1]),
             "largest_drift": float(np.abs(energy.drift).max()),
+            **({} if energy.friction is None else {"friction": float(energy.friction[-1])}),
+            **({} if energy.impacts is None else {"impacts": float(energy.impacts[-1])}),
         },
+        **_summarise_events(motion),
         **({} if motion.closure is None else {"closure": _summarise_closure(motion.closure, manifest)}),
         "end": {"t": float(motion.t[-1]), "q": motion.q[-1].tolist(), "qd": motion.qd[-1].tolist()},
     }
     return json.dumps(summary, indent=1, ensure_ascii=False) + "\n"
+
+
+def _list_switching(manifest: Manifest) -> list[int]:
+    return [i for i, c in enumerate(manifest.coordinates) if not c.is_smooth]
+
+
+def _summarise_events(motion: Motion) -> dict[str, object]:
+    """List the events, and the numbers of modes in the table, of a model whose joints switch."""
+    if motion.modes is None:
+        return {}
+    events = [
+        {"t": x.time, "joint": x.joint, "event": x.kind.value, "before": x.before, "after": x.after}
+        for x in motion.events
+    ]
+    return {"modes": {mode.name.lower(): int(mode) for mode in Mode}, "events": events}
 
 
 def _summarise_closure(closure: ClosureRecord, manifest: Manifest) -> dict[str, object]:
@@ -116,11 +134,18 @@ def _tabulate(motion: Motion, manifest: Manifest, more: Sequence[str]) -> str:
     if motion.energy is not None:
         header += ["kinetic [J]", "potential [J]", "work [J]"]
         columns += [x[:, None] for x in (motion.energy.kinetic, motion.energy.potential, motion.energy.work)]
+        if motion.energy.friction is not None and motion.energy.impacts is not None:
+            header += ["friction [J]", "impacts [J]"]
+            columns += [motion.energy.friction[:, None], motion.energy.impacts[:, None]]
     if motion.closure is not None:
         closure = motion.closure
         header += ["open", "opening", *(f"lam[{x}]" for x in manifest.equations)]
         header += [f"tau[{name}] [{forces[name]}]" for name in (names[i] for i in manifest.driven)]
         columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
+    if motion.modes is not None:
+        switching = _list_switching(manifest)
+        header += [f"mode[{names[i]}]" for i in switching]
+        columns.append(motion.modes[:, switching].astype(np.float64))
     header += map(motion.numbers.label, more)
     columns += [motion[name][:, None] for name in more]
     text = io.StringIO()
@@ -152,11 +177,48 @@ def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
         Curve(Panel(title, symbol, unit), name, plot(t, values, color=COLORS[places[name] % len(COLORS)]))
         for title, symbol, name, unit, values in shown
     ]
-    figure, axes = draw_curves(curves, (float(t[0]), float(t[-1]) or 1.0), more=2)
-    _plot_energy(axes[0], motion)
-    _plot_drift(axes[1], motion)
+    strips = 0 if motion.modes is None else 1
+    figure, axes = draw_curves(curves, (float(t[0]), float(t[-1]) or 1.0), more=2 + strips)
+    _plot_energy(axes[-2], motion)
+    _plot_drift(axes[-1], motion)
+    if motion.modes is not None:
+        _plot_modes(axes[0], motion, motion.modes, _list_switching(manifest), manifest)
     figure.suptitle(plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{plain(str(motion.halt))}"))
     return figure
+
+
+def _plot_modes(axes: Axes, motion: Motion, modes: NDArray[np.int_], joints: Sequence[int], manifest: Manifest) -> None:
+    """Plot a strip for each joint, coloured by its mode, with a mark at each impact."""
+    t, names = motion.t, [manifest.coordinates[i].name for i in joints]
+    edges = np.concatenate((t, t[-1:]))
+    for row, i in enumerate(joints):
+        starts = np.flatnonzero(np.diff(modes[:, i], prepend=modes[0, i] + 1))
+        ends = np.append(starts[1:], len(t))
+        for text, color in _MODE_COLORS.items():
+            spans = [
+                (edges[a], edges[b] - edges[a])
+                for a, b in zip(starts, ends, strict=True)
+                if _MODE_NAMES[Mode(int(modes[a, i]))] == text
+            ]
+            axes.broken_barh(spans, (row - 0.4, 0.8), facecolors=color, label=text if row == 0 else None)
+    hits = [x for x in motion.events if x.kind is Kind.IMPACT]
+    axes.plot(
+        [x.time for x in hits], [names.index(x.joint) for x in hits], "|", color="black", markersize=8, label="impact"
+    )
+    axes.set_title("modes", loc="left", fontsize="medium")
+    axes.set_yticks(range(len(names)), [plain(name) for name in names])
+    axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+
+
+_MODE_NAMES = {
+    Mode.FREE: "moves freely",
+    Mode.FORWARD: "slides",
+    Mode.BACKWARD: "slides",
+    Mode.STICKS: "sticks",
+    Mode.LOWER: "rests on a stop",
+    Mode.UPPER: "rests on a stop",
+}
+_MODE_COLORS = dict(zip(dict.fromkeys(_MODE_NAMES.values()), ("#e8e8e8", *PALETTE), strict=False))
 
 
 def _plot_energy(axes: Axes, motion: Motion) -> None:
@@ -169,7 +231,9 @@ def _plot_energy(axes: Axes, motion: Motion) -> None:
     for name, values in (("kinetic", energy.kinetic), ("potential", energy.potential)):
         axes.plot(motion.t, values, label=name, linewidth=1)
     axes.plot(motion.t, energy.total, label="total", color="black")
-    axes.plot(motion.t, energy.total[0] + energy.work, "--", label="start + work", color=BAD)
+    is_lossless = energy.friction is None or energy.impacts is None
+    text = "start + work" if is_lossless else "start + work − losses"
+    axes.plot(motion.t, energy.total - energy.drift, "--", label=text, color=BAD)
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
 
 

@@ -118,6 +118,8 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError(f"{settings.method} takes no quaternions; gauss with one stage does")
     for name, finding, remedy in find_refusals(settings, manifest):
         raise ValueError(f"{name}: {finding}; {remedy}")
+    for joint, found, stop in Joints.of(manifest).find_beyond(start[0]):
+        raise ValueError(f"joint {joint} starts at {found:.9g}, beyond its stop at {stop:.9g}")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
@@ -182,8 +184,8 @@ class _Record:
         self.joints, self.forces = Joints.of(kernels.manifest), Forces(self.observer)
         self.events: list[Event] = []
         self.modes: list[tuple[int, ...]] = []  # of the states that are kept
-        self.taken = np.zeros(2)  # by friction and impacts so far [J]
-        self.losses = [self.taken]
+        self.friction = self.impacts = 0.0  # the energy that they took so far [J]
+        self.losses = [(0.0, 0.0)]
 
     def open(self, piece: Piece) -> None:
         """Begin a piece; the inputs at its start are its own."""
@@ -219,7 +221,7 @@ class _Record:
             self.q.append(self.last[0])
             self.qd.append(self.last[1])
             self.work.append(self.done)
-            self.losses.append(self.taken)
+            self.losses.append((self.friction, self.impacts))
             self.modes += self.modes[-1:]
 
     def finish(self, effort: Effort, halt: Halt | None) -> Motion:
@@ -274,13 +276,13 @@ class _Record:
         """Add the losses of impacts before a chunk and of friction in it; note events and modes."""
         self.events += segment.events
         self.done += segment.driven
-        taken = self.taken + [0.0, segment.loss]
+        self.impacts += segment.loss
         friction = np.cumsum(add_up_friction(self.joints, chunk))
         if len(self.modes) < len(self.t):  # the start
             self.modes.append(segment.modes)
-        self.losses += [taken + [friction[k - 1], 0.0] for k in chosen]
+        self.losses += [(self.friction + float(friction[k - 1]), self.impacts) for k in chosen]
         self.modes += [segment.modes] * len(chosen)
-        self.taken = taken + [friction[-1], 0.0]
+        self.friction += float(friction[-1])
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
         if chosen.size:

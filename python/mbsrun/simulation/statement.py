@@ -36,6 +36,7 @@ from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.closing import Start
 from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
+from mbsrun.simulation.joints import Joints
 from mbsrun.simulation.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import Keeping, Settings
 
@@ -250,6 +251,10 @@ class _Reading(Reading):
             if not starts[0][1][quaternion.entries].any():
                 finding = f"the quaternion of {quaternion.joint} is 0"
                 self.fault(("start", "pose"), finding, f"give {places[quaternion.first + 3]} too")
+        for joint, found, stop in Joints.of(self.manifest).find_beyond(starts[0][1]):
+            self.fault(
+                ("start", "pose", joint), f"{found:.9g} is beyond the stop at {stop:.9g}", "start within the limits"
+            )
         q = normalise(starts[0][1], self.manifest)
         return Start(starts[0][0], q, starts[1][1], *named)
 

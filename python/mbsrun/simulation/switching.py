@@ -41,6 +41,7 @@ from mbsrun.simulation.steps import count_steps, describe_singularity, place_ste
 
 Array = NDArray[np.float64]
 
+SLOW = 1e-3  # m/s, rad/s: only a slower rebound may be the last one
 REBOUND = 1e-15  # m, rad: a rebound that rises less is the last one
 NEAR = 1e-9  # of the forces of a joint: a force that is as near to the most that holds it lets it go
 MOST = 1000  # switches at one time
@@ -165,7 +166,7 @@ class _Course:
                 self.released[guard.joint] = 1 if guard.side > 0 else -1
 
     def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array, Array]:
-        """Pass the impacts at a state, and find the mode that follows: the state then, and the forces on joints at rest."""
+        """Pass the impacts at a state, and find the mode then: return the state, and the forces on joints at rest."""
         joints, events = self.joints, list[Event]()
         q, qd = q.copy(), qd.copy()
         sides = joints.touch(q)
@@ -183,8 +184,8 @@ class _Course:
             raise HaltError(Halt(time, None, finding, "change a restitution a little"))
         sides = np.where(sides * qd > 0, 0, sides)
         modes, forces = self.decide(time, q, qd, piece.at(time, q, qd), M, sides)
-        rest = {event.joint for event in events if event.kind is Kind.REST}
-        events += (event for event in self.compare(time, qd, modes) if event.kind is not Kind.REST or event.joint not in rest)
+        told = {(event.joint, event.kind) for event in events}
+        events += [event for event in self.compare(time, qd, modes) if (event.joint, event.kind) not in told]
         self.modes, self.released, self.passed = modes, {}, (*self.passed, *events)
         return q, qd, forces
 
@@ -192,7 +193,10 @@ class _Course:
         """Pass one impact; a rebound that is too low to be seen is none."""
         joints = self.joints
         restitution = joints.restitution.copy()
-        impact = self.strike(time, q, qd, M, sides, restitution)
+        impact = self.strike(time, qd, M, sides, restitution)
+        speeds = sides * impact.qd
+        if not ((speeds > 0) & (speeds < SLOW)).any():
+            return impact
         v = piece.at(time, q, impact.qd)
         left = np.where(sides * impact.qd > 0, 0, sides)
         qdd = self.forces.accelerate(time, q, impact.qd, v, M, *self.decide(time, q, impact.qd, v, M, left))
@@ -203,25 +207,24 @@ class _Course:
             return impact
         last = {int(i): time + float(-2 * w[i] / a[i] / (1 - restitution[i])) for i in np.flatnonzero(low)}
         restitution[low] = 0.0
-        return self.strike(time, q, qd, M, sides, restitution, last)
+        return self.strike(time, qd, M, sides, restitution, last)
 
     def strike(
         self,
         time: float,
-        q: Array,
         qd: Array,
         M: Array,
         sides: NDArray[np.int_],
         restitution: Array,
         last: Mapping[int, float] | None = None,
     ) -> _Impact:
-        """Solve for the impulses of stops at which joints approach or rest. `last`: joints that then rest, and since when."""
+        """Solve for the impulses of stops where joints approach or rest. `last`: joints that rest then, by the time."""
         joints, last = self.joints, last or {}
         touching = np.flatnonzero(sides)
         s = sides[touching].astype(np.float64)
         w = s * qd[touching]
         responses = self.forces.respond(M, touching) * s  # changes of velocities by a unit impulse at each stop
-        impulses, excess, _ = solve_bounded(
+        impulses, _, _ = solve_bounded(
             s[:, None] * responses[touching], (1 + restitution[touching]) * w, np.zeros(len(s)), np.full(len(s), np.inf)
         )
         after = qd + responses @ impulses

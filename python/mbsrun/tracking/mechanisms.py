@@ -10,6 +10,7 @@ from mbsrun.external import Mechanism, load, load_on_demand
 from mbsrun.models import INTEGRATED, Extent
 from mbsrun.ocp.design import equip
 from mbsrun.ocp.problem import Problem
+from mbsrun.smoothness import demand_smooth
 
 SIMULATED = ("exp2", "impl", "energy", "power", "frames")  # as the simulation needs them, without loops
 
@@ -20,7 +21,9 @@ def load_simulated(model: Path, *, is_released: bool = False) -> Mechanism:
     `is_released` makes every number of the model a run-time parameter. Parameters of the file keep their names, and
     other numbers have their paths, such as `link7.mass`. Raises InputError with every fault of the model.
     """
-    return load(model, extent=_choose(load_on_demand(model).manifest, is_released=is_released))
+    manifest = load_on_demand(model).manifest
+    demand_smooth(manifest, "a closed loop", stops=True)
+    return load(model, extent=_choose(manifest, is_released=is_released))
 
 
 def build_plant(plant: Mechanism, problem: Problem, numbers: Mapping[str, float], *, is_other: bool) -> Mechanism:

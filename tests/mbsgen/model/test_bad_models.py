@@ -460,7 +460,6 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
     "a negative stiffness": ("stiffness: k", "stiffness: -k", 21, "bodies[2].joint[0].stiffness", "stiffness -50"),
     "a negative damping": ("damping: 2", "damping: -2", 11, "bodies[0].joint.axes.rz.damping", "damping -2"),
     "a negative friction": ("torque: 1", "torque: -1", 22, "bodies[2].joint[1].friction.torque", "torque -1"),
-    "friction without a speed": (", speed: 0.01", "", 22, "bodies[2].joint[1].friction.speed", "missing"),
     "friction at rest": ("speed: 0.01", "speed: 0", 22, "bodies[2].joint[1].friction.speed", "a speed of 0"),
     "friction that is a number": ("{torque: 1, speed: 0.01}", "1", 22, "bodies[2].joint[1].friction", "found 1"),
     "a rest position alone": ("stiffness: k, ", "", 21, "bodies[2].joint[0].rest", "without a spring"),
