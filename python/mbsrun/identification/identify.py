@@ -22,6 +22,7 @@ from mbsrun.identification.unknowns import FALLS, PARAMETER, Unknown, list_speed
 from mbsrun.models import Extent, is_model, read_numbers
 from mbsrun.recordings import Recording, read_recording
 from mbsrun.recordings.splines import low_pass
+from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 Report = Callable[[str, int, int], None]
@@ -57,6 +58,7 @@ def identify(
     _check(path, recordings, torques, settings)
     report("generating the regressor", 0, 3)
     mechanism = load(path, extent=EXTENT)
+    demand_smooth(mechanism.manifest, "an identification", stops=False)
     if settings.parameters:
         mechanism = mechanism.with_parameters(**settings.parameters)
     numbers = read_numbers(path, settings.parameters)
