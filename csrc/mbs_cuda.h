@@ -16,10 +16,6 @@
 
 #include "mbs_abi.h"
 
-#ifndef MBS_BLOCK
-#define MBS_BLOCK 128 /* threads of a block: each may have 255 registers then, the limit of a thread */
-#endif
-
 /* Where numbers lie: row r, column c of state s at first + s * step + r * down + c * across. Threads of a warp reach
  * neighbours in memory where step is 1. */
 typedef struct {

@@ -254,6 +254,12 @@ def test_single_precision_by_default_is_refused(sample: Mechanism) -> None:
         face.impl(x=X, y=Y, z=Z)
 
 
+def test_an_array_on_a_gpu_is_refused(sample: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mbsrun.jax.functions, "_find_platforms", lambda _: {"gpu"})
+    with pytest.raises(ArgumentError, match=r"an array on gpu given; .* or compute batches on a GPU by mbsrun.cuda"):
+        mbsrun.jax.load(sample).impl(x=X, y=Y, z=Z)
+
+
 def test_derivatives_that_are_not_generated_are_named(tmp_path: Path) -> None:
     face = mbsrun.jax.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
     with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):

@@ -200,7 +200,10 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda f: f.impl(x=torch.ones(3), y=Y, z=Z),
         "impl: x: torch.float32 given, torch.float64 expected; convert it by .double()",
     ),
-    "device": (lambda f: f.impl(x=X.to("meta"), y=Y, z=Z), "x: a tensor on meta given; kernels run on the processor"),
+    "device": (
+        lambda f: f.impl(x=X.to("meta"), y=Y, z=Z),
+        "move it by .cpu(), or compute batches on a GPU by mbsrun.cuda",
+    ),
     "text": (lambda f: f.impl(x="abc", y=Y, z=Z), "impl: x: not a tensor or an array of real numbers: str"),
     "gradient by p": (lambda f: f.impl(x=X, y=Y, z=Z, p=Y.clone().requires_grad_()), GRADIENT),
     "functional gradient by p": (lambda f: func.grad(lambda p: f.impl(x=X, y=Y, z=Z, p=p)["f"].sum())(Y), GRADIENT),

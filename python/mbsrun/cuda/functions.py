@@ -21,7 +21,7 @@ from mbsrun.cuda.images import DOUBLE_ALONE, PRECISIONS, Source, write_source
 from mbsrun.cuda.nvrtc import CudaError
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 
-BLOCK = 128  # threads of a block: MBS_BLOCK
+BLOCK = 128  # threads: each may have 255 registers then, the limit of a thread
 
 
 class _Place(ctypes.Structure):

@@ -36,6 +36,11 @@ class Functions(SteppingFace[Any]):
             array = array.astype(jnp.float64)
         if array.dtype != jnp.float64:
             raise ArgumentError(f"{array.dtype} given, float64 expected; convert it by astype(jnp.float64)")
+        if elsewhere := _find_platforms(array) - {"cpu"}:
+            raise ArgumentError(
+                f"an array on {', '.join(elsewhere)} given; kernels run on the processor here: move it by "
+                "jax.device_put(x, jax.devices('cpu')[0]), or compute batches on a GPU by mbsrun.cuda"
+            )
         return array
 
     def _run(self, operator: Operator, given: Given[Any], *, with_status: bool) -> tuple[Sequence[Any], Any | None]:
@@ -97,3 +102,8 @@ class Functions(SteppingFace[Any]):
             return jnp.concatenate([start[None], blocks.reshape((-1, *start.shape)), rest])
 
         return join(start[0], found[0], rest[0]), join(start[1], found[1], rest[1])
+
+
+def _find_platforms(array: Any) -> set[str]:
+    """Return where an array lies; nothing for one that is traced."""
+    return set() if isinstance(array, jax.core.Tracer) else {device.platform for device in array.devices()}

@@ -88,7 +88,8 @@ class Functions(SteppingFace[torch.Tensor]):
             raise ArgumentError(f"{value.dtype} given, torch.float64 expected; convert it by .double()")
         if value.device.type != "cpu":
             raise ArgumentError(
-                f"a tensor on {value.device.type} given; kernels run on the processor: move it by .cpu()"
+                f"a tensor on {value.device.type} given; kernels run on the processor here: move it by .cpu(), or "
+                "compute batches on a GPU by mbsrun.cuda"
             )
         return value
 

@@ -10,6 +10,14 @@
 #include <string>
 #include <vector>
 
+#ifdef WITH_CUDA_H // NVIDIA's own declarations: the compiler compares
+#include <cuda.h>
+#else
+typedef int CUresult, CUdevice, CUdevice_attribute, CUpointer_attribute;
+typedef unsigned long long CUdeviceptr;
+typedef void *CUcontext, *CUmodule, *CUfunction, *CUstream, *CUevent;
+#endif
+
 struct Block {
     size_t size;
     int device;
@@ -92,60 +100,60 @@ int fake_blocks(void)
     return (int)memory.size();
 }
 
-int cuInit(unsigned flags)
+CUresult cuInit(unsigned flags)
 {
     is_initialised = true;
     return flags ? 1 : 0;
 }
 
-int cuGetErrorString(int code, const char **text)
+CUresult cuGetErrorString(CUresult code, const char **text)
 {
     *text = code == 2 ? "out of memory" : code == 201 ? "invalid device context" : nullptr;
     return *text ? 0 : 1;
 }
 
-int cuDeviceGetCount(int *n)
+CUresult cuDeviceGetCount(int *n)
 {
     *n = DEVICES;
     return check("cuDeviceGetCount", false);
 }
 
-int cuDeviceGetName(char *name, int size, int device)
+CUresult cuDeviceGetName(char *name, int size, CUdevice device)
 {
     std::snprintf(name, (size_t)size, "Fake %d", device);
     return check("cuDeviceGetName", false);
 }
 
-int cuDeviceGetAttribute(int *value, int attribute, int device)
+CUresult cuDeviceGetAttribute(int *value, CUdevice_attribute attribute, CUdevice device)
 {
     require(attribute == 75 || attribute == 76, "an unknown attribute of a device");
     *value = attribute == 75 ? 9 : 0;
     return check("cuDeviceGetAttribute", false) || device < 0 || device >= DEVICES ? 101 : 0;
 }
 
-int cuDevicePrimaryCtxRetain(void **context, int device)
+CUresult cuDevicePrimaryCtxRetain(CUcontext *context, CUdevice device)
 {
-    *context = &places[device];
+    *context = (CUcontext)&places[device];
     return check("cuDevicePrimaryCtxRetain", false);
 }
 
-int cuCtxPushCurrent_v2(void *context)
+CUresult cuCtxPushCurrent_v2(CUcontext context)
 {
     contexts.push_back((int)((int *)context - places));
     return check("cuCtxPushCurrent");
 }
 
-int cuCtxPopCurrent_v2(void **context)
+CUresult cuCtxPopCurrent_v2(CUcontext *context)
 {
     const int failure = check("cuCtxPopCurrent");
     if (failure)
         return failure;
-    *context = &places[contexts.back()];
+    *context = (CUcontext)&places[contexts.back()];
     contexts.pop_back();
     return 0;
 }
 
-int cuPointerGetAttribute(void *value, int attribute, uint64_t p)
+CUresult cuPointerGetAttribute(void *value, CUpointer_attribute attribute, CUdeviceptr p)
 {
     const auto it = find(p);
     if (it == memory.end())
@@ -158,7 +166,7 @@ int cuPointerGetAttribute(void *value, int attribute, uint64_t p)
     return 0;
 }
 
-int cuModuleLoadData(void **module, const void *code)
+CUresult cuModuleLoadData(CUmodule *module, const void *code)
 {
     const int failure = check("cuModuleLoadData");
     if (failure)
@@ -167,14 +175,14 @@ int cuModuleLoadData(void **module, const void *code)
     return *module ? 0 : 200;
 }
 
-int cuModuleGetFunction(void **function, void *module, const char *name)
+CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *name)
 {
     *function = dlsym(module, (std::string(name) + "_grid").c_str());
     return *function ? check("cuModuleGetFunction") : 500;
 }
 
-int cuLaunchKernel(void *function, unsigned x, unsigned y, unsigned z, unsigned threads, unsigned ty, unsigned tz,
-                   unsigned shared, void *stream, void **arguments, void **extra)
+CUresult cuLaunchKernel(CUfunction function, unsigned x, unsigned y, unsigned z, unsigned threads, unsigned ty,
+                        unsigned tz, unsigned shared, CUstream stream, void **arguments, void **extra)
 {
     const int failure = check(("cuLaunchKernel on " + std::to_string((uint64_t)stream)).c_str());
     if (failure)
@@ -185,7 +193,7 @@ int cuLaunchKernel(void *function, unsigned x, unsigned y, unsigned z, unsigned 
     return 0;
 }
 
-int cuMemAllocAsync(uint64_t *p, size_t size, void *)
+CUresult cuMemAllocAsync(CUdeviceptr *p, size_t size, CUstream)
 {
     const int failure = check("cuMemAlloc");
     if (failure || !size)
@@ -197,7 +205,7 @@ int cuMemAllocAsync(uint64_t *p, size_t size, void *)
     return 0;
 }
 
-int cuMemFreeAsync(uint64_t p, void *)
+CUresult cuMemFreeAsync(CUdeviceptr p, CUstream)
 {
     const int failure = check("cuMemFree");
     if (failure || !memory.count(p))
@@ -208,7 +216,7 @@ int cuMemFreeAsync(uint64_t p, void *)
     return 0;
 }
 
-int cuMemcpyHtoD_v2(uint64_t p, const void *from, size_t size)
+CUresult cuMemcpyHtoD_v2(CUdeviceptr p, const void *from, size_t size)
 {
     const auto it = find(p);
     require(it != memory.end() && p + size <= it->first + it->second.size, "a copy beyond a block");
@@ -216,7 +224,7 @@ int cuMemcpyHtoD_v2(uint64_t p, const void *from, size_t size)
     return check("cuMemcpyHtoD");
 }
 
-int cuMemcpyDtoH_v2(void *to, uint64_t p, size_t size)
+CUresult cuMemcpyDtoH_v2(void *to, CUdeviceptr p, size_t size)
 {
     const auto it = find(p);
     require(it != memory.end() && p + size <= it->first + it->second.size, "a copy beyond a block");
@@ -224,28 +232,28 @@ int cuMemcpyDtoH_v2(void *to, uint64_t p, size_t size)
     return check("cuMemcpyDtoH");
 }
 
-int cuStreamSynchronize(void *stream)
+CUresult cuStreamSynchronize(CUstream stream)
 {
     return check(("cuStreamSynchronize " + std::to_string((uint64_t)stream)).c_str());
 }
 
-int cuEventCreate(void **event, unsigned flags)
+CUresult cuEventCreate(CUevent *event, unsigned flags)
 {
     *event = std::malloc(1);
     return flags == 2 ? check("cuEventCreate") : 1;
 }
 
-int cuEventRecord(void *, void *stream)
+CUresult cuEventRecord(CUevent, CUstream stream)
 {
     return check(("cuEventRecord on " + std::to_string((uint64_t)stream)).c_str());
 }
 
-int cuStreamWaitEvent(void *stream, void *, unsigned flags)
+CUresult cuStreamWaitEvent(CUstream stream, CUevent, unsigned flags)
 {
     return flags ? 1 : check(("cuStreamWaitEvent on " + std::to_string((uint64_t)stream)).c_str());
 }
 
-int cuEventDestroy_v2(void *event)
+CUresult cuEventDestroy_v2(CUevent event)
 {
     std::free(event);
     return check("cuEventDestroy");

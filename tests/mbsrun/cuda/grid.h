@@ -7,7 +7,6 @@
 
 #define __global__
 #define __device__
-#define __launch_bounds__(threads)
 
 struct grid_place {
     unsigned x, y, z;
