@@ -1,4 +1,4 @@
-"""The pages of single benchmarks in `benchmarks/results` -> sentences of the README, by the numbers in their tables."""
+"""The pages of single benchmarks in `benchmarks/results` -> sentences about them, by the numbers in their tables."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 Row = dict[str, str]  # cells by the names of the columns
 Tables = dict[str, list[Row]]  # by the last heading before; of two tables under one heading, the first
+
+T = TypeVar("T")
 
 NONE = "–"
 
@@ -49,12 +52,13 @@ def read_number(cell: str) -> float:
     return float(found.group())
 
 
-def _part(ratio: float) -> str:
-    """Write a ratio to two digits, as the part that ours is of it."""
-    return f"1/{float(f'{ratio:.2g}'):g}"
+def write_times(ratio: float) -> str:
+    """Write how many times faster something is, to two digits."""
+    return f"{float(f'{ratio:.2g}'):g}"
 
 
-def _find(rows: Sequence[Row], column: str, beginning: str) -> Row:
+def find_row(rows: Sequence[Row], column: str, beginning: str) -> Row:
+    """Return the row whose cell begins with a text."""
     for row in rows:
         if row[column].startswith(beginning):
             return row
@@ -73,12 +77,13 @@ def describe_loops(text: str) -> str:
     tables = read_tables(text)
     rows = [r for r in tables["Kernels"] if r["function"] == "accelerations" and r["by ours, libm"] != NONE]
     ratios = sorted(read_number(row["by ours, libm"]) for row in rows)
+    least, most = write_times(ratios[0]), write_times(ratios[-1])
     motion = next(rows for heading, rows in tables.items() if heading.startswith("Andrews"))
-    coarse, fine = (read_number(_find(motion, "", level)["mbsgen"]) for level in ("1e-07", "1e-11"))
+    coarse, fine = (read_number(find_row(motion, "", level)["mbsgen"]) for level in ("1e-07", "1e-11"))
     return (
-        f"On mechanisms with closed loops, accelerations take {_part(ratios[0])} to {_part(ratios[-1])} of the time of "
-        f"the quickest peer, with the same sines. Andrews' squeezing mechanism takes {coarse:.2g} ms for 7 digits and "
-        f"{fine:.2g} ms for 11 ([figures](loops.md))."
+        f"On mechanisms with closed loops, accelerations are {least} to {most} times faster than the quickest peer's, "
+        f"with the same sines. Andrews' squeezing mechanism takes {coarse:.2g} ms for 7 digits and {fine:.2g} ms for "
+        "11 ([figures](loops.md))."
     )
 
 
@@ -87,29 +92,33 @@ def describe_ocp_loops(text: str) -> str:
     tables = read_tables(text)
     five_bar, delta = tables["five_bar_reach.ocp.yaml"], tables["delta_pick.ocp.yaml"]
     tuned, plain = (
-        [_part(read_number(_find(rows, "way", f"CasADi, interpreted, {way}")["ratio"])) for rows in (five_bar, delta)]
+        [
+            write_times(read_number(find_row(rows, "way", f"CasADi, interpreted, {way}")["ratio"]))
+            for rows in (five_bar, delta)
+        ]
         for way in ("tuned", "defaults")
     )
     return (
-        f"Optimal motions of a five-bar and a Delta robot take {tuned[0]} and {tuned[1]} of the time of tuned CasADi "
-        f"with IPOPT, {plain[0]} and {plain[1]} of its defaults ([figures](ocp_loops.md))."
+        f"Optimal motions of a five-bar and a Delta robot are found {tuned[0]} and {tuned[1]} times faster than by "
+        f"tuned CasADi with IPOPT, {plain[0]} and {plain[1]} times faster than by its defaults "
+        "([figures](ocp_loops.md))."
     )
 
 
 def describe_kkt(text: str) -> str:
     """Describe the linear solver."""
     problems = _search(r"(\d+) problems, \d+ programs", text)
-    algebra = _part(float(_search(r"the time of linear algebra is ([\d.]*\d)", text)))
-    whole = _part(float(_search(r"of whole solves ([\d.]*\d)", text)))
+    algebra = write_times(float(_search(r"the time of linear algebra is ([\d.]*\d)", text)))
+    whole = write_times(float(_search(r"of whole solves ([\d.]*\d)", text)))
     return (
-        f"On {problems} problems of optimal control from the literature, the linear solver takes {algebra} of the time "
-        f"of MUMPS in linear algebra, and {whole} in whole solves ([figures](kkt.md))."
+        f"On {problems} problems of optimal control from the literature, the linear solver is {algebra} times faster "
+        f"than MUMPS, and whole solves are {whole} times faster with it ([figures](kkt.md))."
     )
 
 
 def describe_methods(text: str) -> str:
     """Describe the method by stages beside IPOPT."""
-    whole = _find(next(iter(read_tables(text).values())), "group", "all")
+    whole = find_row(next(iter(read_tables(text).values())), "group", "all")
     ours, theirs = whole["solved"].split(", ")
     solved = f"solves {ours} tasks of {whole['tasks']}, IPOPT {theirs}"
     return f"The method by stages {solved}, in {whole['mean ratio']} times its iterations ([figures](methods.md))."
@@ -117,7 +126,7 @@ def describe_methods(text: str) -> str:
 
 def describe_ends(text: str) -> str:
     """Describe random problems that end on their limits."""
-    whole = _find(next(iter(read_tables(text).values())), "kind", "all")
+    whole = find_row(next(iter(read_tables(text).values())), "kind", "all")
     ours, theirs = whole["solved"].split(", ")
     return (
         f"Of {whole['problems']} random problems that end on their limits it solves {ours}, IPOPT {theirs}, in "
@@ -129,21 +138,21 @@ def describe_classics(text: str) -> str:
     """Describe published problems."""
     problems = _search(r"- (\d+) problems", text)
     digits = _search(r"- (\d+) optima agree with all printed digits", text)
-    ratio = _part(float(_search(r"each at its best: ([\d.]*\d)", text)))
+    ratio = write_times(float(_search(r"each at its best: ([\d.]*\d)", text)))
     return (
-        f"Of {problems} published problems, {digits} end at all printed digits, in {ratio} of the time of plain CasADi "
-        "on the same grid in the mean ([figures](classics.md))."
+        f"Of {problems} published problems, {digits} end at all printed digits, in the mean {ratio} times faster than "
+        "by plain CasADi on the same grid ([figures](classics.md))."
     )
 
 
 def describe_legged(text: str) -> str:
     """Describe motions in phases."""
     rows = next(iter(read_tables(text).values()))
-    most = _part(min(read_number(row["ratio"]) for row in rows))
-    bound = read_number(_find(rows, "problem", "bound")["ours, s"])
+    least = write_times(min(read_number(row["ratio"]) for row in rows))
+    bound = read_number(find_row(rows, "problem", "bound")["ours, s"])
     return (
-        f"Each of {len(rows)} motions of legs and arms in phases takes {most} or less of the processor time of plain "
-        f"CasADi with IPOPT; a quadruped's bound takes {bound:.2g} s ([figures](legged.md))."
+        f"Each of {len(rows)} motions of legs and arms in phases is found at least {least} times faster than by plain "
+        f"CasADi with IPOPT, in processor time; a quadruped's bound takes {bound:.2g} s ([figures](legged.md))."
     )
 
 
@@ -153,11 +162,13 @@ def describe_mpc(text: str) -> str:
     solves, latencies = (rows for rows, _ in zip(tables.values(), range(2), strict=False))
     latency = latencies[0]
     own = [row for row in solves if row["N"] == latency["N"]]
-    fatrop, acados = (_part(read_number(_find(own, "solver", name)["by ours"])) for name in ("fatrop", "acados"))
+    fatrop, acados = (
+        write_times(read_number(find_row(own, "solver", name)["by ours"])) for name in ("fatrop", "acados")
+    )
     return (
         f"With {latency['N']} steps ahead, a Panda's controller prepares a step in {latency['preparation']} µs and "
-        f"answers a measured state in {latency['feedback']} µs; a whole solve from the plan before takes {fatrop} of "
-        f"the time of fatrop and {acados} of the time of acados ([figures](mpc.md))."
+        f"answers a measured state in {latency['feedback']} µs; a whole solve from the plan before is {fatrop} times "
+        f"faster than fatrop's and {acados} times faster than acados' ([figures](mpc.md))."
     )
 
 
@@ -178,11 +189,11 @@ PARAGRAPHS: tuple[Mapping[str, Callable[[str], str]], ...] = (
 def write_headlines(folder: Path) -> str:
     """Write the sentences of all pages, as paragraphs. Raises PageError with the name of the page."""
     return "\n\n".join(
-        " ".join(_describe(folder / name, describe) for name, describe in paragraph.items()) for paragraph in PARAGRAPHS
+        " ".join(read_page(folder / name, describe) for name, describe in paragraph.items()) for paragraph in PARAGRAPHS
     )
 
 
-def _describe(page: Path, describe: Callable[[str], str]) -> str:
+def read_page(page: Path, describe: Callable[[str], T]) -> T:
     try:
         return describe(page.read_text(encoding="utf-8"))
     except (PageError, LookupError, StopIteration, ValueError) as error:

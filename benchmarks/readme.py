@@ -1,4 +1,4 @@
-"""Figures of the benchmarks -> the parts of the README that show them; `python -m benchmarks.readme`."""
+"""Figures of the benchmarks -> the README's sentences and chart, and a page of all; `python -m benchmarks.readme`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
+from benchmarks.front import draw_front, list_bars, write_front
 from benchmarks.headlines import write_headlines
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-SUMMARY = RESULTS / "summary.md"
-TABLE, HEADLINES = "summary.md", "headlines"  # the parts
+TABLE, OVERVIEW, CHART = "summary.md", "overview.md", "faster.png"
+HEADLINES = "headlines"  # the part of the README
 END = "<!-- end -->"
 WIDTH = 120
 
@@ -29,9 +30,17 @@ def fill(readme: str, part: str, text: str) -> str:
 
 
 def fill_all(readme: str) -> str:
-    """Fill both parts: the sentences about single benchmarks, and the table of all."""
-    headlines = "\n\n".join(map(_wrap, link(write_headlines(RESULTS)).split("\n\n")))
-    return fill(fill(readme, HEADLINES, headlines), TABLE, link(SUMMARY.read_text(encoding="utf-8")))
+    """Fill the sentences of the front page."""
+    sentences = map(_wrap, link(write_front(list_bars(RESULTS))).split("\n"))
+    return fill(readme, HEADLINES, "\n".join(sentences))
+
+
+def write_overview() -> str:
+    """Write the page of all figures: sentences about single benchmarks, and the table of kernels."""
+    headlines = "\n\n".join(map(_wrap, write_headlines(RESULTS).split("\n\n")))
+    table = (RESULTS / TABLE).read_text(encoding="utf-8").strip()
+    picture = f"![Times faster than the quickest peer, by kind of work]({CHART})"
+    return f"# Figures at a glance\n\n{picture}\n\n{headlines}\n\n## Kernels\n\n{table}\n"
 
 
 def link(text: str) -> str:
@@ -40,13 +49,16 @@ def link(text: str) -> str:
 
 
 def _wrap(paragraph: str) -> str:
-    return textwrap.fill(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False)
+    indent = "  " if paragraph.startswith("- ") else ""
+    return textwrap.fill(paragraph, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 @click.command()
 def main() -> None:
-    """Show the figures of the benchmarks in the README."""
+    """Show the figures of the benchmarks in the README, and all of them on one page."""
     readme = ROOT / "README.md"
+    (RESULTS / OVERVIEW).write_text(write_overview(), encoding="utf-8")
+    draw_front(list_bars(RESULTS), RESULTS / CHART)
     readme.write_text(fill_all(readme.read_text(encoding="utf-8")), encoding="utf-8")
 
 

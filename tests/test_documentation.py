@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.readme import TABLE, fill, fill_all, link
+from benchmarks.readme import HEADLINES, OVERVIEW, RESULTS, fill, fill_all, link, write_overview
 from mbsrun import bare
 from tests import acados, forked
 from website.blocks import NOT_RUN, Block, list_shown, read_blocks
@@ -143,8 +143,9 @@ def test_the_readme_shows_the_figures_of_the_benchmarks() -> None:
     """`python -m benchmarks.readme` writes them there: no figure in these parts is typed in by hand."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert link("[a](b.md)\n[c](https://d)") == "[a](benchmarks/results/b.md)\n[c](https://d)"
-    assert fill(text, TABLE, "figures").count("\n\nfigures\n\n") == 1
+    assert fill(text, HEADLINES, "figures").count("\n\nfigures\n\n") == 1
     assert fill_all(text) == text
+    assert (RESULTS / OVERVIEW).read_text(encoding="utf-8") == write_overview()
 
 
 def test_the_readme_is_among_the_documents() -> None:

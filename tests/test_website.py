@@ -139,10 +139,10 @@ def test_the_front_page_shows_the_film_of_the_first_page(tmp_path: Path) -> None
     film.parent.mkdir(parents=True)
     film.write_bytes(b"GIF89a")
     assert FILM in (ROOT / START).read_text(encoding="utf-8")
-    write_front(tmp_path, "", {START: tmp_path / "run"})
+    write_front(tmp_path, "", {START: tmp_path / "run"}, README)
     assert "](written/up.gif)](start.md)" in (tmp_path / "index.md").read_text(encoding="utf-8")
     assert (tmp_path / "written" / "up.gif").read_bytes() == film.read_bytes()
-    write_front(tmp_path, "", {})
+    write_front(tmp_path, "", {}, README)
     assert "up.gif" not in (tmp_path / "index.md").read_text(encoding="utf-8")
 
 

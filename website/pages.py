@@ -47,7 +47,16 @@ TUTORIALS = "tutorials"  # their folder
 GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
     {"Overview": ["readme.md"]},
     {
-        "Model": ["model.md", "loops.md", "importing.md", "scenes.md", "equations.md", "theory.md", "linearise.md"],
+        "Model": [
+            "kernels.md",
+            "model.md",
+            "loops.md",
+            "importing.md",
+            "scenes.md",
+            "equations.md",
+            "theory.md",
+            "linearise.md",
+        ],
     },
     {
         "Simulate": [
@@ -220,17 +229,28 @@ def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
     return [{"Home": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
 
 
-def write_front(target: Path, cards: str, runs: Mapping[str, Path]) -> None:
-    """Write the front page: what the project is for, the film that its first page makes, and cards of examples.
+def write_front(target: Path, cards: str, runs: Mapping[str, Path], readme: str) -> None:
+    """Write the front page: what the project is for, the film that its first page makes, figures, cards of examples.
 
-    `runs` holds the folders in which the commands of pages were run; without the first page's, there is no film.
+    `runs` holds the folders in which the commands of pages were run; without the first page's, there is no film. The
+    figures are sentences of the README.
     """
     film = ""
     if START in runs:
         (target / WRITTEN).mkdir(parents=True, exist_ok=True)
         shutil.copyfile(runs[START] / FILM, target / WRITTEN / Path(FILM).name)
         film = f"[![A cart swings its pole up with the least force]({WRITTEN}/{Path(FILM).name})](start.md)\n"
-    (target / "index.md").write_text(FRONT.format(film=film, cards=cards), encoding="utf-8")
+    (target / "index.md").write_text(
+        FRONT.format(film=film, figures=read_figures(readme), cards=cards), encoding="utf-8"
+    )
+
+
+def read_figures(readme: str) -> str:
+    """Return the sentences of the README about speed, without their links."""
+    _, _, rest = readme.partition("<!-- begin: benchmarks/results/headlines -->")
+    sentences, mark, _ = rest.partition("<!-- end -->")
+    assert mark, "the README shows figures"
+    return re.sub(r"\s*\(\[figures\]\([^)]*\)\)", "", sentences.strip())
 
 
 START = "docs/start.md"
@@ -255,6 +275,14 @@ For engineers and researchers who compute with robots, legged machines, linkages
 {film}
 </div>
 
+```sh
+make demo && . .venv/bin/activate   # in a clone, with Python 3.11 and a C compiler
+mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
+mbsrun solve models/arm_reach.ocp.yaml -o build/arm_reach
+```
+
+{figures}
+
 {cards}
 
 | I want to | |
@@ -263,8 +291,8 @@ For engineers and researchers who compute with robots, legged machines, linkages
 | take my robot's URDF | [Importing URDF, MJCF or SDF](importing.md) |
 | describe my own mechanism | [The model file](model.md), [closed loops](loops.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
-| call its dynamics from C, C++ or Python | [What is generated](readme.md#what-is-generated), [C++](cpp.md) |
+| call its dynamics from C, C++ or Python | [Kernels](kernels.md): derivatives, batches; [C++](cpp.md) |
 | find an optimal motion | [The problem file](problem.md) |
 | control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |
-| know how fast and how exact it is | [Figures](readme.md#figures), [accuracy](accuracy.md) |
+| know how fast and how exact it is | [Figures](readme.md#how-fast), [accuracy](accuracy.md) |
 """
