@@ -134,6 +134,17 @@ def test_the_search_works_without_a_server(site: Path, requires: Callable[[str],
     assert re.search(r"\d+ matching documents", done.stdout)
 
 
+README = """Before.
+
+<!-- begin: benchmarks/results/headlines -->
+
+- **10 times faster** than others
+  ([figures](a.md)).
+
+<!-- end -->
+"""
+
+
 def test_the_front_page_shows_the_film_of_the_first_page(tmp_path: Path) -> None:
     film = tmp_path / "run" / FILM
     film.parent.mkdir(parents=True)
@@ -143,7 +154,9 @@ def test_the_front_page_shows_the_film_of_the_first_page(tmp_path: Path) -> None
     assert "](written/up.gif)](start.md)" in (tmp_path / "index.md").read_text(encoding="utf-8")
     assert (tmp_path / "written" / "up.gif").read_bytes() == film.read_bytes()
     write_front(tmp_path, "", {}, README)
-    assert "up.gif" not in (tmp_path / "index.md").read_text(encoding="utf-8")
+    front = (tmp_path / "index.md").read_text(encoding="utf-8")
+    assert "up.gif" not in front
+    assert "\n- **10 times faster** than others.\n" in front
 
 
 def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:
