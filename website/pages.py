@@ -80,6 +80,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "gait.md",
             "muscles.md",
             "quantities.md",
+            "derivatives.md",
             "classics.md",
             "solver.md",
         ]

@@ -23,6 +23,7 @@ from mbsrun.commands.console import (
     say,
     show_status,
 )
+from mbsrun.commands.derived import ALL, differentiate, list_gaps, list_rows, read_control, write_derivatives
 from mbsrun.commands.failures import print_failure
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
@@ -68,6 +69,7 @@ The output folder gets
   mesh.png            with --refine: the defect of every interval, grid by grid
   starts.png          with --starts: the cost that each start found
   starts.sqlite       with --starts: every start, so that the command can go on later
+  derivatives.json    with --by: the derivatives of cost and motion
 
 A solver finds a local minimum near its guess. --starts 20 solves from 20 starts: the guess, and random ones (bumps and
 noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
@@ -157,6 +159,13 @@ Exit codes
 @click.option(
     "--sensitivities", is_flag=True, help="Print the derivative of the cost by each differentiated parameter, too."
 )
+@click.option(
+    "--by",
+    multiple=True,
+    metavar="NUMBER",
+    help="Differentiate cost and motion by a number of the problem, by its place in the file, such as cost.inputs or "
+    "start.pose.cart; all: by every one. Several are given by further --by.",
+)
 @more_columns
 @choose_format
 @click.pass_context
@@ -174,6 +183,7 @@ def solve_command(
     minutes: float | None,
     workers: int | None,
     sensitivities: bool,
+    by: tuple[str, ...],
     columns: tuple[str, ...],
     **choices: Any,
 ) -> None:
@@ -195,6 +205,7 @@ def solve_command(
         models.append(model)
         return load_on_demand(model)
 
+    control = read_control(file, by) if by else None
     problem, plants = read_phased_problem(file, load_model) if is_phased else _read(file, load_model)
     if target is not None:
         problem = _retarget(problem, target)
@@ -222,11 +233,19 @@ def solve_command(
 
             status.update("differentiating the cost")
             outcome = find_phased_sensitivities(outcome, plants)
+        derivatives = None
+        if control is not None:
+            status.update("differentiating the solution")
+            derivatives = differentiate(control, outcome, plants, by)
         status.update("drawing")
         from mbsrun.ocp.phases.files import write_files
 
         written = write_files(outcome, plants, out, columns)
+        if derivatives is not None:
+            written = (*written, write_derivatives(derivatives, out))
     for name, value in summarise_phases(outcome).items():
+        click.echo(write_line(name, value, 14 if problem.is_single else 24))
+    for name, value in [] if derivatives is None else list_rows(derivatives):
         click.echo(write_line(name, value, 14 if problem.is_single else 24))
     if outcome.run.instead:
         say(f"note: {outcome.run.instead}")
@@ -235,8 +254,14 @@ def solve_command(
     if sensitivities and not outcome.sensitivities:
         shortcomings.append(
             "no derivative of the cost was found: the model has no differentiated parameter but unknowns, or the "
-            "second solve ended elsewhere"
+            "optimum has none; --by all shows the reason"
         )
+    gaps = [] if derivatives is None else list_gaps(derivatives)
+    if ALL in by:
+        for gap in gaps:
+            say(f"note: {gap}")
+    else:
+        shortcomings += gaps
     for shortcoming in shortcomings:
         say(f"warning: {shortcoming}")
     context.exit(NOT_SOLVED if shortcomings else 0)

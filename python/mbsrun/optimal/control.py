@@ -20,7 +20,7 @@ from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.phases.problem import Plants, list_one
-from mbsrun.ocp.phases.solution import Guess
+from mbsrun.ocp.phases.solution import Guess, list_solution
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.problem import Problem, Symbolic
@@ -33,10 +33,12 @@ from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
 from mbsrun.ocp.solve import read_one, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
+from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
+from mbsrun.optimal.naming import Source, list_left_out
 from mbsrun.optimal.phases import PhasedControl, load
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
@@ -265,6 +267,37 @@ class OptimalControl:
         if self.value.refine is not None:
             outcome = refine(outcome, self.plant)
         return Solved(outcome, self.plant)
+
+    # --- derivatives of solutions ---
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """List the names of all numbers of the problem that solutions may be differentiated by."""
+        return self._source.list_names()
+
+    def check_numbers(self, names: Sequence[str]) -> None:
+        """Raise ProblemError for a name that is no number of the problem."""
+        for name in names:
+            self._source.find(name)
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> OptimalControl:
+        """Return a copy with other values of numbers, by the names of `numbers`. Raises ProblemError."""
+        return self._restate(self._source.put(numbers))
+
+    def derivatives(self, solution: Solved | Unsolved, by: Sequence[str] | None = None) -> Derivatives:
+        """Return how a solution of this problem moves with its numbers, by name; by default with all of them.
+
+        Names are places of the problem file, such as `constants.kerb`, `cost.inputs`, `start.pose.cart`,
+        `bounds.inputs.motor.upper`, `parameters.mass` of a differentiated parameter of the model; see `numbers`. Raises
+        ProblemError for a name that is none, and for a solution of another problem; NotSolvedError where there is none.
+        """
+        plants = Plants((self.plant,))
+        return differentiate_solution(self._source, list_solution(solution.solution), plants, by, self.programs.find)
+
+    @property
+    def _source(self) -> Source:
+        left_out = list_left_out(self.value, self.plant, self.data)
+        return Source(self.name, self.data, left_out, lambda data: list_one(self._restate(data).value))
 
     def load(self, path: str | Path) -> Solved:
         """Read a solution of this problem's model from a file. Raises InputError for a file that is not one."""

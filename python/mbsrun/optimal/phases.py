@@ -42,11 +42,13 @@ from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure
 from mbsrun.optimal import display
+from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
+from mbsrun.optimal.naming import Source
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
@@ -324,6 +326,37 @@ class PhasedControl:
             return SolvedPhases(outcome, equip_phases(case.problem, self.plants))
 
         return Family(self.name, self.data, self.plants, self._restate, state, read)
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """List the names of all numbers of the problem that solutions may be differentiated by."""
+        return self._source.list_names()
+
+    def check_numbers(self, names: Sequence[str]) -> None:
+        """Raise ProblemError for a name that is no number of the problem."""
+        for name in names:
+            self._source.find(name)
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> PhasedControl:
+        """Return a copy with other values of numbers, by the names of `numbers`. Raises ProblemError."""
+        return self._restate(self._source.put(numbers), self.expressions)
+
+    def derivatives(self, solution: SolvedPhases | Unsolved, by: Sequence[str] | None = None) -> Derivatives:
+        """Return how a solution of this problem moves with its numbers, as `OptimalControl.derivatives` does."""
+        return differentiate_solution(self._source, solution.solution, self.plants, by, self.programs.find)
+
+    @property
+    def _source(self) -> Source:
+        designs = {
+            f"parameters.{p.name}": plant.parameters[p.name]
+            for plant in self.plants.every
+            for p in plant.manifest.design
+        }
+
+        def state(data: Mapping[str, Data]) -> PhasedProblem:
+            return self._restate(data, self.expressions).value
+
+        return Source(self.name, self.data, designs, state)
 
     def load(self, path: str | Path) -> SolvedPhases:
         """Read a solution of this problem's models from a file. Raises InputError for a file that is not one."""

@@ -147,6 +147,24 @@ class PhasedSolver:
         told = None if watch is None else report(watch)
         return Instance(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
 
+    def resume(self, problem: PhasedProblem, guess: Guess) -> Outcome:
+        """Run the method from a guess, such as a solution, without a judge: for its multipliers.
+
+        Raises ProblemError, ValueError for a problem of another structure, NoNumbersError.
+        """
+        problem = self._check(problem)
+        known = self._complete(problem, guess)
+        return self._call(problem, self._begin(problem, known, known, None))
+
+    def number(self, problem: PhasedProblem, guess: Guess) -> Instance:
+        """Return the numbers of the program for a problem of the same structure, with a complete guess on its grids."""
+        problem = self._check(problem)
+        return self._begin(problem, guess, guess, None)
+
+    def complete(self, problem: PhasedProblem, guess: Guess) -> Guess:
+        """Return a guess with the states, controls and unknowns that it lacks."""
+        return self._complete(problem, guess)
+
     def fill(self, problem: PhasedProblem, guess: Guess) -> Array:
         """Put a guess into the variables, with the states, controls and unknowns that it lacks."""
         return self.pack(problem, self._complete(problem, guess))

@@ -1,0 +1,1 @@
+"""How an optimum moves: derivatives of solutions by the numbers of their problem, and predictions of neighbours."""

@@ -1,0 +1,244 @@
+"""Derivatives of an optimum by numbers of its problem, forward and adjoint.
+
+The numbers of a program are weights and constants p, bounds of variables and ranges of rows. With K of the optimum (see
+`point`), and a change of the numbers, the free variables and the multipliers of active rows move by (Fiacco,
+"Introduction to sensitivity and stability analysis in nonlinear programming", 1983, theorem 3.2.2)
+
+    [H  J'] [dx  ]   [-(grad f)_w dw - L_xc dc - H_h dh]
+    [J  0 ] [dlam] = [ dr - g_c dc - J_h dh            ]
+
+with dw of weights, dc of constants, dh of held variables' bounds, dr of active rows' limits. The adjoint solves with
+the same factors once: for the gradient v of a function of x, K a = (v, 0) gives the derivatives v_h dh + a' times the
+right side. The derivative of the cost needs no system: it is the one of the Lagrangian at constant x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mbsrun.ocp.backends.numpy import build
+from mbsrun.ocp.backends.prepared import Prepared
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.optima.lifting import lift_constants
+from mbsrun.ocp.optima.point import Optimum
+from mbsrun.ocp.optima.status import CHANGING, SMOOTH, SPLIT, STUCK
+from mbsrun.ocp.program import Matrix
+
+SAME = 1e-9  # of derivatives that ought to be equal, over the largest
+STEP = 1e-3  # of differences of order four, over the size of the change
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """All numbers of a program, or their derivatives by one number of the problem."""
+
+    parameters: Array  # weights, then constants
+    lower: Array
+    upper: Array
+    least: Array
+    most: Array
+
+    @property
+    def parts(self) -> tuple[Array, ...]:
+        """Return the arrays."""
+        return self.parameters, self.lower, self.upper, self.least, self.most
+
+
+def take_differences(numbers: Callable[[float], Sequence[Array]], step: float) -> list[Array]:
+    """Return the derivatives at 0 of arrays, by differences of order four; 0 where limits are infinite."""
+    found = [numbers(k * step) for k in (-2, -1, 1, 2)]
+    return [_combine(parts, step) for parts in zip(*found, strict=True)]
+
+
+def _combine(parts: tuple[Array, ...], step: float) -> Array:
+    finite = np.isfinite(parts).all(axis=0)
+    a, b, c, d = (np.where(finite, part, 0.0) for part in parts)
+    return np.asarray((8 * (c - b) - (d - a)) / (12 * step))
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """How an optimum moves with numbers of its problem; `changes` has the derivatives of the program's numbers."""
+
+    prepared: Prepared
+    optimum: Optimum
+    changes: tuple[Numbers | None, ...]  # None: the number moves one limit of an equality
+
+    @property
+    def status(self) -> str:
+        """Return whether the optimum has derivatives at all."""
+        return self.optimum.status
+
+    def find_status(self, k: int) -> str:
+        """Return whether the optimum has derivatives by number k."""
+        return self._statuses[k] if self.status == SMOOTH else self.status
+
+    def move(self, k: int) -> Array:
+        """Return the derivative of the variables by number k. Call it where its status permits."""
+        optimum, active = self.optimum, self.optimum.active
+        free = active.free
+        found = optimum.factors.solve(self._right[:, k])
+        dx = np.zeros(optimum.x.size)
+        dx[free], dx[active.held] = found[: free.size], self._held[:, k]
+        return dx
+
+    def pull(self, gradient: Array) -> Array:
+        """Return the derivatives of a function of the variables, whose gradient is given, by all numbers.
+
+        A number by which there is none has NaN.
+        """
+        optimum, active = self.optimum, self.optimum.active
+        free, rows = active.free, active.chosen.size
+        adjoint = optimum.factors.solve(np.concatenate((gradient[free], np.zeros(rows))))
+        found = adjoint @ self._right + gradient[active.held] @ self._held
+        exists = [self.find_status(k) == SMOOTH for k in range(len(self.changes))]
+        return np.where(exists, found, np.nan)
+
+    def find_costs(self) -> Array:
+        """Return the derivatives of the cost by all numbers.
+
+        They exist where multipliers are unique, also where the active set changes; NaN elsewhere.
+        """
+        optimum = self.optimum
+        if self.status not in (SMOOTH, CHANGING):
+            return np.full(len(self.changes), np.nan)
+        values = self.prepared.numpy.terms(optimum.x, optimum.instance.parameters)
+        limits, forces = optimum.multipliers[optimum.active.chosen], optimum.zeta[optimum.active.held]
+        found = []
+        for k, change in enumerate(self._given):
+            weights = change.parameters[: self._weights]
+            total = optimum.scale * float(weights @ values) - float(limits @ self._limits[:, k])
+            total += float(forces @ self._held[:, k])
+            constants = change.parameters[self._weights :]
+            if constants.any():
+                total += float(self._by_constants.slope @ constants)
+            found.append(total / optimum.scale if self._statuses[k] in (SMOOTH, CHANGING) else np.nan)
+        return np.array(found)
+
+    @cached_property
+    def _given(self) -> tuple[Numbers, ...]:
+        """The changes, and zeros for the ones that are not known."""
+        at = self.optimum.instance
+        parts = at.parameters, at.lower, at.upper, at.g_lower, at.g_upper
+        nothing = Numbers(*(np.zeros(part.size) for part in parts))
+        return tuple(change or nothing for change in self.changes)
+
+    @property
+    def _weights(self) -> int:
+        return len(self.prepared.data.H)
+
+    @cached_property
+    def _by_constants(self) -> _ByConstants:
+        """Differentiate by all constants, at the optimum."""
+        optimum, program = self.optimum, lift_constants(self.prepared.data)
+        weights, constants = np.split(optimum.instance.parameters, [self._weights])
+        functions = build(program, self.prepared.plant, self.prepared.others)
+        n, whole = optimum.x.size, np.concatenate((optimum.x, constants))
+        rows = Matrix(functions.jacobian(whole, weights)[:, n:])
+        curve = functions.hessian(whole, weights, optimum.scale, optimum.multipliers)
+        slope = optimum.scale * functions.gradient(whole, weights)[n:] + optimum.multipliers @ rows
+        return _ByConstants(Matrix(curve[:n, n:]), rows, np.asarray(slope))
+
+    @cached_property
+    def _held(self) -> Array:
+        """The derivatives of held variables, (held, numbers)."""
+        active = self.optimum.active
+        held = active.held
+        at_upper = active.variables[held] == 1
+        return _stack([np.where(at_upper, x.upper[held], x.lower[held]) for x in self._given], held.size)
+
+    @cached_property
+    def _limits(self) -> Array:
+        """The derivatives of active rows' limits, (rows, numbers)."""
+        active = self.optimum.active
+        chosen = active.chosen
+        at_most = active.rows[chosen] == 1
+        return _stack([np.where(at_most, x.most[chosen], x.least[chosen]) for x in self._given], chosen.size)
+
+    @cached_property
+    def _right(self) -> Array:
+        """The right sides, (free variables and active rows, numbers)."""
+        optimum, active = self.optimum, self.optimum.active
+        free, held, chosen = active.free, active.held, active.chosen
+        forces = [self._push(change) for change in self._given]
+        moved = _stack([force for force, _ in forces], optimum.x.size)
+        rows = _stack([row for _, row in forces], optimum.multipliers.size)
+        upper = -moved[free] - optimum.hessian.tocsr()[free][:, held] @ self._held
+        lower = self._limits - rows[chosen] - optimum.jacobian.tocsr()[chosen][:, held] @ self._held
+        return np.concatenate((upper, lower))
+
+    def _push(self, change: Numbers) -> tuple[Array, Array]:
+        """Return the derivatives of grad L and of g at constant x."""
+        optimum = self.optimum
+        weights, constants = np.split(change.parameters, [self._weights])
+        force: Array = np.zeros(optimum.x.size)
+        rows: Array = np.zeros(optimum.multipliers.size)
+        if weights.any():
+            p = np.concatenate((weights, optimum.instance.parameters[self._weights :]))
+            force = optimum.scale * self.prepared.numpy.gradient(optimum.x, p)
+        if constants.any():
+            force = force + np.asarray(self._by_constants.curve @ constants)
+            rows = np.asarray(self._by_constants.rows @ constants)
+        return force, rows
+
+    @cached_property
+    def _statuses(self) -> list[str]:
+        return [self._examine(k) for k in range(len(self.changes))]
+
+    def _examine(self, k: int) -> str:
+        """Find what keeps number k from having derivatives, where the optimum itself has some."""
+        if self.changes[k] is None:
+            return SPLIT
+        change, active, limits = self._given[k], self.optimum.active, self.optimum.limits
+        largest = max((float(np.abs(part).max(initial=0.0)) for part in change.parts), default=0.0)
+        if largest == 0:
+            return SMOOTH
+        for sides, lower, upper in (
+            (active.variables, change.lower, change.upper),
+            (active.rows, change.least, change.most),
+        ):
+            if (np.abs(lower - upper)[sides == 2] > SAME * largest).any():
+                return SPLIT
+        idle = (limits.least == limits.most) & (active.rows == 0)
+        moved = change.least[idle] - self._push(change)[1][idle]
+        apart = change.most[idle] - change.least[idle]
+        if max(np.abs(moved).max(initial=0.0), np.abs(apart).max(initial=0.0)) > SAME * largest:
+            return STUCK
+        return CHANGING if self._parts_copies(change, SAME * largest) else SMOOTH
+
+    def _parts_copies(self, change: Numbers, same: float) -> bool:
+        """Return whether bounds of variables that are equal, and that are active together, move apart."""
+        active, ties, start = self.optimum.active, self.optimum.limits.ties, self.optimum.instance
+        for side, bounds, moved in ((-1, start.lower, change.lower), (1, start.upper, change.upper)):
+            at = np.flatnonzero(active.variables == side)
+            leader = np.full(ties.max(initial=-1) + 1, -1)
+            leader[ties[at]] = at
+            others = np.flatnonzero(leader[ties] >= 0)
+            first = leader[ties[others]]
+            equal = bounds[others] == bounds[first]
+            if (np.abs(moved[others] - moved[first])[equal] > same).any():
+                return True
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class _ByConstants:
+    """Derivatives by constants: of grad L, of g, and of L."""
+
+    curve: Matrix
+    rows: Matrix
+    slope: Array
+
+
+def _stack(columns: Sequence[Array], rows: int) -> Array:
+    return np.stack(columns, axis=1) if columns else np.zeros((rows, 0))
+
+
+def measure_step(dx: Array, x: Array) -> float:
+    """Return a step of differences along dx from x."""
+    largest = float((np.abs(dx) / np.maximum(1.0, np.abs(x))).max(initial=0.0))
+    return STEP / largest if largest > 0 else STEP

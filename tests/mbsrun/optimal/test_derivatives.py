@@ -1,0 +1,306 @@
+"""Derivatives of solutions: by differences of solves, by CasADi, by closed forms; and where there are none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import mbsrun
+from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH, SPLIT, STUCK
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal.control import OptimalControl
+from mbsrun.optimal.derivatives import PARTS, NoDerivativeError
+from mbsrun.optimal.phases import PhasedControl, SolvedPhases
+from mbsrun.optimal.result import NotSolvedError, Solved
+
+MODELS = Path(__file__).parents[3] / "models"
+TIGHT = {"tolerance": 1e-13}  # of solves whose differences are taken
+SLIDE: dict[str, Any] = {  # the least effort that moves a mass: u is linear in time
+    "horizon": 1,
+    "intervals": 20,
+    "degree": 3,
+    "states": {"x": {"rate": "v", "start": 0, "end": 1}, "v": {"rate": "a", "start": 0, "end": 0}},
+    "controls": {"a": {}},
+    "cost": {"running": [{"expression": "a**2", "weight": 1}]},
+    "start": None,
+    "solver": TIGHT,
+}
+
+
+def slide(**changes: Any) -> OptimalControl:
+    made = mbsrun.problem(None, name="slide", **{key: x for key, x in SLIDE.items() if x is not None})
+    return made.with_changes(**changes) if changes else made
+
+
+def solve(problem: OptimalControl) -> Solved:
+    found = problem.solve(check=False)
+    assert isinstance(found, Solved)
+    return found
+
+
+def flatten(motions: tuple[Trajectory, ...]) -> Array:
+    return np.concatenate([getattr(motion, name).ravel() for motion in motions for name in PARTS])
+
+
+def find_motions(found: Solved | SolvedPhases) -> tuple[Trajectory, ...]:
+    solutions = (found.solution,) if isinstance(found, Solved) else found.solution.phases
+    return tuple(own.trajectory for own in solutions)
+
+
+CASES = {
+    "cart_pole_balance": ("constants.lean", "cost.running[1].weight", "horizon", "start.velocity.cart"),
+    "planar_arm_fastest": ("end.sensors.hand.y", "bounds.inputs.elbow.lower", "start.pose.shoulder"),
+    "track/cart_pole": ("bounds.inputs.lower", "cost.running[0].weight"),
+    "design/lifting_arm": ("start.pose.shoulder", "end.sensors.hand.z"),
+    "spatial/ball_crank_turn": ("start.pose.crank", "horizon"),
+    "muscles/lift": ("constants.lag", "states.deltoid.start"),
+    "legged/walker": ("bounds.coordinates.knee.lower",),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_are_differences_of_solves(name: str) -> None:
+    """Of motion, times and cost, to 1e-6 of the largest entry: by differences of order four, of solves anew."""
+    problem = mbsrun.read_problem(MODELS / f"{name}.ocp.yaml").with_changes(solver=TIGHT)
+    found = problem.solve(check=False)
+    assert isinstance(found, Solved | SolvedPhases)
+    derivatives = problem.derivatives(found, CASES[name])
+    assert derivatives.status == SMOOTH
+    for number in derivatives.answer.numbers:
+        moved, h, costs, motions = derivatives.by(number.name), 3e-4 * (abs(number.value) or 1.0), [], []
+        for k in (-2, -1, 1, 2):
+            again = restate(problem, number.name, number.value + k * h).solve(check=False, guess=found)  # type: ignore[arg-type]
+            assert isinstance(again, Solved | SolvedPhases)
+            costs.append(again.cost)
+            motions.append(flatten(find_motions(again)))
+        expected = (8 * (motions[2] - motions[1]) - (motions[3] - motions[0])) / (12 * h)
+        cost = (8 * (costs[2] - costs[1]) - (costs[3] - costs[0])) / (12 * h)
+        assert moved.cost == pytest.approx(cost, rel=1e-6, abs=1e-8 * abs(found.cost))
+        own = flatten(moved.phases)
+        assert np.abs(own - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def restate(problem: OptimalControl | PhasedControl, name: str, value: float) -> OptimalControl | PhasedControl:
+    return problem.with_numbers({name: value})
+
+
+def test_closed_forms_of_the_least_effort() -> None:
+    """Cost 12 d^2 / T^3 and u(t) = d (6 / T^2 - 12 t / T^3), up to the steps of u: by d, T and the weight."""
+    problem = slide()
+    derivatives = problem.derivatives(solve(problem), ["states.x.end", "horizon", "cost.running[0].weight"])
+    steps = 1 / (1 - 1 / 20**2)  # of an input in 20 steps
+    assert dict(derivatives.cost) == pytest.approx(
+        {"states.x.end": 24 * steps, "horizon": -36 * steps, "cost.running[0].weight": 12 * steps}, rel=1e-9
+    )
+    middle = (np.arange(20) + 0.5) / 20
+    assert derivatives.by("states.x.end").trajectory.controls[:, 0] == pytest.approx(
+        (6 - 12 * middle) * steps, rel=1e-8
+    )
+    assert np.abs(derivatives.by("cost.running[0].weight").trajectory.controls).max() < 1e-9
+    assert derivatives.by("horizon").horizon == pytest.approx(1.0)
+
+
+def test_the_adjoint_is_the_transpose() -> None:
+    """One adjoint has the derivatives of a sum by all numbers; each is the sum of a forward derivative."""
+    problem = mbsrun.read_problem(MODELS / "track" / "cart_pole.ocp.yaml").with_changes(solver=TIGHT)
+    assert isinstance(problem, OptimalControl)
+    found = solve(problem)
+    derivatives = problem.derivatives(found)
+    rng = np.random.default_rng(1)
+    weights = {name: rng.standard_normal(getattr(found.trajectory, name).shape) for name in ("q", "qd", "u", "t")}
+    pulled = derivatives.pull(weights)
+    assert len(pulled) == len(derivatives.names) > 10
+    for name, value in pulled.items():
+        moved = derivatives.by(name).trajectory
+        expected = sum(float((weights[key] * getattr(moved, key)).sum()) for key in weights)
+        assert value == pytest.approx(expected, rel=1e-7, abs=1e-9)
+
+
+def test_casadi_has_the_same_derivatives() -> None:
+    """Van der Pol's oscillator with a bounded input, transcribed in CasADi, whose `nlpsol` has derivatives."""
+    N, d, T = 20, 3, 5.0
+    problem = mbsrun.problem(
+        None,
+        name="oscillator",
+        horizon=T,
+        intervals=N,
+        degree=d,
+        constants={"mu": 1.0, "most": 0.8},
+        states={"x": {"rate": "v", "start": 1}, "v": {"rate": "mu*(1 - x**2)*v - x + u", "start": 0}},
+        controls={"u": {"range": [-0.3, "most"]}},
+        cost={"running": [{"expression": "x**2 + v**2 + u**2", "weight": 1}]},
+        solver=TIGHT,
+    ).with_changes(start=None)
+    names = ["constants.mu", "constants.most", "states.x.start"]
+    derivatives = problem.derivatives(solve(problem), names)
+    assert derivatives.status == SMOOTH
+    assert derivatives.active > 3
+    sensitivity, cost = differentiate_by_casadi(N, d, T)
+    for k, name in enumerate(names):
+        assert derivatives.cost[name] == pytest.approx(cost[k], rel=1e-7)
+        assert derivatives.by(name).trajectory.controls[:, 0] == pytest.approx(sensitivity[:, k], rel=1e-6, abs=1e-7)
+
+
+def differentiate_by_casadi(N: int, d: int, T: float) -> tuple[Array, Array]:
+    """Return the derivatives of inputs (N, 3) and of the cost (3,) by mu, the largest input and the start."""
+    h, tau = T / N, np.array([0, *ca.collocation_points(d, "radau")])
+    basis = [np.poly1d(np.poly(np.delete(tau, j)) / np.prod(tau[j] - np.delete(tau, j))) for j in range(d + 1)]
+    slope = np.array([[basis[j].deriv()(tau[i]) for j in range(d + 1)] for i in range(d + 1)])
+    p, X, U = ca.MX.sym("p", 3), ca.MX.sym("X", 2, N * d + 1), ca.MX.sym("U", N)
+    weights = np.array([basis[j].integ()(1) for j in range(d + 1)])
+    g, f = [X[:, 0] - ca.vertcat(p[2], 0)], 0
+    for k in range(N):
+        at = X[:, k * d : (k + 1) * d + 1]
+        for i in range(1, d + 1):
+            x, v = at[0, i], at[1, i]
+            rate = ca.vertcat(v, p[0] * (1 - x**2) * v - x + U[k])
+            g.append(ca.mtimes(at, ca.DM(slope[i])) - h * rate)
+            f += h * weights[i] * (x**2 + v**2 + U[k] ** 2)
+    w, g = ca.vertcat(ca.vec(X), U), ca.vertcat(*g, U + 0.3, p[1] - U)
+    problem = {"x": w, "p": p, "f": f, "g": g}
+    ipopt = {"tol": 1e-13, "print_level": 0, "sb": "yes", "bound_relax_factor": 0}
+    options = {"print_time": False, "ipopt": ipopt, "min_lam": 1e-9}  # smaller multipliers are of inactive rows
+    solver = ca.nlpsol("oscillator", "ipopt", problem, options)
+    unbounded = {"lbx": -math.inf, "ubx": math.inf, "lbg": 0, "p": [1.0, 0.8, 1.0]}
+    rows = int(g.shape[0]) - 2 * N
+    known = {**unbounded, "ubg": [*[0] * rows, *[math.inf] * (2 * N)]}
+    found = solver(**known)
+    whole = solver.factory("derivative", solver.name_in(), ["jac:x:p", "jac:f:p"])
+    derivative = whole(**known, x0=found["x"], lam_x0=found["lam_x"], lam_g0=found["lam_g"])
+    return derivative["jac_x_p"].full()[-N:], derivative["jac_f_p"].full().ravel()
+
+
+# --- no derivative ---
+
+
+def test_a_weakly_active_bound_has_no_derivative() -> None:
+    """A bound that is reached without a force: status and no number; the cost still has its derivative."""
+    free = solve(slide())
+    most = float(free["a"].max())
+    problem = slide(controls={"a": {"range": [None, most]}})
+    derivatives = problem.derivatives(solve(problem), ["states.x.end", "controls.a.range.upper"])
+    assert derivatives.status == CHANGING
+    assert set(derivatives.statuses.values()) == {CHANGING}
+    with pytest.raises(NoDerivativeError, match="about to become active"):
+        derivatives.by("states.x.end")
+    assert np.isnan([*derivatives.pull({"controls": np.ones((20, 1))}).values()]).all()
+    assert derivatives.cost["states.x.end"] == pytest.approx(24 / (1 - 1 / 400), rel=1e-6)
+    assert "Active_Set_Changes" in repr(derivatives)
+
+
+def test_dependent_constraints_have_no_derivative() -> None:
+    twice = [{"expression": "v", "range": [0, 0], "at": "end"}, {"expression": "2*v", "range": [0, 0], "at": "end"}]
+    problem = slide(states={"v": {"end": [None, None]}}, constraints=twice)
+    derivatives = problem.derivatives(solve(problem), ["states.x.end"])
+    assert derivatives.status == DEPENDENT
+    assert math.isnan(derivatives.cost["states.x.end"])
+
+
+def test_a_minimum_that_is_not_strict_has_no_derivative() -> None:
+    """Two controls push one mass, and the cost sees their sum alone."""
+    problem = slide(
+        states={"v": {"rate": "a + b"}},
+        controls={"b": {}},
+        cost={"running": [{"expression": "(a + b)**2", "weight": 1}]},
+    )
+    derivatives = problem.derivatives(solve(problem), ["states.x.end"])
+    assert derivatives.status in (FLAT, DEPENDENT)
+    assert "no derivative" in catch(lambda: derivatives.by("states.x.end"))
+
+
+def test_one_limit_of_an_equality_has_no_derivative() -> None:
+    problem = slide(
+        states={"x": {"end": [None, None]}}, constraints=[{"expression": "x", "range": [1, 1], "at": "end"}]
+    )
+    derivatives = problem.derivatives(solve(problem), ["constraints[0].range.lower", "states.v.end"])
+    assert derivatives.statuses == {"constraints[0].range.lower": SPLIT, "states.v.end": SMOOTH}
+    assert [*derivatives.explain()] == ["constraints[0].range.lower"]
+
+
+def test_a_condition_that_nothing_can_follow_has_no_derivative() -> None:
+    """A planar arm whose target has a height: the free final time and all else still have derivatives."""
+    problem = mbsrun.read_problem(MODELS / "planar_arm_fastest.ocp.yaml")
+    assert isinstance(problem, OptimalControl)
+    derivatives = problem.derivatives(solve(problem), ["end.sensors.hand.z", "end.sensors.hand.x"])
+    assert [*derivatives.statuses.values()] == [STUCK, SMOOTH]
+
+
+def test_a_motion_that_is_no_optimum_has_no_derivative() -> None:
+    problem = slide()
+    found = solve(problem)
+    from dataclasses import replace
+
+    moved = replace(found.trajectory, controls=found.trajectory.controls + 1)
+    other = Solved(replace(found.solution, trajectory=moved), found.plant)
+    assert problem.derivatives(other, ["states.x.end"]).status == NOT_CONVERGED
+
+
+def test_bad_questions_get_a_sentence() -> None:
+    problem = slide(constants={"push": 2}, unknowns={"c": {"guess": 0.5, "range": [0, 1]}})
+    problem = problem.with_cost("c**2", at="end")
+    found = solve(problem)
+    for by, message in (
+        (["states.x.edn"], r"states\.x\.edn: it is no number of the problem; did you mean states\.x\.end\?"),
+        (["states.x.rate"], "states.x.rate: found 'v', which is no number"),
+    ):
+        with pytest.raises(ProblemError, match=message):
+            problem.derivatives(found, by)
+    with pytest.raises(ProblemError, match="it belongs to a problem with other numbers; solve this problem"):
+        problem.with_changes(states={"x": {"end": 2}}).derivatives(found)
+    derivatives = problem.derivatives(found, ["states.x.end"])
+    with pytest.raises(ProblemError, match=r"no such number; did you mean states\.x\.end"):
+        derivatives.by("states.x")
+    with pytest.raises(ProblemError, match=r"controls: weights of shape \(2,\); give the shape \(20, 1\)"):
+        derivatives.pull({"controls": [1, 2]})
+    with pytest.raises(ProblemError, match="no part of a motion that a function may read"):
+        derivatives.pull({"w": [1, 2]})
+    failed = slide(controls={"a": {"range": [-1, 1]}}).solve(check=False)
+    assert not failed.is_solved
+    with pytest.raises(NotSolvedError, match="slide was not solved"):
+        slide().derivatives(failed)
+
+
+CART = """
+name: cart
+gravity: [0, 0, 0]
+parameters: {m: {value: 2, kind: KIND}}
+bodies: [{name: cart, joint: {name: x, type: prismatic, axis: x}, mass: m}]
+"""
+
+
+def make_cart(folder: Path, kind: str) -> OptimalControl:
+    model = folder / f"{kind}.yaml"
+    model.write_text(CART.replace("KIND", kind))
+    end = {"pose": {"x": 1}, "velocity": "zero"}
+    return mbsrun.problem(model, horizon=1, intervals=20, end=end, parameters={"m": 3}, solver=TIGHT)
+
+
+def test_a_mass_scales_the_least_effort(tmp_path: Path) -> None:
+    """The cost is proportional to m^2, inputs are to m; so is their derivative, and the motion has none."""
+    problem = make_cart(tmp_path, "differentiated")
+    found = solve(problem)
+    derivatives = problem.derivatives(found, ["parameters.m"])
+    assert derivatives.cost["parameters.m"] == pytest.approx(2 * found.cost / 3, rel=1e-9)
+    moved = derivatives.by("parameters.m").trajectory
+    assert moved.u == pytest.approx(found.trajectory.u / 3, rel=1e-8, abs=1e-9)
+    assert np.abs(moved.q).max() < 1e-9
+    assert moved.unknowns.size == 0
+
+
+def test_a_parameter_without_derivatives_is_refused(tmp_path: Path) -> None:
+    problem = make_cart(tmp_path, "runtime")
+    with pytest.raises(ProblemError, match=r"m is no differentiated parameter .* declare it `kind: diff"):
+        problem.derivatives(solve(problem), ["parameters.m"])
+
+
+def catch(call: Any) -> str:
+    with pytest.raises(NoDerivativeError) as caught:
+        call()
+    return str(caught.value)
