@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -41,11 +42,7 @@ class Emulator:
         self, main: str, files: Mapping[str, bytes], architecture: str, defined: Sequence[str] = ()
     ) -> tuple[bytes, str]:
         assert architecture == "sm_90"
-        function = next(
-            line.split("(")[1].split()[-1]
-            for line in files[main].decode().splitlines()
-            if line.startswith('extern "C" __global__')
-        )
+        function = re.search(r'^extern "C" __global__ void (\w+)\(', files[main].decode(), re.MULTILINE)[1]
         tail = f"""
             extern "C" void {function}_grid(unsigned blocks, unsigned threads, void **arguments)
             {{
