@@ -34,6 +34,7 @@ from mbsgen.model.model import (
     ZERO,
     Body,
     Constraint,
+    DryFriction,
     Fixed,
     Follow,
     Frame,
@@ -43,6 +44,7 @@ from mbsgen.model.model import (
     Loop,
     LoopEnd,
     Model,
+    Stops,
     Triple,
     Visual,
 )
@@ -75,6 +77,8 @@ class Choices:
     loop_tolerance: float | None = None  # of equations that follow from others; None: by the digits of the file
     quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
+    dry_friction: bool = False  # joints stick and slide, in simulations; else friction is smoothed
+    stops: float | None = None  # the restitution of rigid stops at all limits; None: no stops
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
     allow_unphysical: bool = False  # accept inertias that no body can have
     root: Path | None = None  # the folder that holds all files which the file names; None: the file's own
@@ -170,6 +174,13 @@ def make_law(
     """Make the force law of a joint; a spring without stiffness has no rest."""
     dry = Friction(Number(friction), Number(speed)) if friction else None
     return Law(Number(stiffness), Number(rest if stiffness else 0.0), Number(damping), dry, force)
+
+
+def describe_friction(friction: float, choices: Choices, *, follows: bool = False) -> str:
+    """Describe how the dry friction of a joint is taken, for a notice."""
+    if choices.dry_friction and not follows:
+        return f"dry friction of {friction:g}, which simulations alone apply"
+    return f"dry friction of {friction:g}, smoothed: tanh(qd/{choices.friction_speed:g})"
 
 
 def damp(moves: Sequence[Move], damping: float) -> list[Move]:
@@ -327,11 +338,22 @@ class Draft:
                     speed, force, Number(move.armature), floats=move.floats,
                 )
             )  # fmt: skip
+            if move.follows is None:
+                joints[-1] = self._let_switch(joints[-1])
             self._moves[body, i] = move.source
             self._starts[body, i] = move.start
             if move.drag:
                 self._drags[body, i] = move.drag
         return joints[0] if len(joints) == 1 else tuple(joints)
+
+    def _let_switch(self, joint: Joint) -> Joint:
+        """Give a joint dry friction and stops, by the choices."""
+        smooth = joint.law.friction
+        if self.choices.dry_friction and smooth is not None:
+            joint = replace(joint, law=replace(joint.law, friction=None), dry=DryFriction(smooth.torque))
+        if self.choices.stops is not None and (joint.lower, joint.upper) != (None, None) and not joint.floats:
+            joint = replace(joint, stops=Stops(Number(self.choices.stops)))
+        return joint
 
     def _choose_name(self, kind: str, wanted: str, source: Element) -> str:
         """Return a valid name that differs from all others of its kind; a change makes a notice."""

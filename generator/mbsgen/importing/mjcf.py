@@ -17,7 +17,17 @@ import numpy as np
 from mbsgen.documents import abbreviate
 from mbsgen.expressions import Call, Expression, Name, Number, Operation, Power
 from mbsgen.importing.closing import Spot
-from mbsgen.importing.drafting import Choices, Draft, Imported, Move, damp, list_moves, make_law, move_freely
+from mbsgen.importing.drafting import (
+    Choices,
+    Draft,
+    Imported,
+    Move,
+    damp,
+    describe_friction,
+    list_moves,
+    make_law,
+    move_freely,
+)
 from mbsgen.importing.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
@@ -454,7 +464,7 @@ class _Scene:
         friction, speed = self._findings.number(element, "frictionloss", 0.0, attributes), self._choices.friction_speed
         friction = 0.0 if self._settings.lacks("frictionloss") else friction
         if friction:
-            self._findings.tell(element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+            self._findings.tell(element, describe_friction(friction, self._choices))
         linear = max(spring[0], 0.0), rest, max(damper[0], 0.0)
         return make_law(*linear, friction, speed, write_polynomials(spring, rest, damper))
 

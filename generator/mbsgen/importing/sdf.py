@@ -25,6 +25,7 @@ from mbsgen.importing.drafting import (
     Imported,
     Move,
     damp,
+    describe_friction,
     list_moves,
     list_screw,
     make_law,
@@ -308,7 +309,7 @@ class _File:
         damping, friction = (self._read_loss(joint.element, dynamics, key) for key in ("damping", "friction"))
         speed = self._choices.friction_speed
         if friction:
-            self._findings.tell(joint.element, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+            self._findings.tell(joint.element, describe_friction(friction, self._choices))
         if effort == 0:
             self._findings.tell(joint.element, "an effort of 0: it has no input")
         return Move(

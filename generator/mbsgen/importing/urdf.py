@@ -21,6 +21,7 @@ from mbsgen.importing.drafting import (
     Imported,
     Move,
     damp,
+    describe_friction,
     list_moves,
     list_screw,
     make_law,
@@ -344,8 +345,7 @@ class _Robot:
             damping, friction = (self._read_loss(dynamics, key) for key in ("damping", "friction"))
             armature += self._read_armature(dynamics)
         if friction:
-            speed = self._choices.friction_speed
-            self._findings.tell(joint, f"dry friction of {friction:g}, smoothed: tanh(qd/{speed:g})")
+            self._findings.tell(joint, describe_friction(friction, self._choices, follows=follows is not None))
         self._lossy += bool(damping or friction)
         return Move(
             Motion.PRISMATIC if kind == "prismatic" else Motion.REVOLUTE,

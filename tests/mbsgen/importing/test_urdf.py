@@ -14,7 +14,7 @@ from mbsgen.expressions import Number
 from mbsgen.importing import Choices, Imported, Notice, import_model, write_imported
 from mbsgen.importing.poses import Pose
 from mbsgen.importing.solids import Solid
-from mbsgen.model.model import Body, Fixed, Follow, Friction, Joint
+from mbsgen.model.model import Body, DryFriction, Fixed, Follow, Friction, Joint, Stops
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
@@ -148,6 +148,18 @@ def test_limits_forces_and_bounds_are_carried_over(tmp_path: Path) -> None:
     assert (shoulder.max_speed, shoulder.max_force) == (Number(3.0), Number(5.0))
     none = import_model(write(tmp_path, TREE.replace('effort="5" velocity="3"', 'effort="0" velocity="0"')))
     assert (only_joint(none, "arm").max_speed, only_joint(none, "arm").max_force) == (None, None)
+
+
+def test_joints_may_stick_and_stop(tmp_path: Path) -> None:
+    """Friction and limits keep their numbers; only joints with both ends, or one, have stops."""
+    imported = import_model(write(tmp_path, TREE), Choices(dry_friction=True, stops=0.25))
+    shoulder = only_joint(imported, "arm")
+    assert (shoulder.law.friction, shoulder.dry) == (None, DryFriction(Number(0.2)))
+    assert shoulder.stops == Stops(Number(0.25))
+    assert only_joint(imported, "wheel").stops is None
+    assert any("dry friction of 0.2, which simulations alone apply" in line for line in told(imported))
+    plain = only_joint(import_model(write(tmp_path, TREE)), "arm")
+    assert (plain.dry, plain.stops) == (None, None)
 
 
 def test_each_fixed_mass_is_told_of(tmp_path: Path) -> None:
