@@ -35,6 +35,7 @@ from mbsrun.simulation.methods import METHODS, Family, Formulation, complete_set
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import read_statement
+from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -132,6 +133,7 @@ def draw_course(mechanism: Mechanism, duration: float) -> Course:
 def read_course(model: Path, file: Path | None, duration: float | None) -> Course:
     """Read the motion of a settings file, or draw one without a file. Raises InputError."""
     mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, EXTENT))
+    demand_smooth(mechanism.manifest, "a chart of methods", stops=True)
     if file is None:
         return draw_course(mechanism, duration or 2.0)
     statement = read_statement(file, {}, mechanism.manifest)

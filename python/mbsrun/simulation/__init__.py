@@ -5,6 +5,7 @@ from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.methods import METHODS, Formulation
 from mbsrun.simulation.motion import Event, Keeping, Kind, Mode, Motion, Settings
+from mbsrun.simulation.saltation import Sensitivity, differentiate
 from mbsrun.simulation.simulate import simulate
 
 __all__ = [
@@ -18,8 +19,10 @@ __all__ = [
     "Mode",
     "Motion",
     "OpenError",
+    "Sensitivity",
     "Settings",
     "control",
+    "differentiate",
     "follow",
     "simulate",
     "stand",

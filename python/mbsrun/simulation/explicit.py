@@ -26,7 +26,7 @@ from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, Equations, find_mass_matrix
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.memory import Memory, load_functions
-from mbsrun.simulation.motion import Chunk, Halt, HaltError, Keeping, Settings
+from mbsrun.simulation.motion import Chunk, Guard, Halt, HaltError, Keeping, Settings
 from mbsrun.simulation.steps import count_steps, describe_singularity, place_steps
 from mbsrun.simulation.tableaus import DOP853, EULER, RK4, RK45, Pair, Tableau
 
@@ -44,7 +44,6 @@ KEEPING = {  # the C functions' numbers
     Keeping.BAUMGARTE: 3,
 }
 
-PLACE, SPEED, FORCE = 0, 1, 2  # kinds of guards
 MOST_GUARDS = 4  # of a joint
 
 _RESULT, _TABLEAU, _MODE = "result ", "tableau ", "mode "  # begin the names of arrays that are no kernel's input
@@ -144,17 +143,6 @@ def march(
             yield Chunk(times[: done + 1], q, qd, dense)
         if halt is not None:
             raise halt
-
-
-@dataclass(frozen=True)
-class Guard:
-    """A number of the state that is not negative while a mode lasts: side (x - level)."""
-
-    kind: int  # PLACE, SPEED, or FORCE that holds the joint
-    joint: int  # entry of qd
-    place: int  # entry of q
-    side: float
-    level: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.simulation.explicit import FORCE, PLACE, SPEED, Brakes, Guard
-from mbsrun.simulation.motion import Mode
+from mbsrun.simulation.explicit import Brakes
+from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Guard, Mode
 
 Array = NDArray[np.float64]
 
@@ -78,6 +78,11 @@ class Joints:
         slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
         fall = np.where(self.stribeck > 0, self.static - self.torque, 0.0)
         return np.asarray(self.torque + fall * np.exp(-((qd * slowness) ** 2)))
+
+    def steepen(self, qd: Array) -> Array:
+        """Return the derivative of the friction of sliding joints by their velocities (..., n)."""
+        slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
+        return np.asarray(-2 * slowness**2 * qd * (self.rub(qd) - self.torque))
 
     def brake(self, modes: NDArray[np.int_]) -> Brakes:
         """Return held joints, and the friction of others, for the C functions."""

@@ -89,6 +89,30 @@ class Event:
     after: float
 
 
+@dataclass(frozen=True, eq=False)
+class Jump:
+    """An impact: M (after - before) = impulses, on some joints, whose velocities change by their restitutions."""
+
+    before: Array  # (n,)
+    after: Array
+    joints: tuple[int, ...]  # the joints with impulses
+    restitution: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A number of the state that is not negative while a mode lasts: side (x - level)."""
+
+    kind: int  # PLACE, SPEED, or FORCE that holds the joint
+    joint: int  # entry of qd
+    place: int  # entry of q
+    side: float
+    level: float
+
+
+PLACE, SPEED, FORCE = 0, 1, 2  # kinds of guards
+
+
 @dataclass(frozen=True)
 class Segment:
     """The mode of some steps, and what happened at their start."""
@@ -97,6 +121,8 @@ class Segment:
     events: tuple[Event, ...] = ()
     loss: float = 0.0  # J: of impacts
     driven: float = 0.0  # J: work of driven joints in impacts
+    guards: tuple[Guard, ...] = ()  # that fell to 0
+    jumps: tuple[Jump, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -55,12 +55,14 @@ def simulate(
     settings: Settings,
     show: Callable[[float], None] = lambda _: None,
     course: Course | None = None,
+    watch: Callable[[Dynamics, Piece, Chunk], None] | None = None,
 ) -> Motion:
     """Integrate the motion from q, qd (n,) at time 0 under the inputs of `drive`; call `show` with the time reached.
 
-    Driven joints move along `course`; without one they stand still. A failure on the way is no exception: `halt` of the
-    motion then describes why it ends early. Raises ValueError for arguments that do not fit, OpenError for a start
-    with open loops, ArgumentError for kernels that were not generated, DriveError for inputs without a value.
+    Driven joints move along `course`; without one they stand still. `watch` gets the steps as they are taken. A failure
+    on the way is no exception: `halt` of the motion then describes why it ends early. Raises ValueError for arguments
+    that do not fit, OpenError for a start with open loops, ArgumentError for kernels that were not generated, and
+    DriveError for inputs without a value.
     """
     start = _check(kernels, drive, q, qd, settings)
     is_closed = is_constrained(kernels.manifest)
@@ -83,6 +85,8 @@ def simulate(
             record.open(piece)
             for chunk in _timed(integrate(dynamics, piece, *record.last, settings, allowance), dynamics.effort):
                 record.add(chunk)
+                if watch is not None:
+                    watch(dynamics, piece, chunk)
                 show(float(chunk.t[-1]))
         except HaltError as error:
             halt = error.halt

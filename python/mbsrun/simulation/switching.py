@@ -33,10 +33,23 @@ from mbsrun.simulation import explicit
 from mbsrun.simulation.complementarity import WITHIN, ComplementarityError, solve_bounded
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.explicit import FREE_STEPS, PLACE, SPEED, STEPS, Brakes, Guard, Pair, Plant
+from mbsrun.simulation.explicit import FREE_STEPS, STEPS, Brakes, Pair, Plant
 from mbsrun.simulation.holding import Forces
 from mbsrun.simulation.joints import SLACK, Joints
-from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Kind, Mode, Segment, Settings
+from mbsrun.simulation.motion import (
+    PLACE,
+    SPEED,
+    Chunk,
+    Event,
+    Guard,
+    Halt,
+    HaltError,
+    Jump,
+    Kind,
+    Mode,
+    Segment,
+    Settings,
+)
 from mbsrun.simulation.steps import count_steps, describe_singularity, place_steps
 
 Array = NDArray[np.float64]
@@ -75,6 +88,8 @@ class _Course:
         self.stalled, self.time = 0, -1.0
         self.passed: tuple[Event, ...] = ()  # since the last chunk, with the energy that they took [J],
         self.loss = self.driven = 0.0  # and the work of driven joints
+        self.guards: tuple[Guard, ...] = ()
+        self.jumps: tuple[Jump, ...] = ()
 
     def follow(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
         """Go through a piece; yield the steps."""
@@ -133,7 +148,10 @@ class _Course:
             if done:
                 allowance.note(done - 1)
             time, state, first = float(times[done]), states[done], first + done
-            yield self.gather(piece, times[: done + 1], states[: done + 1], brakes)
+            chunk = self.gather(piece, times[: done + 1], states[: done + 1], brakes)
+            if is_event:
+                self.guards = (*self.guards, *(guards[k] for k in plant.fired))
+            yield chunk
             if halt is not None:
                 raise halt
             if is_event:
@@ -142,9 +160,10 @@ class _Course:
     def gather(self, piece: Piece, times: Array, states: Array, brakes: Brakes) -> Chunk:
         """Bundle steps with the motion within them, in their own mode."""
         assert self.modes is not None, "a mode was found"
-        segment = Segment(tuple(map(int, self.modes)), self.passed, self.loss, self.driven)
+        happened = self.passed, self.loss, self.driven, self.guards, self.jumps
+        segment = Segment(tuple(map(int, self.modes)), *happened)
         if len(times) > 1:
-            self.passed, self.loss, self.driven = (), 0.0, 0.0
+            self.passed, self.loss, self.driven, self.guards, self.jumps = (), 0.0, 0.0, (), ()
         q, qd = np.split(states, [self.dynamics.places], axis=1)
         read = self.plant.make_dense(piece, times[:-1], states[:-1])
 
@@ -179,6 +198,7 @@ class _Course:
             impact = self.hit(time, piece, q, qd, M, sides_now)
             qd, self.loss, self.driven = impact.qd, self.loss + impact.loss, self.driven + impact.driven
             events += impact.events
+            self.jumps = (*self.jumps, impact.jump)
         else:
             finding = f"{MOST} impacts at one time"
             raise HaltError(Halt(time, None, finding, "change a restitution a little"))
@@ -239,7 +259,8 @@ class _Course:
             for i, pair in zip(touching, np.stack((qd, after), axis=1)[touching], strict=True)
             if sides[i] * qd[i] < 0 or i in touching[hit]
         )
-        return _Impact(after, events, loss, driven)
+        jump = Jump(qd, after, tuple(map(int, touching[hit])), tuple(map(float, restitution[touching[hit]])))
+        return _Impact(after, events, loss, driven, jump)
 
     def decide(
         self, time: float, q: Array, qd: Array, v: Array, M: Array, sides: NDArray[np.int_]
@@ -297,6 +318,7 @@ class _Impact:
     events: tuple[Event, ...]
     loss: float
     driven: float  # work of driven joints
+    jump: Jump
 
 
 def _name_change(old: int, new: int) -> Kind | None:

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from mbsgen.expressions import parse
 from mbsrun import Mechanism, cli, load
 from mbsrun.models import INTEGRATED, Extent
-from mbsrun.simulation import Course, Kind, Mode, Motion, Settings, control, simulate
+from mbsrun.simulation import Course, Drive, Kind, Mode, Motion, Settings, control, differentiate, simulate
 from mbsrun.simulation.complementarity import ComplementarityError, solve_bounded
 from mbsrun.simulation.drive import express, hold
 from tests.mbsrun.simulation.conftest import MODELS
@@ -444,3 +444,82 @@ def test_tables_hold_modes_losses_and_events(run: Callable[..., tuple[object, st
     assert {event["event"] for event in summary["events"]} >= {"hits", "rests", "reverses"}
     assert summary["energy"]["impacts"] > 0
     assert summary["events"][-1]["event"] == "rests"
+
+
+def difference(kernels: Mechanism, drive: Drive, start: Array, settings: Settings) -> Array:
+    """Differentiate the end of a motion by its start, by central differences."""
+    count, step, columns = len(kernels.manifest.positions), 1e-6, []
+    for shift in step * np.eye(len(start)):
+        ends = [simulate(kernels, drive, *np.split(start + sign * shift, [count]), settings) for sign in (1, -1)]
+        forward, back = (np.concatenate((motion.q[-1], motion.qd[-1])) for motion in ends)
+        columns.append((forward - back) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def test_the_derivative_through_an_impact_is_the_closed_form(make: Make) -> None:
+    """A ball from h with velocity w hits at s, h + w s = g s^2/2; then it is at r e (g s - w) - g r^2/2, r = T - s."""
+    e, h, w, end = 0.5, 1.0, 0.3, 0.8
+    ball = slide(make, f"limits: [0, null], stops: {{restitution: {e}}}, actuated: false", "z", 1.0)
+    found = differentiate(ball, hold([]), [h], [w], Settings(end, **TIGHT))
+    s = (w + np.sqrt(w**2 + 2 * G * h)) / G
+    by_h, by_w = 1 / (G * s - w), s / (G * s - w)  # of s
+    rest = end - s
+    position = [(-e * (G * s - w) + rest * e * G + G * rest) * d - rest * e * own for d, own in ((by_h, 0), (by_w, 1))]
+    velocity = [(e * G + G) * d - e * own for d, own in ((by_h, 0), (by_w, 1))]
+    assert found.finding is None
+    assert found.slopes == pytest.approx(np.array([position, velocity]), abs=1e-11)
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_derivatives_through_random_events_are_the_differences(seed: int, make: Make) -> None:
+    """Impacts, rest, stick, slip and reversal in trees of three joints."""
+    tree, start = make(draw_tree(seed, 3)), np.full(6, 0.01)
+    start[3:] = np.random.default_rng(seed).normal(size=3)
+    settings = Settings(0.6, **TIGHT)
+    found = differentiate(tree, hold([]), start[:3], start[3:], settings)
+    assert found.finding is None
+    assert len(found.motion.events) > 3
+    assert found.slopes == pytest.approx(difference(tree, hold([]), start, settings), abs=2e-7)
+
+
+def test_derivatives_pass_a_slip_whose_load_grows_with_time(make: Make) -> None:
+    block = slide(make, "friction: {torque: 3, static: 5}, stiffness: 40", mass=1.0)
+    drive, settings = express([parse("12*sin(2*t)")], ["u"], {}), Settings(4.0, **TIGHT)
+    found = differentiate(block, drive, [0.1], [0.5], settings)
+    assert {Kind.SLIP, Kind.STICK} <= {event.kind for event in found.motion.events}
+    assert found.slopes == pytest.approx(difference(block, drive, np.array([0.1, 0.5]), settings), abs=1e-7)
+
+
+def test_a_grazing_event_and_two_at_once_have_a_finding(make: Make) -> None:
+    ball = slide(make, "limits: [0, null], stops: {restitution: 0.5}, actuated: false", "z", 1.0)
+    upward = slide(make, "limits: [null, 1], stops: {restitution: 0.5}, actuated: false", "z", 1.0)
+    grazing = differentiate(upward, hold([]), [0.0], [np.sqrt(2 * G) * (1 + 1e-13)], Settings(0.8, **TIGHT))
+    assert grazing.finding is not None
+    assert "joint block grazes at t = 0.4515" in grazing.finding
+    twins = """
+name: twins
+gravity: [0, 0, -9.81]
+bodies:
+  - name: a
+    joint: {type: prismatic, axis: z, limits: [0, null], stops: {restitution: 0.5}}
+    mass: 1
+  - name: b
+    joint: {type: prismatic, axis: z, limits: [0, null], stops: {restitution: 0.5}}
+    mass: 1
+"""
+    found = differentiate(make(twins), hold([0.0, 0.0]), [1.0, 1.0], [0.0, 0.0], Settings(0.6))
+    assert found.finding is not None
+    assert "several joints switch at once at t = 0.45" in found.finding
+    assert np.isnan(found.slopes).all()
+    with pytest.raises(ValueError, match="radau is not differentiated"):
+        differentiate(ball, hold([]), [1.0], [0.0], Settings(0.5, "radau"))
+    with pytest.raises(ValueError, match="follow the state"):
+        differentiate(ball, control(lambda *_: []), [1.0], [0.0], Settings(0.5))
+
+
+def test_a_motion_without_events_has_the_derivative_of_its_steps(make: Make) -> None:
+    """Of a smooth pendulum too, and of a body with a quaternion."""
+    rod = make(PENDULUM.format(options="damping: 0.1"))
+    settings = Settings(2.0, **TIGHT)
+    found = differentiate(rod, hold([]), [1.0], [0.5], settings)
+    assert found.slopes == pytest.approx(difference(rod, hold([]), np.array([1.0, 0.5]), settings), abs=1e-8)
