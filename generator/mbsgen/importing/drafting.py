@@ -347,7 +347,7 @@ class Draft:
         return joints[0] if len(joints) == 1 else tuple(joints)
 
     def _let_switch(self, joint: Joint) -> Joint:
-        """Give a joint dry friction and stops, by the choices."""
+        """Return a joint with dry friction and stops, by the choices."""
         smooth = joint.law.friction
         if self.choices.dry_friction and smooth is not None:
             joint = replace(joint, law=replace(joint.law, friction=None), dry=DryFriction(smooth.torque))
