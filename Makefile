@@ -108,7 +108,7 @@ bench-loops: $(VENV)/installed-bench
 bench-batches: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.batches $(BENCH)
 
-# Kernels on a GPU of NVIDIA, beside frax: a minute. Where there is none, it says so, and writes nothing.
+# Kernels on a GPU of NVIDIA, beside frax, MJX and MuJoCo Warp where they are installed: minutes. Where there is none, it says so, and writes nothing.
 bench-gpu: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.gpu $(BENCH)
 
