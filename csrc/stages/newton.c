@@ -18,6 +18,7 @@
 #define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
+#define HOPELESS ((real)1e8) /* where so much does not help, digits are lost by the price of hard rows */
 #define FREE ((real)1e20)
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
@@ -148,6 +149,15 @@ static real first_curvature(real before)
     return before / 3 > LEAST ? before / 3 : LEAST;
 }
 
+/* Let rows be soft where no curvature makes hard ones convex. */
+static int softens(mbs_stages *s, const mbs_stages_phase *p, real regular)
+{
+    if (!MBS_STAGES_SEARCHES || p->elastic || s->softening != MBS_STAGES_HARD || regular < HOPELESS)
+        return 0;
+    s->softening = MBS_STAGES_SOFTENED;
+    return 1;
+}
+
 /* Factorise, with as little added curvature as convexity needs; returns -1 if no amount is enough.
  *
  * A stage lacks curvature because of itself and of later stages. The option `by_stage` adds it to these alone. */
@@ -159,6 +169,11 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
     int inner = p->cautious || s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */
+        if (softens(s, p, regular)) {
+            regular = 0;
+            first = s->problem->stages;
+            continue;
+        }
         if (regular == 0)
             regular = first_curvature(before);
         else if (k >= first)

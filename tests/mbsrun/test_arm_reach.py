@@ -74,6 +74,18 @@ def test_the_papers_task_with_generated_kernels(generated: tuple[Problem, Mechan
         assert check.defect < 1e-9
 
 
+@pytest.mark.parametrize(("height", "cost"), [(-0.1, 15126.9986), (0.0, 38159.2981), (0.02, 38069.0180)])
+def test_targets_before_the_base_are_reached(generated: tuple[Problem, Mechanism], height: float, cost: float) -> None:
+    """Rows at the end that hold exactly take all digits of curvature there, until they are soft; IPOPT's optima."""
+    problem, mechanism = generated
+    sensor = problem.end.sensors[0][0]
+    alone = replace(problem.solver, method="mbs", fallback=False)
+    outcome = solve(replace(problem.with_target(sensor, (0.63, 0.0, height)), solver=alone), mechanism)
+    assert isinstance(outcome, Solution)
+    assert outcome.run.iterations <= 30
+    assert outcome.cost.total == pytest.approx(cost, rel=1e-7)
+
+
 def test_a_model_with_faults_is_refused_with_all_of_them(tmp_path: Path) -> None:
     """Faults of the problem file and of the model it names come in one error."""
     (tmp_path / "bad.yaml").write_text("name: bad\ngravity: [0, 0]\nbodies: []\n", "utf-8")

@@ -1,0 +1,203 @@
+"""Solve many problems of one kind: `python -m benchmarks.ocp.many -o FILE`; one by one, as cases, in C, and by IPOPT.
+
+All start from their own guesses, on one core, to the default tolerance; solutions are neither re-simulated nor refined.
+IPOPT has the same kernels and the project's linear solver, and solves a part of the problems: each K-th.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mbsrun
+from benchmarks.compilation import describe_machine
+from mbsrun.ocp.study import Targets
+from mbsrun.optimal.control import OptimalControl
+from mbsrun.optimal.many import change
+
+MODELS, OWN = Path(__file__).parents[2] / "models", Path(__file__).parents[1] / "models"
+PART = 8  # problems that IPOPT solves, at most
+AGREED = 1e-6  # relative difference of costs within which two optima are one
+
+Values = Mapping[str, Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Family:
+    """A problem, and the values of its keys."""
+
+    name: str
+    problem: OptimalControl
+    over: Values
+
+    @property
+    def count(self) -> int:
+        """Count the problems."""
+        return len(next(iter(self.over.values())))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Times of a problem [ms] by each way, and how they ended."""
+
+    family: str
+    count: int
+    solved: int
+    variables: int
+    iterations: float  # mean
+    alone: float
+    cases: float
+    threads: float  # as cases in two threads, of the clock
+    solver: float  # of these, in the solver in C
+    ipopt: float
+    agree: str  # of IPOPT's optima, how many are the same
+
+
+def swing_ups(count: int) -> Family:
+    """A cart-pole swings up to places from 0.5 to 1.5 m."""
+    problem = mbsrun.read_problem(MODELS / "cart_pole_swing_up.ocp.yaml")
+    assert isinstance(problem, OptimalControl), "it has no phases"
+    return Family("cart-pole swing-ups", problem, {"end.pose.cart": np.linspace(0.5, 1.5, count).tolist()})
+
+
+def flights(count: int) -> Family:
+    """A quadrotor flies to random places, from rest to rest."""
+    path = "(fz_rotors - 9.81)**2 + 100*(mx_rotors**2 + my_rotors**2 + mz_rotors**2)"
+    axes = [f"frame.{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")]
+    moment = {"range": [-1, 1], "guess": 0}
+    problem = mbsrun.problem(
+        OWN / "quadrotor.yaml",
+        horizon=2,
+        intervals=30,
+        degree=3,
+        cost={"running": [{"expression": path, "weight": 1}]},
+        wrenches={"rotors": {"force": [0, 0, {"range": [0, 25], "guess": 9.81}], "moment": [moment] * 3}},
+        end={"pose": dict.fromkeys(axes, 0), "velocity": "zero"},
+    )
+    places = np.random.default_rng(0).uniform(-1.5, 1.5, (count, 3)).tolist()
+    return Family(
+        "quadrotor flights", problem, {"end.pose": [dict(zip(axes, place, strict=False)) for place in places]}
+    )
+
+
+def reaches(count: int) -> Family:
+    """A Panda moves from its usual pose to random ones, from rest to rest, with least torque."""
+    start = [0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]
+    names = [f"panda_joint{k}" for k in range(1, 8)]
+    problem = mbsrun.problem(
+        OWN / "panda.yaml",
+        horizon=1,
+        intervals=40,
+        degree=3,
+        start={"pose": dict(zip(names, start, strict=True))},
+        end={"pose": dict(zip(names, start, strict=True)), "velocity": "zero"},
+    )
+    ends = np.array(start) + np.random.default_rng(1).uniform(-0.7, 0.7, (count, 7))
+    return Family(
+        "Panda's reaches", problem, {"end.pose": [dict(zip(names, end, strict=True)) for end in ends.tolist()]}
+    )
+
+
+def targets(count: int) -> Family:
+    """The paper's arm moves to the targets of its study, or to each k-th of them."""
+    problem = mbsrun.read_problem(MODELS / "arm_reach.ocp.yaml")
+    assert isinstance(problem, OptimalControl), "it has no phases"
+    azimuths, heights = np.linspace(-math.pi / 2, math.pi / 2, 21), np.linspace(-0.1, 0.1, 11)
+    grid = Targets(0.63, tuple(azimuths.tolist()), tuple(heights.tolist()))
+    sensor = problem.value.end.sensors[0][0]
+    points = [dict(zip("xyz", grid.position(place), strict=True)) for place in grid.places]
+    return Family("targets of the paper's arm", problem, {f"end.sensors.{sensor}": points[:: -(-len(points) // count)]})
+
+
+def measure(family: Family) -> Measured:
+    """Solve a family by all ways in turn."""
+    problem, over = family.problem, family.over
+    keys, rows = list(over), list(zip(*over.values(), strict=True))
+    named = problem.family
+    copies = [named.restate(change(named.name, named.data, dict(zip(keys, row, strict=True)))) for row in rows]
+    copies[0].solve(check=False)  # fills all caches
+    begin = time.perf_counter()
+    alone = [copy.solve(check=False) for copy in copies]
+    middle = time.perf_counter()
+    found = problem.solve_many(over, check=False)
+    after = time.perf_counter()
+    problem.solve_many(over, check=False, threads=2)
+    end = time.perf_counter()
+    assert [one.is_solved for one in alone] == found.is_solved.tolist(), "no result depends on the others"
+    step = -(-family.count // PART)
+    by_ipopt = problem.with_solver("ipopt").solve_many(
+        {key: values[::step] for key, values in over.items()}, check=False
+    )
+    costs, others = found.cost[::step], by_ipopt.cost
+    same = np.abs(costs - others) <= AGREED * np.abs(others)
+    solved = [one for one in found if one.is_solved]
+    runs = [one.solution.run for one in solved]
+    of_ipopt = [one.solution.run.seconds for one in by_ipopt if one.is_solved]
+    return Measured(
+        family.name,
+        family.count,
+        len(solved),
+        solved[0].solution.size.variables,
+        float(np.mean([run.iterations for run in runs])),
+        1e3 * (middle - begin) / family.count,
+        1e3 * (after - middle) / family.count,
+        1e3 * (end - after) / family.count,
+        1e3 * float(np.mean([run.seconds for run in runs])),
+        1e3 * float(np.mean(of_ipopt)),
+        f"{int(same.sum())} of {len(others)}",
+    )
+
+
+def write(rows: Sequence[Measured], machine: str) -> str:
+    """Write the page."""
+    first = ["problems", "", "solved", "variables", "iterations"]
+    columns = [*first, "one by one", "cases", "two threads", "solver", "IPOPT", "by ours", "same optimum"]
+    lines = [
+        "# Many problems of one kind",
+        "",
+        f"`python -m benchmarks.ocp.many` wrote this page: {machine}. Times are in ms a problem, by the clock, without",
+        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, and of these in the solver.",
+        "IPOPT has the same kernels and the project's linear solver, and solves some of the problems: its time is the",
+        "solver's, and its optima are compared.",
+        "",
+        f"| {' | '.join(columns)} |",
+        "|---" + "|---:" * (len(columns) - 1) + "|",
+    ]
+    for row in rows:
+        numbers = (row.alone, row.cases, row.threads, row.solver, row.ipopt)
+        shown = " | ".join(f"{x:.3g}" for x in numbers)
+        counts = f"{row.count} | {row.solved} | {row.variables} | {row.iterations:.0f}"
+        lines.append(f"| {row.family} | {counts} | {shown} | {row.ipopt / row.solver:.3g} | {row.agree} |")
+    lines += [
+        "",
+        "Each case is solved anew, so cases take as long as single solves. The solver computes with vectors within a",
+        "problem, over stages and columns, and not over problems.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure all families."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="four problems of each kind")
+    parser.add_argument("-o", type=Path, dest="out", help="the page to write; by default it is printed")
+    given = parser.parse_args()
+    counts = (4,) * 4 if given.quick else (256, 256, 64, 231)
+    kinds = (swing_ups, flights, reaches, targets)
+    rows = [measure(make(count)) for make, count in zip(kinds, counts, strict=True)]
+    page = write(rows, describe_machine())
+    if given.out is None:
+        print(page, end="")
+    else:
+        given.out.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
