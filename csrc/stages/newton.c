@@ -18,7 +18,7 @@
 #define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
-#define HOPELESS ((real)1e8) /* where so much does not help, digits are lost by the price of hard rows */
+#define HOPELESS ((real)1e8) /* where this does not help, the price of hard rows takes all digits */
 #define FREE ((real)1e20)
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
