@@ -19,7 +19,8 @@ from mbsrun.ocp.cases import Case, Outcome
 from mbsrun.ocp.checks import ProblemError, check_problem
 from mbsrun.ocp.multistart import Wish, solve_from_many
 from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.problem import Plants, list_one
+from mbsrun.ocp.optima.family import make_family
+from mbsrun.ocp.phases.problem import PhasedProblem, Plants, list_one
 from mbsrun.ocp.phases.solution import Guess, list_solution
 from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
 from mbsrun.ocp.plant import Plant
@@ -37,6 +38,7 @@ from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
+from mbsrun.optimal.layers import Differentiable, check_reads
 from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
 from mbsrun.optimal.naming import Source, list_left_out
 from mbsrun.optimal.phases import PhasedControl, load
@@ -293,6 +295,26 @@ class OptimalControl:
         """
         plants = Plants((self.plant,))
         return differentiate_solution(self._source, list_solution(solution.solution), plants, by, self.programs.find)
+
+    def differentiable(
+        self, numbers: Sequence[str], reads: Sequence[str] = ("u", "cost"), *, solution: Solved | None = None
+    ) -> Differentiable:
+        """Return the optimal motion as a function of numbers, by the names of `numbers`, for programs that learn.
+
+        `reads` are its results: `cost`, and parts of a motion: `q`, `qd`, `u`, `states`, `controls`, `unknowns`, `t`.
+        The function solves from `solution`, by default from the problem's own one. Its methods `jax` and `torch` return
+        it for these libraries. Raises ProblemError for names that are none, and for numbers that the program does not
+        follow in straight lines; NotSolvedError where the problem has no solution.
+        """
+        known = check_reads(self.name, reads)
+        found = self.solve(check=False) if solution is None else solution
+        answer = self.derivatives(found, numbers).answer
+
+        def state(values: Sequence[float]) -> PhasedProblem:
+            names = (number.name for number in answer.numbers)
+            return list_one(self.with_numbers(dict(zip(names, values, strict=True))).value)
+
+        return Differentiable(self.name, make_family(answer, state), known)
 
     @property
     def _source(self) -> Source:

@@ -34,6 +34,7 @@ from mbsrun.ocp.optima.symmetric import Factors
 from mbsrun.ocp.program import Matrix, Program
 
 WEAK = 1e-8  # a multiplier over the gradient, or a distance over the size, that says nothing
+CLEAR, SURE = 1e-3, 1e-5  # the larger one of a distance and a multiplier, at least; the smaller one, at most
 SMALL = 1e-10  # a step, over the size of a variable, after which Newton's method has ended ...
 ROUNDED = 1e-7  # ... or this, where steps do not become smaller any more
 FAR = 0.1  # a distance from the solution, over the size of a variable: it is another one
@@ -155,13 +156,20 @@ class _Search:
         self.row_size = np.ones(start.g_lower.size)
 
     def find(self, x: Array, multipliers: Array) -> Optimum:
-        """Run the search."""
-        begun = self._guess(x, self.scale * multipliers)
+        """Run the search; where the answer itself shows the active set beyond doubt, from there."""
+        lam = self.scale * multipliers
+        clear = self._read(x, lam)
+        found = None if clear is None else self._improve(x, lam, clear, self._no_limits)
+        if found is not None and found.status == SMOOTH and found.active.is_same(clear or found.active):
+            return found
+        begun = self._guess(x, lam)
         if isinstance(begun, str):
-            at, lam = self._evaluate(self.start.x), self.scale * multipliers
-            active = self._touch(at)
-            return self._end(at, lam, active, Active(0 * active.variables, 0 * active.rows), begun)
-        x, lam, active, weak = begun
+            at = self._evaluate(self.start.x)
+            return self._end(at, lam, self._touch(at), self._no_limits, begun)
+        return self._improve(*begun)
+
+    def _improve(self, x: Array, lam: Array, active: Active, weak: Active) -> Optimum:
+        """Solve the equations of an active set by Newton's method, and correct the set."""
         at, before, status = self._evaluate(x), np.inf, NOT_CONVERGED
         for _ in range(ROUNDS):
             hessian = self._curve(at.x, lam)
@@ -179,6 +187,25 @@ class _Search:
                 break
             active, before = corrected, step
         return self._end(at, lam, active, weak, status)
+
+    def _read(self, x: Array, lam: Array) -> Active | None:
+        """Return the active limits where distances and multipliers of the answer differ by far; None elsewhere."""
+        at, limits = self._evaluate(x), self.limits
+        most = float(np.abs(at.c).max(initial=0.0)) or 1.0
+        reach, zeta = np.maximum(1.0, np.abs(at.g)), at.c + at.J.T @ lam
+        found = [
+            _separate(x, limits.lower, limits.upper, zeta * self.size / most, self.size),
+            _separate(at.g, limits.least, limits.most, -lam * reach / most, reach),
+        ]
+        if any(sides is None for sides in found):
+            return None
+        variables, rows = (np.zeros(0, dtype=np.int8) if sides is None else sides for sides in found)
+        rows[(rows == 2) & _vanish(at.J, limits)] = 0
+        return Active(variables, rows)
+
+    @property
+    def _no_limits(self) -> Active:
+        return Active(np.zeros(self.size.size, np.int8), np.zeros(self.limits.least.size, np.int8))
 
     def _end(self, at: _Values, lam: Array, active: Active, weak: Active, status: str) -> Optimum:
         hessian = self._curve(at.x, lam)
@@ -296,6 +323,22 @@ def _choose(below: tuple[Array, Array], above: tuple[Array, Array], size: Array,
         active[(z > s) & ~is_weak] = sign
         weak[is_weak] = sign
     return active, weak
+
+
+def _separate(values: Array, lower: Array, upper: Array, force: Array, size: Array) -> Sides | None:
+    """Return the limits at which values are held by forces; None where a distance or a force leaves a doubt.
+
+    The force of a lower limit is positive.
+    """
+    sides = np.zeros(values.size, dtype=np.int8)
+    for sign, limits in ((-1, lower), (1, upper)):
+        open_ = np.isfinite(limits) & (lower < upper)
+        s, z = np.abs(values - limits)[open_] / size[open_], np.maximum(0.0, -sign * force[open_])
+        if ((s < CLEAR) & (z < CLEAR)).any() or ((s > SURE) & (z > SURE)).any():
+            return None
+        sides[np.flatnonzero(open_)[z > s]] = sign
+    sides[lower == upper] = 2
+    return sides
 
 
 def _vanish(J: sparse.csr_array, limits: Limits) -> NDArray[np.bool_]:

@@ -60,6 +60,7 @@ class Answer:
     guess: Guess  # the solution
     movement: Movement
     held: tuple[str, ...]  # these parameters
+    count: Callable[[PhasedProblem], Numbers]  # the numbers of the program for a problem of the same structure
 
     def list_unknowns(self, phase: int) -> list[str]:
         """List the unknowns of a phase that the problem has without these parameters."""
@@ -113,7 +114,8 @@ def ask(
     answer = outcome.x, outcome.multipliers
     optimum = find_optimum(program.numpy, program.data, start, 1 / (fixed.weight or 1.0), answer)
     movement = Movement(program, optimum, tuple(change for _, change in known))
-    return Answer(tuple(number for number, _ in known), solver, fixed, guess, movement, tuple(held))
+    asked = tuple(number for number, _ in known)
+    return Answer(asked, solver, fixed, guess, movement, tuple(held), lambda x: Numbers(*count(_adapt(x, base))))
 
 
 def _try(find: Callable[[], T], *, is_strict: bool) -> T | None:

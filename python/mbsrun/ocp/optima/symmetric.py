@@ -139,8 +139,11 @@ def _point(array: object, kind: object) -> object:
 
 
 def _find_scales(whole: sparse.csr_array) -> Array:
-    scales, magnitudes = np.ones(whole.shape[0]), abs(whole)
-    for _ in range(ROUNDS):
-        largest = (sparse.diags_array(scales) @ magnitudes @ sparse.diags_array(scales)).max(axis=1).toarray().ravel()
+    filled = np.flatnonzero(np.diff(whole.indptr))
+    row, col = np.repeat(np.arange(whole.shape[0]), np.diff(whole.indptr)), whole.indices
+    scales, magnitudes = np.ones(whole.shape[0]), np.abs(whole.data)
+    for _ in range(ROUNDS if magnitudes.size else 0):
+        largest = np.zeros(scales.size)
+        largest[filled] = np.maximum.reduceat(magnitudes * scales[row] * scales[col], whole.indptr[filled])
         scales = scales / np.sqrt(np.where(largest > 0, largest, 1.0))
-    return np.asarray(scales)
+    return scales

@@ -156,6 +156,10 @@ class PhasedSolver:
         known = self._complete(problem, guess)
         return self._call(problem, self._begin(problem, known, known, None))
 
+    def run(self, problem: PhasedProblem, start: Instance) -> Outcome:
+        """Run the method from numbers of the program, without a judge and without a second try."""
+        return self._call(problem, start)
+
     def number(self, problem: PhasedProblem, guess: Guess) -> Instance:
         """Return the numbers of the program for a problem of the same structure, with a complete guess on its grids."""
         problem = self._check(problem)
