@@ -120,6 +120,8 @@ def control(name: str) -> Iterator[Command]:
     yield Command("mbsrun", (*loop, "-o", "loop"), ("loop",))
     manifest = "controller/manifest.json"
     yield Command("mbsrun", (*loop, "--controller", "controller", "-o", "c"), ("c",), needs=manifest)
+    way = ("continue", problem, "--number", "horizon", "--to", "0.11", "-o", "way")
+    yield Command("mbsrun", way, ("way",), codes=(0, 1), draws=False)
     yield Command("mbsrun", ("sweep", problem, "--minutes", "0"))
     yield Command("mbsrun", ("study", problem, "--minutes", "0", "--workers", "0"))
 

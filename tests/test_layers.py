@@ -157,7 +157,7 @@ MBSRUN = Package(
         "ocp.optima.interior",
         "ocp.optima.point",
         "ocp.optima.movement",
-        "ocp.optima.questions",
+        "ocp.optima.neighbours ocp.optima.questions",
         "ocp.optima.family",
         "ocp.optima",
         "ocp.certificate ocp.sensitivity ocp.programs",
@@ -177,7 +177,7 @@ MBSRUN = Package(
         "optimal.quantities optimal.guessing",
         "optimal.expressions optimal.naming",
         "optimal.many optimal.derivatives",
-        "optimal.layers",
+        "optimal.layers optimal.continuation",
         "optimal.phases",
         "optimal.control",
         "optimal",
@@ -222,7 +222,8 @@ MBSRUN = Package(
         "commands.searching commands.failures commands.columns commands.derived",
         "commands.recorded commands.animated commands.robots",
         "commands.cases",
-        "commands.advise commands.animate commands.cache commands.chart commands.controller commands.cuda "
+        "commands.advise commands.animate commands.cache commands.chart commands.continue_ "
+        "commands.controller commands.cuda "
         "commands.fit_motion commands.fmu commands.identify commands.inverse commands.inverse_dynamics commands.lab "
         "commands.linearise commands.playground "
         "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",

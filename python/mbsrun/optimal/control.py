@@ -34,6 +34,7 @@ from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
 from mbsrun.ocp.solve import read_one, solve
 from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal import display
+from mbsrun.optimal.continuation import Continued, Stop, follow
 from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
@@ -276,6 +277,19 @@ class OptimalControl:
     def numbers(self) -> tuple[str, ...]:
         """List the names of all numbers of the problem that solutions may be differentiated by."""
         return self._source.list_names()
+
+    def read_number(self, name: str) -> float:
+        """Return the value of a number. Raises ProblemError for a name that is none."""
+        return self._source.find(name).value
+
+    def continue_to(
+        self, name: str, value: float, *, guess: GuessLike | None = None, watch: Callable[[Stop], None] | None = None
+    ) -> Continued:
+        """Solve the problem, and go on to another value of a number, from each solution to the next.
+
+        `watch` sees every solve on the way. Raises ProblemError for a name that is no number.
+        """
+        return follow(self, name, value, guess, watch)
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Raise ProblemError for a name that is no number of the problem."""

@@ -15,6 +15,8 @@ from mbsgen.errors import MbsError
 from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.optima.movement import measure_step, take_differences
+from mbsrun.ocp.optima.neighbours import Moved as Change
+from mbsrun.ocp.optima.neighbours import move_one_sided, predict
 from mbsrun.ocp.optima.questions import Answer, ask
 from mbsrun.ocp.optima.status import SENTENCES, SMOOTH
 from mbsrun.ocp.phases.problem import Plants
@@ -90,6 +92,39 @@ class Derivatives:
         cost = sum(rate * self.cost[name] for name, rate in direction.items())
         return Moved(tuple(self._unpack(dx)), float(cost))
 
+    def one_sided(self, direction: Mapping[str, float]) -> Moved:
+        """Return the derivatives of the whole motion where numbers begin to change in a direction, and not back.
+
+        They exist where limits are weakly active, too, which `by` and `along` refuse. Raises NoDerivativeError,
+        ProblemError for a name that is none.
+        """
+        movement, rates = self.answer.movement, self._list_rates(direction)
+        return self._give(move_one_sided(movement, rates), rates, "one-sided derivative")
+
+    def predict(self, changes: Mapping[str, float], *, active_set: bool = True) -> Moved:
+        """Return the change of the motion for finite changes of numbers, to first order.
+
+        With `active_set`, limits become active and inactive on the way, as in a quadratic program at the solution;
+        else the prediction is tangential. Raises NoDerivativeError, ProblemError for a name that is none.
+        """
+        if not active_set:
+            return self.along(changes)
+        movement, rates = self.answer.movement, self._list_rates(changes)
+        return self._give(predict(movement, rates), rates, "prediction")
+
+    def _list_rates(self, direction: Mapping[str, float]) -> list[float]:
+        rates = [0.0] * len(self.names)
+        for name, rate in direction.items():
+            rates[self._look(name)] = float(rate)
+        return rates
+
+    def _give(self, found: Change, rates: Sequence[float], what: str) -> Moved:
+        if found.status != SMOOTH:
+            raise NoDerivativeError(f"{self.name} has no {what} ({found.status}): {SENTENCES[found.status]}")
+        costs = self.answer.movement.find_costs()
+        cost = sum(rate * cost for rate, cost in zip(rates, costs.tolist(), strict=True) if rate)
+        return Moved(tuple(self._unpack(found.dx)), float(cost), found.changes)
+
     def pull(self, weights: Mapping[str, Any], phase: str = "") -> MappingProxyType[str, float]:
         """Return the derivatives of a sum of products, by each number: one solve with the factors for all of them.
 
@@ -111,12 +146,15 @@ class Derivatives:
         rows |= {f"d cost / d {name}": f"{value:.8g}" for name, value in self.cost.items()}
         return display.write_text(f"derivatives of {self.name}", rows)
 
-    def _find(self, name: str) -> int:
+    def _look(self, name: str) -> int:
         if name not in self.names:
             meant = nearest(name, self.names)
             remedy = f"did you mean {meant}?" if meant else f"there are {', '.join(self.names)}"
             raise ProblemError(self.name, [(name, "the derivatives have no such number", remedy)])
-        k = self.names.index(name)
+        return self.names.index(name)
+
+    def _find(self, name: str) -> int:
+        k = self._look(name)
         status = self.answer.movement.find_status(k)
         if status != SMOOTH:
             raise NoDerivativeError(f"{self.name} has no derivative by {name} ({status}): {SENTENCES[status]}")
@@ -135,7 +173,18 @@ class Derivatives:
         found, count = take_differences(read, measure_step(dx, x)), len(names)
         parts = [found[i : i + count] for i in range(0, len(found), count)]
         moved = [Trajectory(**dict(zip(names, part, strict=True))) for part in parts]
-        return [replace(x, unknowns=x.unknowns[: self._count_own(k)]) for k, x in enumerate(moved)]
+        return [self.trim(k, motion) for k, motion in enumerate(moved)]
+
+    def trim(self, phase: int, motion: Trajectory) -> Trajectory:
+        """Return a motion without the parameters that are held as unknowns."""
+        return replace(motion, unknowns=motion.unknowns[: self._count_own(phase)])
+
+    def read_unknowns(self, x: Array) -> tuple[tuple[str, float], ...]:
+        """Return the unknowns of the problem by name, off the variables that a solver sees."""
+        answer = self.answer
+        places = answer.solver.transcription.list_unknowns(answer.problem)
+        seen = {name: answer.solver.transcription.see(at)[0] for name, at in places.items()}
+        return tuple((name, float(x[k])) for name, k in seen.items() if name not in answer.held)
 
     def _count_own(self, phase: int) -> int:
         """Count the unknowns of a phase without the parameters that are held as such."""
@@ -235,6 +284,7 @@ class Moved:
 
     phases: tuple[Trajectory, ...]
     cost: float
+    changes: int = 0  # of the active set, in a prediction
 
     @property
     def trajectory(self) -> Trajectory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -42,6 +42,7 @@ from mbsrun.ocp.refinement import refine_phases
 from mbsrun.ocp.runs import Watch
 from mbsrun.ocp.solution import Failure
 from mbsrun.optimal import display
+from mbsrun.optimal.continuation import Continued, Stop, follow
 from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
 from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
@@ -331,6 +332,19 @@ class PhasedControl:
     def numbers(self) -> tuple[str, ...]:
         """List the names of all numbers of the problem that solutions may be differentiated by."""
         return self._source.list_names()
+
+    def read_number(self, name: str) -> float:
+        """Return the value of a number. Raises ProblemError for a name that is none."""
+        return self._source.find(name).value
+
+    def continue_to(
+        self, name: str, value: float, *, guess: PhasedGuess | None = None, watch: Callable[[Stop], None] | None = None
+    ) -> Continued:
+        """Solve the problem, and go on to another value of a number, from each solution to the next.
+
+        `watch` sees every solve on the way. Raises ProblemError for a name that is no number.
+        """
+        return follow(self, name, value, guess, watch)
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Raise ProblemError for a name that is no number of the problem."""

@@ -15,6 +15,7 @@ from mbsrun.ocp.checks import ProblemError
 from mbsrun.ocp.functions import Array
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH, SPLIT, STUCK
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal.continuation import TURNING
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.derivatives import PARTS, NoDerivativeError
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases
@@ -175,6 +176,140 @@ def differentiate_by_casadi(N: int, d: int, T: float) -> tuple[Array, Array]:
     whole = solver.factory("derivative", solver.name_in(), ["jac:x:p", "jac:f:p"])
     derivative = whole(**known, x0=found["x"], lam_x0=found["lam_x"], lam_g0=found["lam_g"])
     return derivative["jac_x_p"].full()[-N:], derivative["jac_f_p"].full().ravel()
+
+
+# --- neighbours ---
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_one_sided_derivatives_are_differences_to_that_side(sign: float) -> None:
+    """At a weakly active bound; the program is quadratic, so its solution is straight on either side for a while."""
+    free = solve(slide())
+    problem = slide(controls={"a": {"range": [None, float(free["a"].max())]}})
+    found = solve(problem)
+    derivatives = problem.derivatives(found, ["states.x.end", "controls.a.range.upper"])
+    assert derivatives.status == CHANGING
+    for number in derivatives.answer.numbers:
+        one, two = (solve(problem.with_numbers({number.name: number.value + k * sign * 1e-2})) for k in (1, 2))
+        expected = (two.trajectory.controls - one.trajectory.controls) / 1e-2
+        moved = derivatives.one_sided({number.name: sign}).trajectory.controls
+        assert moved == pytest.approx(expected, abs=1e-5)
+
+
+def test_predictions_of_a_quadratic_program_are_exact() -> None:
+    """Limits become active and inactive on the way; the tangent alone is far off."""
+    problem = slide(controls={"a": {"range": [-5.2, 5.2]}})
+    found = solve(problem)
+    derivatives = problem.derivatives(found, ["states.x.end", "controls.a.range.upper"])
+    for change, changes in (
+        ({"states.x.end": 0.1}, 2),
+        ({"states.x.end": -0.3}, 4),
+        ({"controls.a.range.upper": 1}, 2),
+    ):
+        values = {x.name: x.value + change.get(x.name, 0.0) for x in derivatives.answer.numbers}
+        expected = solve(problem.with_numbers(values)).trajectory.controls - found.trajectory.controls
+        predicted = derivatives.predict(change)
+        assert predicted.changes == changes
+        assert predicted.trajectory.controls == pytest.approx(expected, abs=1e-8)
+        tangent = derivatives.predict(change, active_set=False).trajectory.controls
+        assert np.abs(tangent - expected).max() > 0.1
+
+
+def test_a_way_along_a_number_ends_in_the_solution_there() -> None:
+    """A pole is swung up farther; the way has the optimum of a solve from the way's end, and shows every step."""
+    problem = mbsrun.read_problem(MODELS / "cart_pole_swing_up.ocp.yaml")
+    assert isinstance(problem, OptimalControl)
+    shown: list[float] = []
+    found = problem.continue_to("end.pose.cart", 1.6, watch=lambda stop: shown.append(stop.value))
+    assert found.is_reached
+    assert found.value == 1.6
+    assert shown == [stop.value for stop in found.stops]
+    assert shown[0] == 1.0
+    assert all(stop.defect < 1e-6 for stop in found.stops if stop.is_taken)
+    again = problem.with_numbers({"end.pose.cart": 1.6}).solve(guess=found.solution, check=False)
+    assert found.solution.cost == pytest.approx(again.cost, rel=1e-7)
+
+
+def test_a_turning_point_is_noticed() -> None:
+    """Bratu's equation x'' + k exp(x) = 0, x(0) = x(1) = 0 has no solution beyond k = 3.513830719 (literature)."""
+    states = {
+        "x": {"rate": "v", "start": 0, "end": 0},
+        "v": {"rate": "-k*exp(x)", "start": [None, None], "end": [None, None]},
+    }
+    found = slide(constants={"k": 1.0}, states=states).continue_to("constants.k", 5.0)
+    assert found.status == TURNING
+    assert found.turning == pytest.approx(3.513830719, abs=1e-4)
+    assert "turn back" in repr(found)
+    failed = slide(controls={"a": {"range": [-1, 1]}}).continue_to("states.x.end", 2.0)
+    assert not failed.is_reached
+    with pytest.raises(ProblemError, match="give a finite one"):
+        slide().continue_to("states.x.end", math.inf)
+
+
+# --- functions of programs that learn ---
+
+
+def test_a_layer_has_the_values_and_the_derivatives_of_solves() -> None:
+    """Of a batch, in NumPy, JAX and PyTorch: a loss, and its gradient by differences of order four."""
+    jax, torch = pytest.importorskip("jax"), pytest.importorskip("torch")
+    problem = mbsrun.read_problem(MODELS / "track" / "cart_pole.ocp.yaml").with_changes(solver=TIGHT)
+    assert isinstance(problem, OptimalControl)
+    layer = problem.differentiable(["start.pose.pole", "cost.running[0].weight"], ["u", "cost"])
+    assert layer.names == ("start.pose.pole", "cost.running[0].weight")
+    values = np.stack([layer.values, layer.values * [1.1, 0.9]])
+    found = layer(values)
+    assert found["u"].shape == (2, *layer.shapes["u"])
+    there = problem.with_numbers(dict(zip(layer.names, values[1].tolist(), strict=True)))
+    other = there.solve(check=False, guess=solve(problem))
+    assert isinstance(other, Solved)
+    assert found["cost"][1] == pytest.approx(other.cost, rel=1e-9)
+    assert found["u"][1] == pytest.approx(other.trajectory.u, abs=1e-6)
+
+    def loss(found: Any) -> Any:
+        return (found["u"][..., 0, 0] ** 2).sum() + found["cost"].sum()
+
+    expected = np.zeros_like(values)
+    for index in np.ndindex(*values.shape):
+        h = 1e-3 * values[index]
+        moved = [values.copy() for _ in range(4)]
+        for k, d in enumerate((-2, -1, 1, 2)):
+            moved[k][index] += d * h
+        a, b, c, d = (float(loss(layer(x))) for x in moved)
+        expected[index] = (8 * (c - b) - (d - a)) / (12 * h)
+    with jax.enable_x64(True):
+        function = layer.jax()
+        own = jax.jit(jax.grad(lambda x: loss(function(x))))(jax.numpy.asarray(values))
+        each = jax.vmap(jax.grad(lambda x: loss(function(x))))(jax.numpy.asarray(values))
+    assert np.asarray(own) == pytest.approx(expected, rel=1e-5)
+    assert np.asarray(each) == pytest.approx(expected, rel=1e-5)
+    tensor = torch.tensor(values, requires_grad=True)
+    loss(layer.torch()(tensor)).backward()
+    assert tensor.grad.numpy() == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_layer_has_no_numbers_where_there_are_none() -> None:
+    """A start that no input of the range brings to its end, and a bound that is about to act; bad questions."""
+    most = float(solve(slide())["a"].max())
+    layer = slide(controls={"a": {"range": [None, 5.0]}}).differentiable(
+        ["states.x.end", "controls.a.range.upper"], ["controls", "cost"]
+    )
+    found = layer([[1.0, 5.0], [9.0, 1.0], [1.0, most]])
+    assert np.isfinite(found["cost"]).tolist() == [True, False, True]
+    weights = {"controls": np.ones((3, 20, 1))}
+    assert np.isnan(layer.pull([[1.0, 5.0], [9.0, 1.0], [1.0, most]], weights)).all(axis=1).tolist() == [
+        False,
+        True,
+        True,
+    ]
+    assert layer.find_status(np.array([1.0, most])) == CHANGING
+    assert layer.find_status(np.array([9.0, 1.0])) == "Infeasible_Problem_Detected"
+    with pytest.raises(ProblemError, match=r"the shape \(3,\); give \(\.\.\., 2\)"):
+        layer([1, 2, 3])
+    with pytest.raises(ProblemError, match="no part of a motion"):
+        slide().differentiable(["states.x.end"], ["force"])
+    products = slide(constants={"b": 2, "c": 0.5}, states={"x": {"end": "b*c"}})
+    with pytest.raises(ProblemError, match="do not follow them in straight lines"):
+        products.differentiable(["constants.b", "constants.c"])
 
 
 # --- no derivative ---

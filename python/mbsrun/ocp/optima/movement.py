@@ -119,13 +119,22 @@ class Movement:
             found.append(total / optimum.scale if self._statuses[k] in (SMOOTH, CHANGING) else np.nan)
         return np.array(found)
 
+    def combine(self, rates: Array) -> Numbers:
+        """Return the derivatives of the program's numbers where the problem's change at given rates."""
+        pairs = zip(rates.tolist(), self._given, strict=True)
+        moving = [[rate * part for part in change.parts] for rate, change in pairs if rate]
+        return Numbers(*(np.sum(parts, axis=0) for parts in zip(*moving, strict=True))) if moving else self._nothing
+
+    @property
+    def _nothing(self) -> Numbers:
+        at = self.optimum.instance
+        parts = at.parameters, at.lower, at.upper, at.g_lower, at.g_upper
+        return Numbers(*(np.zeros(part.size) for part in parts))
+
     @cached_property
     def _given(self) -> tuple[Numbers, ...]:
         """The changes, and zeros for the ones that are not known."""
-        at = self.optimum.instance
-        parts = at.parameters, at.lower, at.upper, at.g_lower, at.g_upper
-        nothing = Numbers(*(np.zeros(part.size) for part in parts))
-        return tuple(change or nothing for change in self.changes)
+        return tuple(change or self._nothing for change in self.changes)
 
     @property
     def _weights(self) -> int:
@@ -164,14 +173,14 @@ class Movement:
         """The right sides, (free variables and active rows, numbers)."""
         optimum, active = self.optimum, self.optimum.active
         free, held, chosen = active.free, active.held, active.chosen
-        forces = [self._push(change) for change in self._given]
+        forces = [self.push(change) for change in self._given]
         moved = _stack([force for force, _ in forces], optimum.x.size)
         rows = _stack([row for _, row in forces], optimum.multipliers.size)
         upper = -moved[free] - optimum.hessian.tocsr()[free][:, held] @ self._held
         lower = self._limits - rows[chosen] - optimum.jacobian.tocsr()[chosen][:, held] @ self._held
         return np.concatenate((upper, lower))
 
-    def _push(self, change: Numbers) -> tuple[Array, Array]:
+    def push(self, change: Numbers) -> tuple[Array, Array]:
         """Return the derivatives of grad L and of g at constant x."""
         optimum = self.optimum
         weights, constants = np.split(change.parameters, [self._weights])
@@ -187,9 +196,9 @@ class Movement:
 
     @cached_property
     def _statuses(self) -> list[str]:
-        return [self._examine(k) for k in range(len(self.changes))]
+        return [self.examine(k) for k in range(len(self.changes))]
 
-    def _examine(self, k: int) -> str:
+    def examine(self, k: int) -> str:
         """Find what keeps number k from having derivatives, where the optimum itself has some."""
         if self.changes[k] is None:
             return SPLIT
@@ -204,7 +213,7 @@ class Movement:
             if (np.abs(lower - upper)[sides == 2] > SAME * largest).any():
                 return SPLIT
         idle = (limits.least == limits.most) & (active.rows == 0)
-        moved = change.least[idle] - self._push(change)[1][idle]
+        moved = change.least[idle] - self.push(change)[1][idle]
         apart = change.most[idle] - change.least[idle]
         if max(np.abs(moved).max(initial=0.0), np.abs(apart).max(initial=0.0)) > SAME * largest:
             return STUCK

@@ -125,6 +125,7 @@ class Optimum:
     jacobian: Matrix = field(repr=False)
     hessian: Matrix = field(repr=False)  # whole
     gradient: Array = field(repr=False)  # of the scaled cost
+    values: Array = field(repr=False)  # g
     moved: float = 0.0  # from the solution, over sizes
 
 
@@ -173,7 +174,7 @@ class _Search:
         at, before, status = self._evaluate(x), np.inf, NOT_CONVERGED
         for _ in range(ROUNDS):
             hessian = self._curve(at.x, lam)
-            factors = Factors(_assemble(hessian, at.J, active))
+            factors = Factors(assemble(hessian, at.J, active))
             if factors.is_singular:
                 return self._end(at, lam, active, weak, DEPENDENT)
             x, lam = self._step(at, lam, active, hessian, factors)
@@ -209,7 +210,7 @@ class _Search:
 
     def _end(self, at: _Values, lam: Array, active: Active, weak: Active, status: str) -> Optimum:
         hessian = self._curve(at.x, lam)
-        factors = Factors(_assemble(hessian, at.J, active))
+        factors = Factors(assemble(hessian, at.J, active))
         moved = float((np.abs(at.x - self.start.x) / self.size).max(initial=0.0))
         if status == SMOOTH and not moved <= FAR:
             status = NOT_CONVERGED
@@ -219,7 +220,7 @@ class _Search:
         zeta[active.free] = 0.0
         return Optimum(
             at.x, lam, zeta, active, weak, self.limits, self.start, self.scale, status,
-            factors, Matrix(at.J), hessian, at.c, moved,
+            factors, Matrix(at.J), hessian, at.c, at.g, moved,
         )  # fmt: skip
 
     def _evaluate(self, x: Array) -> _Values:
@@ -306,7 +307,7 @@ def _judge(factors: Factors, active: Active, weak: Active) -> str:
     return CHANGING if weak.variables.any() or weak.rows.any() else SMOOTH
 
 
-def _assemble(hessian: Matrix, J: sparse.csr_array, active: Active) -> Matrix:
+def assemble(hessian: Matrix, J: sparse.csr_array, active: Active) -> Matrix:
     """Return the lower triangle of K."""
     free, chosen = active.free, active.chosen
     H = sparse.tril(hessian.tocsr()[free][:, free])
