@@ -129,6 +129,7 @@ MBSRUN = Package(
         "identification.structure identification.reading identification.physical",
         "identification.estimation identification.writing identification.pictures",
         "identification.identify",
+        "identification.excitation",
         "identification",
         "ocp.conditions ocp.optimality ocp.quantities ocp.rewriting",
         "ocp.backends ocp.structure ocp.stages ocp.given ocp.driving",
@@ -224,8 +225,8 @@ MBSRUN = Package(
         "commands.cases",
         "commands.advise commands.animate commands.cache commands.chart commands.continue_ "
         "commands.controller commands.cuda "
-        "commands.fit_motion commands.fmu commands.identify commands.inverse commands.inverse_dynamics commands.lab "
-        "commands.linearise commands.playground "
+        "commands.excite commands.fit_motion commands.fmu commands.identify commands.inverse commands.inverse_dynamics "
+        "commands.lab commands.linearise commands.playground "
         "commands.range commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mbsrun.controllers.loading import Controller, controller
     from mbsrun.external import Mechanism, load
+    from mbsrun.identification.excitation import excite
     from mbsrun.identification.identify import identify
     from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
@@ -19,6 +20,7 @@ __all__ = [
     "OptimalControl",
     "ProblemError",
     "controller",
+    "excite",
     "identify",
     "load",
     "problem",
@@ -30,6 +32,7 @@ _MODULES = {
     **dict.fromkeys(("Controller", "controller"), "controllers.loading"),
     **dict.fromkeys(("Mechanism", "load"), "external"),
     "ProblemError": "ocp.checks",
+    "excite": "identification.excitation",
     "identify": "identification.identify",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
     "rollout": "rollouts",

@@ -41,6 +41,7 @@ COMMANDS = {
     "Recorded motions": (
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers."),
         Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
+        Entry("excite", "MODEL", "Design motions that determine inertias and frictions."),
         Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
     "Other programs": (
