@@ -40,6 +40,7 @@ class Weighing:
     median: float  # error, relative
     largest: float
     deviation: float  # as the estimate states it, relative
+    count: int  # of the recordings
 
 
 def main() -> None:
@@ -108,7 +109,7 @@ def weigh(body: str, motion: tuple[Array, Array, Array], count: int) -> Weighing
             return None
     errors = [abs(x.value / x.before - 1) for x in masses]
     mass = masses[0].before
-    return Weighing(body, mass, float(np.median(errors)), max(errors), masses[0].deviation / mass)
+    return Weighing(body, mass, float(np.median(errors)), max(errors), masses[0].deviation / mass, count)
 
 
 def write_page(
@@ -143,7 +144,7 @@ def write_page(
             "## Masses of links",
             "",
             "No mass is a base parameter of a Panda: masses enter sums. The table has links whose mass is determined",
-            "where the numbers of all other links are known. Each is weighed from several recordings.",
+            f"where the numbers of all other links are known. Each is weighed from {weighings[0].count} recordings.",
             "",
             *tabulate(("link", "mass [kg]", "median error [%]", "largest [%]", "standard deviation [%]"), masses),
             "",
@@ -153,8 +154,8 @@ def write_page(
             "",
             "## Regions of 95 %",
             "",
-            f"Of {recordings} recordings of one motion with different noise, so many have the true numbers within the",
-            "ellipsoid of all base parameters, and so many of the intervals of single ones hold them.",
+            f"{recordings} recordings of one motion have different noise. The table has the part of them with the true",
+            "numbers in the ellipsoid of all base parameters, and the part of the intervals that hold their number.",
             "",
             *tabulate(("mechanism", "ellipsoids [%]", "intervals [%]"), regions),
             "",

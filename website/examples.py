@@ -338,5 +338,23 @@ _WHOLE = (
         "build/markers/motion.png",
         ("models/recorded/arm.yaml", "models/recorded/swing.trc", "build/markers/motion.csv"),
     ),
+    Example(
+        "torques",
+        "Inertias and frictions from recorded torques",
+        "A recording of two links with motors determines sums of their inertias, and the frictions, with intervals.",
+        "mbsrun identify models/recorded/two_link.yaml models/recorded/two_link.csv --unknown inertia,damping,friction "
+        "--cutoff 5 -o build/torques\n",
+        "build/torques/residuals.png",
+        ("build/torques/identification.html", "models/recorded/two_link.yaml", "build/torques/identified.yaml"),
+    ),
+    Example(
+        "exciting",
+        "A motion that determines inertias",
+        "Fourier series within the limits of the joints, from which inertias and frictions are determined best.",
+        "mbsrun excite models/recorded/two_link.yaml --unknown inertia,damping,friction -o build/exciting\n"
+        "mbsrun animate models/recorded/two_link.yaml build/exciting/motion.csv -o build/exciting/animation.html\n",
+        "build/exciting/motion.png",
+        ("build/exciting/animation.html", "models/recorded/two_link.yaml", "build/exciting/motion.csv"),
+    ),
 )
 EXAMPLES: Sequence[Example] = (*_MECHANISMS, *_OPTIMA, *_WHOLE, *_TOOLS, *_PLAYGROUNDS)

@@ -23,10 +23,11 @@ DIGITS = 13  # of written numbers
 
 @dataclass(frozen=True)
 class Carried:
-    """A body that a joint carries, without the bodies that are fixed to it."""
+    """A body, without the bodies that are fixed to it."""
 
     name: str
     moments: tuple[float, ...]  # ten, of `roles.MOMENTS`
+    is_carried: bool  # by its own joint; else it is fixed to another body
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,8 @@ class Changes:
 def read_numbers(model: Model, parameters: Mapping[str, float]) -> Numbers:
     """Read the numbers of bodies and joints; `parameters` replace the model's."""
     values = _evaluate_parameters(model, parameters)
-    moving = [body for body in model.bodies if not isinstance(body.joint, Fixed)]
     return Numbers(
-        tuple(Carried(body.name, _read_moments(body, values)) for body in moving),
+        tuple(Carried(body.name, _read_moments(body, values), _is_carried(body)) for body in model.bodies),
         tuple(_read_joint(name, joint, values) for name, joint in _list_joints(model)),
         model.allow_unphysical,
     )
@@ -95,6 +95,11 @@ def _list_joints(model: Model) -> Iterator[tuple[str, Joint]]:
             yield from ((step.name, step.joint) for step in list_steps(i, body))
 
 
+def _is_carried(body: Body) -> bool:
+    """Return whether a joint carries a body; one of a standard table lies beyond its joint."""
+    return not isinstance(body.joint, Fixed) or body.joint.row is not None
+
+
 def _read_joint(name: str, joint: Joint, values: Mapping[str, float]) -> Moved:
     def read(number: Expression) -> float:
         return evaluate(number, values, FLOATS)
@@ -121,10 +126,9 @@ def steiner(m: float, r: Array) -> Array:
 
 
 def _change_body(i: int, body: Body, changes: Changes) -> Body:
-    if isinstance(body.joint, Fixed):
-        return body
-    steps = [_change_joint(step.name, step.joint, changes) for step in list_steps(i, body)]
-    body = replace(body, joint=steps[0] if isinstance(body.joint, Joint) else tuple(steps))
+    if not isinstance(body.joint, Fixed):
+        steps = [_change_joint(step.name, step.joint, changes) for step in list_steps(i, body)]
+        body = replace(body, joint=steps[0] if isinstance(body.joint, Joint) else tuple(steps))
     if body.name not in changes.moments:
         return body
     m, *rest = (float(x) for x in changes.moments[body.name])

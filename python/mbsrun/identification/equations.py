@@ -101,20 +101,25 @@ def write_rows(setting: Setting, samples: Samples, unknowns: Sequence[Unknown], 
     columns = np.zeros((K, n, len(unknowns)))
     inertial = [k for k, x in enumerate(unknowns) if x.kind == INERTIA]
     if inertial:
-        Y = _write_regressor(setting.kernels, samples)
-        columns[:, :, inertial] = Y[:, :, [len(MOMENTS) * unknowns[k].body + unknowns[k].moment for k in inertial]]
+        Y, width = _write_regressor(setting.kernels, samples), len(MOMENTS)
+        own = {k: np.array(unknowns[k].column) for k in inertial}
+        plain = [k for k in inertial if own[k][unknowns[k].moment] == 1 and np.count_nonzero(own[k]) == 1]
+        columns[:, :, plain] = Y[:, :, [width * unknowns[k].body + unknowns[k].moment for k in plain]]
+        for k in (k for k in inertial if k not in plain):  # of bodies whose frame is not the joint's
+            used = np.flatnonzero(own[k])
+            columns[:, :, k] = Y[:, :, width * unknowns[k].body + used] @ own[k][used]
     places = {i: k for k, i in enumerate(manifest.actuated)}
     slopes = np.tanh(samples.qd / setting.speeds)
     for k, x in enumerate(unknowns):
-        own = samples.qd[:, x.joint] if x.joint >= 0 else np.zeros(K)
+        v = samples.qd[:, x.joint] if x.joint >= 0 else np.zeros(K)
         if x.kind == ARMATURE:
             columns[:, x.joint, k] = samples.qdd[:, x.joint]
         elif x.kind == DAMPING:
-            columns[:, x.joint, k] = own
+            columns[:, x.joint, k] = v
         elif x.kind == FRICTION:
             columns[:, x.joint, k] = slopes[:, x.joint]
         elif x.kind == STRIBECK:
-            columns[:, x.joint, k] = slopes[:, x.joint] * np.exp(-((own / falls[x.joint]) ** 2))
+            columns[:, x.joint, k] = slopes[:, x.joint] * np.exp(-((v / falls[x.joint]) ** 2))
         elif x.kind == OFFSET:
             columns[:, x.joint, k] = 1.0
         elif x.kind == MOTOR:

@@ -278,7 +278,8 @@ class _Design:
         slopes = [np.zeros((count, n)) for _ in range(3)]
         for k, x in enumerate(unknowns):
             if x.kind == INERTIA:
-                seeds[:, :, len(MOMENTS) * x.body + x.moment] = by_columns[:, :, k]
+                own = slice(len(MOMENTS) * x.body, len(MOMENTS) * (x.body + 1))
+                seeds[:, :, own] += by_columns[:, :, k, None] * np.array(x.column)
             else:
                 self._pull_joint(x, samples, by_columns[:, x.joint, k], slopes)
         if any(x.kind == INERTIA for x in unknowns):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.manifest import Manifest
+from mbsgen.manifest import Manifest, Seat
 from mbsgen.roles import MOMENTS
 from mbsrun.identification.settings import (
     ARMATURE,
@@ -47,6 +47,7 @@ class Unknown:
     joint: int = -1  # entry of qd, of a joint's number
     body: int = -1  # frame of the manifest, of an inertia
     moment: int = -1  # of `roles.MOMENTS`
+    column: tuple[float, ...] = ()  # of an inertia: the moments of a unit of it about the origin of that frame
 
     @property
     def is_linear(self) -> bool:
@@ -78,8 +79,10 @@ def list_unknowns(manifest: Manifest, numbers: Any, settings: Settings) -> tuple
             found += _list_of_joint(kind, i, manifest, known, settings)
     found += [Unknown(x, PARAMETER, parameters[x], "", x) for x in settings.fitted]
     if INERTIA in settings.unknown:
-        wanted = settings.bodies or tuple(bodies)
-        frames = [(k, bodies[f.name]) for k, f in _list_frames(manifest) if f.name in wanted and f.name in bodies]
+        wanted = settings.bodies or tuple(x.name for x in numbers.bodies if x.is_carried and any(x.moments))
+        frames = [(seat, bodies[seat.name]) for seat in _list_seats(manifest) if seat.name in wanted]
+        if missing := [name for name in wanted if name not in [seat.name for seat, _ in frames]]:
+            raise IdentificationError(f"{', '.join(missing)} cannot move: choose bodies that joints carry")
         found = _arrange(found, frames)
     elif settings.bodies:
         raise IdentificationError(f"bodies are named, but {INERTIA} is not unknown; add it to the unknown numbers")
@@ -89,11 +92,26 @@ def list_unknowns(manifest: Manifest, numbers: Any, settings: Settings) -> tuple
     return tuple(found)
 
 
-def _list_frames(manifest: Manifest) -> list[tuple[int, Any]]:
-    return [(k, frame) for k, frame in enumerate(manifest.frames) if not frame.sensor]
+def _list_seats(manifest: Manifest) -> list[Seat]:
+    """List the frames of bodies that move, in the frames of the manifest, from the base on."""
+    seats = manifest.appearance.bodies if manifest.appearance is not None else ()
+    return sorted((seat for seat in seats if seat.frame >= 0), key=lambda seat: seat.frame)
 
 
-def _arrange(own: Sequence[Unknown], frames: Sequence[tuple[int, Any]]) -> list[Unknown]:
+def place_moments(seat: Seat) -> Array:
+    """Return the moments about the origin of the manifest's frame of each unit in a body's own frame, (10, 10)."""
+    d, R = np.array(seat.at), np.array(seat.axes).reshape(3, 3).T
+    upper, columns = np.triu_indices(3), []
+    for unit in np.eye(10):
+        m, S, J = unit[0], R @ unit[1:4], np.zeros((3, 3))
+        J[upper] = unit[4:]
+        J = R @ (J + np.triu(J, 1).T) @ R.T
+        J = J + (m * (d @ d) + 2 * (d @ S)) * np.eye(3) - m * np.outer(d, d) - np.outer(d, S) - np.outer(S, d)
+        columns.append([m, *(S + m * d), *J[upper]])
+    return np.array(columns).T
+
+
+def _arrange(own: Sequence[Unknown], frames: Sequence[tuple[Seat, Any]]) -> list[Unknown]:
     """Put tensors and first moments, from the base on, before rotors, and masses last: these become parts of others."""
     inertias = [[_make_inertia(k, body, name) for name in (*TENSOR, "Sx", "Sy", "Sz")] for k, body in frames]
     masses = [_make_inertia(k, body, "m") for k, body in frames]
@@ -101,9 +119,18 @@ def _arrange(own: Sequence[Unknown], frames: Sequence[tuple[int, Any]]) -> list[
     return [*(x for x in own if x.kind != ARMATURE), *(x for each in inertias for x in each), *rotors, *masses]
 
 
-def _make_inertia(frame: int, body: Any, name: str) -> Unknown:
-    k = MOMENTS.index(name)
-    return Unknown(f"{name}[{body.name}]", INERTIA, body.moments[k], UNITS[name[0]], body.name, body=frame, moment=k)
+def _make_inertia(seat: Seat, body: Any, name: str) -> Unknown:
+    k, column = MOMENTS.index(name), place_moments(seat)
+    return Unknown(
+        f"{name}[{body.name}]",
+        INERTIA,
+        body.moments[k],
+        UNITS[name[0]],
+        body.name,
+        body=seat.frame,
+        moment=k,
+        column=tuple(column[:, k].tolist()),
+    )
 
 
 def _list_of_joint(kind: str, i: int, manifest: Manifest, known: Any, settings: Settings) -> list[Unknown]:

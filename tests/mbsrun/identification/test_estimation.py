@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,9 @@ from scipy.optimize import least_squares
 from mbsrun.identification import Settings, identify
 from mbsrun.identification.estimation import Part, compress, estimate, solve, validate
 from mbsrun.identification.physical import find_bodies, make_pseudo, read_pseudo
-from mbsrun.identification.unknowns import Unknown
+from mbsrun.identification.unknowns import Unknown, list_unknowns
+from mbsrun.identification.writing import write_model
+from mbsrun.models import read_numbers
 from mbsrun.recordings import Recording, Treatment
 from tests.mbsrun.identification.motions import PANDA, TWO_LINK, count_inside, open_model, record, swing
 from tests.recordings_made import DAMPING, DRY, FOLDER, LINKS
@@ -235,3 +239,58 @@ def test_a_pandas_payload_is_weighed() -> None:
     mass = found.find("m[link7]")
     assert mass.deviation < 0.01 * mass.value
     assert abs(mass.value - mass.before) < 4 * mass.deviation
+
+
+def test_a_load_that_is_fixed_to_a_link_is_found_in_its_own_frame(tmp_path: Path) -> None:
+    """All numbers but the mass along the joint's axis, and its products, are determined; the load is written."""
+    load = """  - name: load
+    parent: lower
+    joint: {type: fixed, position: [0.1, 0.05, -0.4], orientation: [{axis: x, angle: 0.4}, {axis: z, angle: -0.7}]}
+    mass: MASS
+    com: [0.05, 0.02, -0.1]
+    inertia: [0.004, 0.003, 0.002]
+frames:"""
+    files = {mass: tmp_path / f"{mass}.yaml" for mass in ("0.7", "1e-3")}
+    for mass, file in files.items():
+        file.write_text(TWO_LINK.read_text("utf-8").replace("frames:", load.replace("MASS", mass)), "utf-8")
+    t = np.arange(1000) / 100
+    made = record(open_model(files["0.7"]), t, swing(2, t, 3), 0.001)
+    found = identify(files["1e-3"], [made], Settings(bodies=("load",)))
+    truth = list_moments(files["0.7"], "load")
+    beta = found.G @ truth
+    for x, value in zip(found.base, beta, strict=True):
+        assert abs(x.value - value) < 4 * x.deviation, x.name
+    assert len(found.base) == 4  # two first moments, one tensor about the elbow's axis, the mass on the shoulder's arm
+    again = tmp_path / "found.yaml"
+    again.write_text(write_model(found, files["1e-3"]), "utf-8")
+    after = identify(again, [made], Settings(bodies=("load",)))
+    assert after.torques[0].before == pytest.approx(found.torques[0].deviation, rel=1e-3)
+
+
+def list_moments(path: Path, *bodies: str) -> Array:
+    """List the moments of some bodies, or of all, in the order of the unknowns."""
+    unknowns = list_unknowns(open_model(path).manifest, read_numbers(path, {}), Settings(bodies=bodies))
+    return np.array([x.value for x in unknowns])
+
+
+def test_bodies_of_a_standard_table_lie_beyond_their_joints(tmp_path: Path) -> None:
+    text = """name: table
+gravity: [0, -9.81, 0]
+bodies:
+  - {name: one, joint: {type: dh, convention: standard, a: 0.4}, mass: 2, com: [-0.2, 0, 0], inertia: [0, 0.03, 0.03]}
+  - name: two
+    parent: one
+    joint: {type: dh, convention: standard, a: 0.3}
+    mass: 1
+    com: [-0.1, 0, 0]
+    inertia: [0, 0.01, 0.01]
+"""
+    (tmp_path / "table.yaml").write_text(text, "utf-8")
+    (tmp_path / "guess.yaml").write_text(text.replace("mass: 1", "mass: 2"), "utf-8")
+    t = np.arange(500) / 50
+    made = record(open_model(tmp_path / "table.yaml"), t, swing(2, t, 3), 0.001)
+    found = identify(tmp_path / "guess.yaml", [made])
+    assert {x.owner for x in found.unknowns} == {"one", "two"}
+    truth = found.G @ list_moments(tmp_path / "table.yaml")
+    for x, value in zip(found.base, truth, strict=True):
+        assert abs(x.value - value) < 4 * x.deviation, x.name
