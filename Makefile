@@ -108,12 +108,11 @@ bench-loops: $(VENV)/installed-bench
 bench-batches: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.batches $(BENCH)
 
-# Kernels on a GPU of NVIDIA, beside frax, MJX and MuJoCo Warp where they are installed: minutes. Where there is none, it says so, and writes nothing.
 # A Panda identified from made recordings: errors of masses, times, and how many regions of 95 % hold the truth: minutes.
 bench-identification: $(VENV)/installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.identification $(BENCH)
 
-# Kernels on a GPU of NVIDIA, beside frax: a minute. Where there is none, it says so, and writes nothing.
+# Kernels on a GPU of NVIDIA, beside frax, MJX and MuJoCo Warp where they are installed: minutes. Where there is none, it says so, and writes nothing.
 bench-gpu: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.gpu $(BENCH)
 
