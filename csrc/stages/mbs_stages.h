@@ -230,6 +230,12 @@ typedef struct {
 mbs_stages_realtime mbs_stages_prepare(mbs_stages *solver, const mbs_stages_options *options, int shift);
 mbs_stages_realtime mbs_stages_feedback(mbs_stages *solver, const mbs_stages_real *first, mbs_stages_real *v);
 
+/* Return the derivative of the variables, ordered as the iterate, by fixed first state j, in the step that was prepared
+ * last: with the factors of the preparation, one sweep. It belongs to the barrier problem, whose parameter smooths it
+ * where bounds begin or cease to bind. Returns NULL without a preparation since the last solve. Valid until the next
+ * call of the solver; a state that is not fixed has zeros. */
+const mbs_stages_real *mbs_stages_gain(mbs_stages *solver, int j);
+
 /* Let the next preparation take the iterate as a guess, as after a solve. */
 void mbs_stages_begin_anew(mbs_stages *solver);
 

@@ -307,3 +307,19 @@ mbs_stages_realtime mbs_stages_feedback(mbs_stages *s, const real *first, real *
     s->realtime.stage = status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : s->realtime.stage;
     return s->realtime;
 }
+
+const real *mbs_stages_gain(mbs_stages *s, int j)
+{
+    const int n = s->recursion.stage[0].nx;
+    int i;
+    if (!s->ready && !(s->live && s->realtime.status == MBS_STAGES_STEPPED))
+        return NULL;
+    memset(s->rw, 0, (size_t)n * sizeof *s->rw);
+    if (j >= 0 && j < n && s->fixed[j])
+        s->rw[j] = 1 / s->variable_scale[j];
+    memset(s->residual_c, 0, (size_t)s->rows * sizeof *s->residual_c);
+    mbs_stages_respond(&s->recursion, s->rw, s->residual_c, s->dw, s->dy);
+    for (i = 0; i < s->variables; ++i)
+        s->dw[i] *= s->variable_scale[i];
+    return is_finite(s->variables, s->dw) ? s->dw : NULL;
+}

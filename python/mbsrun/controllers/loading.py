@@ -225,6 +225,18 @@ class Controller:
         self._call("feedback", self._controller, self._pass(given), self._pass(inputs))
         return inputs, self._describe_step()
 
+    def gain(self) -> Array:
+        """Return the feedback matrix (inputs, states) of the step that was prepared last: derivatives by the state.
+
+        Between samples, `inputs + gain @ (state - measured)` goes on with the same plan. Raises ControllerError without
+        a preparation since the last solve.
+        """
+        found = np.zeros((len(self.manifest.inputs), len(self.manifest.states)))
+        status = self._call("gain", self._controller, self._pass(found))
+        if self._statuses[int(status)] != "prepared":
+            raise ControllerError(f"{self.folder}: there is no feedback matrix; call prepare first")
+        return found
+
     def rescue(
         self, state: ArrayLike, *, iterations: int | None = None, seconds: float | None = None
     ) -> tuple[Array, Result]:

@@ -41,6 +41,7 @@ from mbsrun.ocp.solution import Solution
 from mbsrun.ocp.solve import Solver
 from mbsrun.ocp.statement import read_problem
 from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal.control import OptimalControl
 
 Requires = Callable[[str], str]
 
@@ -262,6 +263,43 @@ def test_feedback_converges_to_the_solution_of_the_measured_state(controller: Co
     assert np.array_equal(controller.data["start_q"], state[:2])
     assert controller.solve(warm=True).is_solved
     assert controller.plan().inputs[0] == pytest.approx(inputs, abs=1e-2)  # the barrier's own distance
+
+
+def test_the_feedback_matrix_is_the_slope_of_the_feedback(controller: Controller) -> None:
+    """A step is linear in the measured state, so differences are its slope; before and after the feedback itself."""
+    controller.solve()
+    with pytest.raises(ControllerError, match="there is no feedback matrix; call prepare first"):
+        controller.gain()
+    state = controller.plan().states[0].copy()
+    controller.prepare()
+    gain = controller.gain()
+    assert gain.shape == (1, 4)
+    controller.feedback(state)
+    assert controller.gain() == pytest.approx(gain, rel=1e-12)
+    for j in range(4):
+        found = []
+        for h in (1e-4, -1e-4):
+            controller.data["start_q"][:], controller.data["start_qd"][:] = state[:2], state[2:]
+            controller.solve()
+            controller.prepare()
+            moved = state.copy()
+            moved[j] += h
+            found.append(controller.feedback(moved)[0])
+        assert gain[:, j] == pytest.approx((found[0] - found[1]) / 2e-4, rel=1e-5, abs=1e-6 * np.abs(gain).max())
+
+
+def test_the_feedback_matrix_is_the_derivative_of_the_optimum(case: Case, controller: Controller) -> None:
+    """With a small barrier parameter: by the derivatives of the solution that another method finds."""
+    problem = mbsrun.read_problem(case.model.parent / f"{HOSTILE}.ocp.yaml")
+    assert isinstance(problem, OptimalControl)
+    coordinates = [part.name for part in case.plant.manifest.coordinates]
+    names = [f"start.{key}.{name}" for key in ("pose", "velocity") for name in coordinates]
+    derivatives = problem.derivatives(problem.solve(check=False), names)
+    controller.options.least_barrier = 1e-10
+    controller.solve()
+    controller.prepare()
+    expected = [derivatives.by(name).trajectory.u[0, 0] for name in names]
+    assert controller.gain()[0] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
 def test_the_barrier_parameter_is_a_share_of_the_scaled_optimum(case: Case) -> None:
