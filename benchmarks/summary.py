@@ -30,8 +30,9 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
     """Return the table of all three benchmarks, from the content of their JSON files."""
     rows = [*_list_rows(kernels, growth), *_list_solves(ocp)]
     lines = [
-        "Time of the quickest peer over the time of the generated code, by the shortest rounds. First, all use the",
-        "sine and cosine of `csrc/mbs_sincos.h`; in brackets, all are as they come, and peers call the C library.",
+        "The time of the quickest peer over the time of the generated code, by the shortest rounds. For the first",
+        "number of a cell, everybody uses this project's quick sine and cosine; for the one in brackets, peers use",
+        "the C library's.",
         "",
         f"| | {' | '.join(COLUMNS)} |",
         "|---|" + "---:|" * len(COLUMNS),
@@ -41,9 +42,9 @@ def write_summary(kernels: Mapping[str, Any], growth: Mapping[str, Any], ocp: Ma
         "for the arms' Jacobians also our own equations, differentiated by CasADi. Accelerations are by either side's",
         "quicker algorithm. All numbers of the models are folded, for everybody.",
         "",
-        "Optimal control: N = 100, degree 4, the residual at each point. First, CasADi's C of the dynamics at a point",
-        "replaces our kernels in our program; in brackets, CasADi differentiates the whole, as C. Ours",
-        "has its own linear solver, the peers MUMPS.",
+        "Optimal control: N = 100, degree 4, the residual at each point. The first number compares with our own",
+        "program, in which C that CasADi writes takes the place of our kernels; the one in brackets with a program",
+        "that CasADi differentiates as a whole and compiles. Ours has its own linear solver, the peers MUMPS.",
         "",
         f"Measured on {kernels['machine']}; optimal control on {ocp['about'].partition(';')[0]}.",
         "All figures: [kernels](benchmarks.md), [size](growth.md), [optimal control](ocp.md).",
