@@ -42,7 +42,11 @@ SWITCHED: Mapping[str, Reductions] = MappingProxyType(
         "masses not lumped by parameters (--runtime)": ALL,
         "masses not lumped": replace(LUMPED, lump=False, lump_runtime=False, trials=FEW),
         "relative angles": replace(LUMPED, absolute=False),
+        "motions not carried to inertia": replace(LUMPED, meet=False),
+        "joints eliminated one by one": replace(LUMPED, together=False),
         "sums not factored": replace(LUMPED, factor=False),
+        "common parts not shared": replace(LUMPED, share=False),
+        "sums as they come": replace(LUMPED, order=False),
         "no reduction": replace(NONE, trials=1),
     }
 )

@@ -55,6 +55,9 @@ CHOICES: Mapping[str, Reductions] = {
     "no lumps": replace(FEW, lump=False),
     "lumps by parameters": replace(FEW, lump_runtime=True),
     "relative angles": replace(FEW, absolute=False),
+    "one by one": replace(FEW, together=False),
+    "no meeting": replace(FEW, meet=False),
+    "sums as they come": replace(FEW, share=False, order=False),
 }
 WITH_DERIVATIVES = 50
 WRITTEN = 10  # every tenth mechanism is written whole, with functions together and in several languages

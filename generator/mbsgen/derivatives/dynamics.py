@@ -19,7 +19,7 @@ from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling
 from mbsgen.formulations.multipliers import list_owners
-from mbsgen.formulations.planning import finish
+from mbsgen.formulations.planning import finish, take_factors, write_sums
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.fusion import drop_dead as drop_dead_stages
@@ -113,11 +113,13 @@ class _Choice:
     def among(self, function: Function, ways: Ways, others: Ways) -> Written[Tape]:
         """Choose among `ways` and, in trees that are not too large for that, `others`."""
         tried = {**ways, **others} if self.is_compared else ways
-        written = {way: self.finish(write()) for way, write in tried.items()}
+        written = {way: take_factors(write(), self.reductions) for way, write in tried.items()}
         if function.order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
         flops = {way: count_paper(tape) for way, tape in written.items()}
-        return Written(written[min(flops, key=flops.__getitem__)], flops)
+        best = min(flops, key=flops.__getitem__)
+        found = write_sums(written[best], self.reductions)
+        return Written(found, flops | {best: count_paper(found)})
 
 
 def _without_choice(way: str, tape: Tape) -> Written[Tape]:

@@ -21,7 +21,7 @@ from mbsgen.formulations.parsimony.mass_matrix import Entries
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.sensitivities import Sensitivities, sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
-from mbsgen.formulations.planning import dynamics_alone, find_plans, finish
+from mbsgen.formulations.planning import dynamics_alone, find_plans, take_factors
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.formulations.states import State, declare_state
 from mbsgen.model.tree import Tree
@@ -150,4 +150,4 @@ class _Writer:
                 self.builder.output_nonzeros(output.port, output.sparsity.rows, output.sparsity.cols, block)
 
     def finish(self, order: Order) -> Tape:
-        return finish(self.builder.build(impl.FUNCTION.to(order)), self.reductions)
+        return take_factors(self.builder.build(impl.FUNCTION.to(order)), self.reductions)

@@ -23,8 +23,8 @@ from operator import add
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import write_chain
-from mbsgen.formulations.parsimony.articulated import Body, Inertia, articulate
-from mbsgen.formulations.parsimony.mass_matrix import Composite, compose, link
+from mbsgen.formulations.parsimony.articulated import Body, articulate, find_together
+from mbsgen.formulations.parsimony.mass_matrix import Composite, Inertia, compose, link
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.segments import Segment, align
 from mbsgen.formulations.parsimony.writing import Writing, begin
@@ -49,13 +49,17 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     # M does not depend on wrenches, so their inputs are not declared
     chain = write_chain(replace(tree, wrenches=()), builder, state)
     segments = align(chain, group=reductions.share_frames)
-    writing = begin(chain, segments, find_plans(tree, reductions).articulated, reductions)
+    # the diagonal of M is read off composite bodies, which hold all that they carry
+    writing = begin(chain, segments, find_plans(tree, reductions).articulated.carried_down, reductions)
     bodies = articulate(writing)
     held = _hold(writing)
     free, lost = give_way(writing.kinematics, bodies)
-    n = len(segments)
-    builder.output_dense(ports.ELIMINATION, [[_size(held[i] * free[i])] for i in range(1, n + 1)])
-    builder.output_dense(ports.ARTICULATED, [[lost[i]] for i in range(1, n + 1)])
+    numbers = range(1, len(segments) + 1)
+    eliminated = {i: _size(held[i] * free[i]) for i in numbers}
+    together = find_together(writing.kinematics)
+    articulated = (lost[i] + eliminated[i] if i in together else lost[i] for i in numbers)
+    builder.output_dense(ports.ELIMINATION, [[x] for x in eliminated.values()])
+    builder.output_dense(ports.ARTICULATED, [[x] for x in articulated])
     return builder.build("condition")
 
 

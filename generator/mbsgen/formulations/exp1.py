@@ -8,19 +8,19 @@ angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import check_pivot, joint_forces, write_chain
+from mbsgen.formulations.parsimony.angles import absolute_forces, relative_acceleration
 from mbsgen.formulations.parsimony.elimination import solve
-from mbsgen.formulations.parsimony.segments import Segment, align, feels_itself, largest_inertias
+from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.planning import find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.semi import terms
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
-from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Tape
 
 # A result errs by up to 2.5 epsilon times the ratio of the entry of M to the pivot that remains of it. A joint fails
@@ -40,7 +40,7 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     M, c = terms(chain, state, plan, reductions, absolute=reductions.absolute)
     segments = align(chain, group=reductions.share_frames)
     Q = joint_forces(chain)
-    forces = _absolute_forces(segments, Q) if reductions.absolute else Q
+    forces = absolute_forces(segments, Q) if reductions.absolute else Q
     n = len(segments)
     found = solve(builder, M, {i: forces[i - 1] - c[i - 1] for i in range(1, n + 1)}, n, partial(check_pivot, tree))
     largest = largest_inertias(chain, segments)
@@ -49,22 +49,6 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
             builder.guard(found.pivots[i], M[i, i], n * PIVOT_TOLERANCE, i)
         else:
             builder.guard(found.pivots[i], largest[i], LOCKING_TOLERANCE, i)
-    qdd = [found.x[i] for i in range(1, n + 1)]
-    if reductions.absolute:
-        qdd = _relative_accelerations(segments, qdd)
+    qdd = [relative_acceleration(s, found.x) if reductions.absolute else found.x[s.number] for s in segments]
     builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
     return finish(builder.build("exp1"), reductions)
-
-
-def _absolute_forces(segments: Sequence[Segment], Q: Sequence[Scalar]) -> list[Scalar]:
-    """Return the forces of absolute angles: a joint's own, less the forces of joints that continue its group."""
-    along = [s.signed(force) for s, force in zip(segments, Q, strict=True)]
-    forces = list(along)
-    for s in segments:
-        if not s.counts_angle:
-            forces[s.parent - 1] = forces[s.parent - 1] - along[s.number - 1]
-    return forces
-
-
-def _relative_accelerations(segments: Sequence[Segment], x: Sequence[Scalar]) -> list[Scalar]:
-    return [s.signed(x[s.number - 1] if s.counts_angle else x[s.number - 1] - x[s.parent - 1]) for s in segments]

@@ -7,6 +7,7 @@ Docquier, Bruls, Fisette, eq. (19); Schwertassek, Rulka (1989); Featherstone (19
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,9 @@ from mbsgen.formulations import ports
 from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.condition import give_way
 from mbsgen.formulations.parsimony.articulated import Body, accelerations
-from mbsgen.formulations.parsimony.proportions import find_spatial
 from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
 from mbsgen.formulations.parsimony.writing import Writing, begin
-from mbsgen.formulations.planning import align_numbers, find_plans, finish
+from mbsgen.formulations.planning import find_least_shares, find_plans, finish
 from mbsgen.formulations.reductions import ALL, Reductions
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
@@ -58,34 +58,52 @@ def build(tree: Tree, reductions: Reductions = ALL) -> Tape:
     state = declare_state(tree, builder, accelerations=False)
     chain = write_chain(tree, builder, state)
     segments = align(chain, group=reductions.share_frames)
-    plan = find_plans(tree, reductions).articulated
-    Q = joint_forces(chain)
-    writing = begin(chain, segments, plan, reductions)
-    qdd, bodies = accelerations(writing, state.qd, Q)
     largest = largest_inertias(chain, segments)
-    shares = _find_least_shares(tree, reductions)
-    doubtful = set()
-    for i in range(len(tree.bodies), 0, -1):
-        tolerance = _choose_tolerance(segments, segments[i - 1], largest[i])
-        if tolerance in (OWN_TOLERANCE, PIVOT_TOLERANCE):
-            is_known = largest[i].literal is not None
-            if is_known and shares[i] >= SURE:
-                pass  # its pivot stands out in any position
-            elif shares[i] >= SURE_AT_RUN_TIME and not _is_pair(tree, segments, segments[i - 1]):
-                tolerance = LOCKING_TOLERANCE
-            else:
-                doubtful.add(i)
-                if not is_known and not feels_itself(segments[i - 1]):
-                    tolerance = ROUNDED_TOLERANCE
-                elif not is_known and segments[i - 1].is_revolute:
-                    P = segments[i - 1].moments.P
-                    one, other = segments[i - 1].across
-                    builder.guard(P[one, one] + P[other, other], P[0, 0] + P[1, 1] + P[2, 2], ROUNDED_TOLERANCE, i)
-        builder.guard(bodies[i].pivot, largest[i], tolerance, i)
+    demands = _find_demands(tree, segments, largest, find_least_shares(tree, reductions))
+    doubtful = {i for i, demand in demands.items() if demand.is_doubtful}
+    plan = find_plans(tree, reductions).articulated
+    if doubtful:  # their estimate is of the recursion
+        plan = replace(plan, together=0)
+    writing = begin(chain, segments, plan, reductions)
+    found = accelerations(writing, state.qd, joint_forces(chain), absolute=reductions.absolute)
+    for i, demand in demands.items():
+        if demand.is_rod:
+            P = segments[i - 1].moments.P
+            one, other = segments[i - 1].across
+            builder.guard(P[one, one] + P[other, other], P[0, 0] + P[1, 1] + P[2, 2], ROUNDED_TOLERANCE, i)
+        builder.guard(found.pivots[i], largest[i], demand.tolerance, i)
     if doubtful:
-        _guard_estimates(writing, bodies, doubtful)
-    builder.output_dense(ports.ACCELERATIONS, [[x] for x in qdd])
+        _guard_estimates(writing, found.bodies, doubtful)
+    builder.output_dense(ports.ACCELERATIONS, [[x] for x in found.qdd])
     return finish(builder.build("exp2"), reductions)
+
+
+@dataclass(frozen=True)
+class _Demand:
+    """The demand on the pivot of a joint."""
+
+    tolerance: float
+    is_doubtful: bool = False  # the estimate decides besides
+    is_rod: bool = False  # its body may lack inertia about the axis
+
+
+def _find_demands(
+    tree: Tree, segments: Sequence[Segment], largest: Mapping[int, Scalar], shares: Mapping[int, float]
+) -> dict[int, _Demand]:
+    """Return the demands, from the leaves to the base."""
+    demands = {}
+    for segment in reversed(segments):
+        i = segment.number
+        tolerance, is_known = _choose_tolerance(segments, segment, largest[i]), largest[i].literal is not None
+        if tolerance not in (OWN_TOLERANCE, PIVOT_TOLERANCE) or (is_known and shares[i] >= SURE):
+            demands[i] = _Demand(tolerance)  # its pivot stands out in any position
+        elif shares[i] >= SURE_AT_RUN_TIME and not _is_pair(tree, segments, segment):
+            demands[i] = _Demand(LOCKING_TOLERANCE)
+        elif not is_known and not feels_itself(segment):
+            demands[i] = _Demand(ROUNDED_TOLERANCE, is_doubtful=True)
+        else:
+            demands[i] = _Demand(tolerance, is_doubtful=True, is_rod=not is_known and segment.is_revolute)
+    return demands
 
 
 def _guard_estimates(writing: Writing, bodies: Mapping[int, Body], doubtful: Collection[int]) -> None:
@@ -106,40 +124,6 @@ def _choose_tolerance(segments: Sequence[Segment], segment: Segment, largest: Sc
     if feels_itself(segment):
         return OWN_TOLERANCE
     return PRODUCT_TOLERANCE if _is_product(segments, segment, largest) else PIVOT_TOLERANCE
-
-
-def _find_least_shares(tree: Tree, reductions: Reductions) -> dict[int, float]:
-    """Return the least inertia that each joint feels in any position, relative to the largest, at known numbers.
-
-    A pair of joints without mass may feel less, close to its lock.
-    """
-    chain, segments = align_numbers(tree, reductions)
-    largest = largest_inertias(chain, segments)
-    return {s.number: _find_least(segments, s) / (largest[s.number].literal or np.inf) for s in segments}
-
-
-def _find_least(segments: Sequence[Segment], segment: Segment) -> float:
-    """Return the inertia about the axis of a joint's own body, or the least of the next body that has inertia.
-
-    Where joints of both kinds lie between, this body is free to turn while it is moved, and the other way round.
-    """
-    passed = [segment]
-    while not feels_itself(passed[-1]):
-        following = children(segments, passed[-1].number)
-        if len(following) != 1:
-            return 0.0
-        passed.append(following[0])
-    body = passed[-1]
-    moments = body.moments
-    if body is segment:
-        own = (moments.P[k, k] for k in segment.across) if segment.is_revolute else (moments.m,)
-        return sum(x.literal or 0.0 for x in own)
-    inertia = find_spatial(moments)
-    mine, other = (slice(3, 6), slice(0, 3)) if segment.is_revolute else (slice(0, 3), slice(3, 6))
-    least = inertia[mine, mine]
-    if any(s.is_revolute != segment.is_revolute for s in passed):
-        least = least - inertia[mine, other] @ np.linalg.pinv(inertia[other, other]) @ inertia[other, mine]
-    return max(float(np.linalg.eigvalsh(least)[0]), 0.0)
 
 
 def _is_pair(tree: Tree, segments: Sequence[Segment], segment: Segment) -> bool:

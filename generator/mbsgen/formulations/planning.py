@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
+from math import inf
 
 from mbsgen.errors import TapeError
 from mbsgen.formulations.chain import Chain, check_pivot, write_chain
-from mbsgen.formulations.parsimony.articulated import accelerations
+from mbsgen.formulations.parsimony.articulated import accelerations, find_depths
 from mbsgen.formulations.parsimony.elimination import solve
-from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
+from mbsgen.formulations.parsimony.mass_matrix import joint_matrix, mass_matrix
 from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
-from mbsgen.formulations.parsimony.proportions import Proportions
+from mbsgen.formulations.parsimony.proportions import Proportions, find_least
 from mbsgen.formulations.parsimony.regrouping import regroup, restrain
 from mbsgen.formulations.parsimony.residual import residual
-from mbsgen.formulations.parsimony.search import Restraint, leave, search
-from mbsgen.formulations.parsimony.segments import Moments, Segment, align
+from mbsgen.formulations.parsimony.search import Restraint, leave, meet, search
+from mbsgen.formulations.parsimony.segments import Moments, Segment, align, largest_inertias
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.reductions import Reductions
@@ -24,11 +25,17 @@ from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count_paper
+from mbsgen.tape.counts import PAPER
 from mbsgen.tape.factoring import factor
+from mbsgen.tape.replay import find_constants
+from mbsgen.tape.sums import rewrite
 from mbsgen.tape.types import Tape
 
 LARGEST_GROWTH = 16.0  # bound on the factor by which regrouping may raise the rounding errors of EXP2
+FIXED = frozenset({Role.PARAMETER})  # what depends on these alone moves to the setup
+LONG = 10_000  # operations; the sums of longer tapes keep their form, since all of this would take seconds
+FIRM = 1e-3  # least inertia of a joint that EXP2 may eliminate with others, in any pose, relative to the largest
+WORTH = 1.005  # times the operations of a tape: more are not worth it that no sum waits; another order shares less
 ELIMINATED = 16  # larger trees use the plan of SEMI's M for EXP1 and sensitivities, whose trials take too long
 
 
@@ -54,9 +61,11 @@ class Plans:
         """M of SEMI."""
 
         def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
-            return [*mass_matrix(shared.begin(plan)).values(), *shared.bias(self.bias, absolute=False)]
+            return [*joint_matrix(shared.begin(plan)).values(), *shared.bias(self.bias, absolute=False)]
 
-        return self._search(write, self.bias)
+        plan = self._search(write, self.bias)
+        others = [replace(plan, by_angles=True)] if self._reductions.absolute else []
+        return self._refine(write, plan, *others)
 
     @cached_property
     def elimination(self) -> Plan:
@@ -68,17 +77,49 @@ class Plans:
             right = dict(enumerate(shared.bias(self.bias, absolute=absolute), 1))
             return list(solve(shared.chain.builder, M, right, self._size, partial(check_pivot, self._tree)).x.values())
 
-        return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
+        if self._size > ELIMINATED:
+            return self.mass_matrix
+        return self._refine(write, self._search(write, self.mass_matrix))
 
     @cached_property
     def articulated(self) -> Plan:
         """EXP2."""
+        absolute = self._reductions.absolute
 
         def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
-            state = shared.state
-            return accelerations(shared.begin(plan), state.qd, state.qdd)[0]  # any n numbers serve as Q
+            state = shared.state  # any n numbers serve as Q
+            return accelerations(shared.begin(plan), state.qd, state.qdd, absolute=absolute).qdd
 
-        return self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
+        plan = self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
+        return self._refine(write, plan, *(replace(plan, together=depth) for depth in self._list_together()))
+
+    def _list_together(self) -> Iterator[int]:
+        """List how many joints of each branch EXP2 may eliminate together: they end a group, and are firm enough."""
+        if not self._reductions.together:
+            return
+        _, segments = align_numbers(self._tree, self._reductions)
+        depths = find_depths(segments)
+        least = find_least_shares(self._tree, self._reductions)
+        within = {
+            d for s in segments for d in range(depths[s.number], max(depths.values()) + 1) if least[s.number] < FIRM
+        }
+        for depth in range(1, max(depths.values())):
+            if depth not in within and all(s.opens_group for s in segments if depths[s.number] == depth + 1):
+                yield depth
+
+    def _refine(self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], plan: Plan, *others: Plan) -> Plan:
+        """Choose among plans that differ in more than one body, each with the bodies that M meets."""
+        if self._reductions.trials == 1 or self._size > ELIMINATED:
+            return plan
+        shared = PlanTrials(self._tree, self._reductions)
+
+        def cost(plan: Plan) -> int:
+            return shared.cost(write(shared, plan))
+
+        tried = [plan, *others]
+        if self._reductions.meet:
+            tried = [meet(shared.segments, cost, x) for x in tried]
+        return min(tried, key=cost)
 
     @cached_property
     def sensitivities(self) -> Plan:
@@ -115,6 +156,16 @@ def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segm
     known = replace(tree, parameters=tuple(replace(p, kind=Kind.CONSTANT) for p in tree.parameters))
     chain = write_chain(known, builder, declare_state(known, builder))
     return chain, align(chain, group=reductions.share_frames)
+
+
+def find_least_shares(tree: Tree, reductions: Reductions) -> dict[int, float]:
+    """Return the least inertia that each joint feels in any position, relative to the largest, at known numbers.
+
+    A pair of joints without mass may feel less, close to its lock.
+    """
+    chain, segments = align_numbers(tree, reductions)
+    largest = largest_inertias(chain, segments)
+    return {s.number: find_least(segments, s) / (largest[s.number].literal or inf) for s in segments}
 
 
 def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], restrain: Restraint) -> Restraint:
@@ -228,7 +279,27 @@ def _trials(size: int) -> int:
 
 
 def finish(tape: Tape, reductions: Reductions) -> Tape:
-    """Take common factors out of a finished recursion, if requested and if this lowers its cost."""
-    if not reductions.factor:
+    """Lower the cost of a finished recursion by its sums, as requested."""
+    return write_sums(take_factors(tape, reductions), reductions)
+
+
+def take_factors(tape: Tape, reductions: Reductions) -> Tape:
+    """Take common factors out of a recursion, if requested and if this lowers its cost."""
+    return min(factor(tape, FIXED), tape, key=count_own) if reductions.factor else tape
+
+
+def write_sums(tape: Tape, reductions: Reductions) -> Tape:
+    """Compute common parts of sums once, and add terms as they are ready, each if requested and worth it."""
+    if len(tape.operations) > LONG or not (reductions.share or reductions.order):
         return tape
-    return min(tape, factor(tape, {Role.PARAMETER}), key=count_paper)
+    found = rewrite(tape, FIXED, share=reductions.share, order=reductions.order)
+    if count_own(found)[0] <= WORTH * count_own(tape)[0]:
+        return found
+    return min(rewrite(tape, FIXED, share=reductions.share, order=False), tape, key=count_own)
+
+
+def count_own(tape: Tape) -> tuple[int, int]:
+    """Count the operations of a kernel, and then its operations together with the setup's."""
+    is_fixed = find_constants(tape, FIXED)[tape.first_operation :]
+    own = sum(op in PAPER and not fixed for (op, _, _), fixed in zip(tape.operations, is_fixed, strict=True))
+    return own, len(tape.operations)

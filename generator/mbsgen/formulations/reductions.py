@@ -14,7 +14,11 @@ class Reductions:
     lump: bool = True  # place free masses where terms vanish; divides by lengths and inertias that are numbers
     lump_runtime: bool = False  # ... and by run-time parameters, which must not be 0 then
     absolute: bool = True  # eliminate in absolute angles within groups of parallel axes
+    meet: bool = True  # carry motions of joints up to inertia in M, instead of loads and inertia down
+    together: bool = True  # eliminate joints near the base together in EXP2
     factor: bool = True  # take common factors out of sums
+    share: bool = True  # compute common parts of sums and of products once
+    order: bool = True  # add terms in the order in which they are ready: this saves time, not operations
     trials: int | None = None  # plans to try for each function; None: fewer for larger trees
 
     @property
@@ -24,4 +28,6 @@ class Reductions:
 
 
 ALL = Reductions()
-NONE = Reductions(regroup=False, share_frames=False, lump=False, absolute=False, factor=False)
+NONE = Reductions(
+    regroup=False, share_frames=False, lump=False, absolute=False, meet=False, together=False, factor=False, share=False
+)

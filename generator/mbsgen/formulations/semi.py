@@ -12,7 +12,7 @@ from operator import add
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import Chain, joint_forces, write_chain
 from mbsgen.formulations.closure import add_multipliers
-from mbsgen.formulations.parsimony.mass_matrix import Entries, mass_matrix
+from mbsgen.formulations.parsimony.mass_matrix import Entries, joint_matrix, mass_matrix
 from mbsgen.formulations.parsimony.plan import Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
@@ -60,5 +60,6 @@ def terms(
     """Write one triangle of M by `plan`, and c; for relative or absolute rates."""
     bias = find_plans(chain.tree, reductions).bias
     segments = align(chain, group=reductions.share_frames)
-    M = mass_matrix(begin(chain, segments, plan, reductions), absolute=absolute)
+    writing = begin(chain, segments, plan, reductions)
+    M = mass_matrix(writing, absolute=True) if absolute else joint_matrix(writing)
     return M, residual(begin(chain, segments, bias, reductions), state.qd, chain.drift, absolute=absolute)

@@ -12,7 +12,7 @@ from collections.abc import Sequence, Set
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count_uses
-from mbsgen.tape.replay import declare_inputs, leaves, replay_guards
+from mbsgen.tape.replay import declare_inputs, find_constants, leaves, replay_guards
 from mbsgen.tape.types import Op, Tape
 from mbsgen.tape.writer import Ref
 
@@ -28,15 +28,8 @@ class _Factoring:
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape = tape
         self.uses = count_uses(tape)
-        self.is_constant = self._find_constants(constant)
+        self.is_constant = find_constants(tape, constant)
         self.inner = self._find_inner()
-
-    def _find_constants(self, constant: Set[Role]) -> list[bool]:
-        found = [i.port.role in constant for i in self.tape.inputs for _ in range(i.sparsity.nnz)]
-        found += [True] * len(self.tape.literals)
-        for _, a, b in self.tape.operations:
-            found.append(found[a] and (b < 0 or found[b]))
-        return found
 
     def _find_inner(self) -> set[int]:
         """Find the operations that are written only as part of the sum they belong to."""

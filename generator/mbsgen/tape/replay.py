@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 from mbsgen.manifest import FIRST_LENGTH
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Op, Tape
 
@@ -53,3 +54,12 @@ def replay_guards(
         if guard.early or not only_early:
             pivot = -values[guard.value] if guard.negated else values[guard.value]
             builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint, early=guard.early)
+
+
+def find_constants(tape: Tape, roles: Set[Role]) -> list[bool]:
+    """Return, for each value, whether it depends on literals and inputs of the given roles alone."""
+    found = [i.port.role in roles for i in tape.inputs for _ in range(i.sparsity.nnz)]
+    found += [True] * len(tape.literals)
+    for _, a, b in tape.operations:
+        found.append(found[a] and (b < 0 or found[b]))
+    return found

@@ -20,7 +20,16 @@ SIZES: Mapping[str, Sequence[float]] = {
     "tiny between others": [TINY, 1.0] * 3,
     "huge between others": [HUGE, 1.0] * 3,
 }
-TEXTBOOK = ("regroup", "share_frames", "lump", "absolute", "factor")  # reductions to switch off for it
+TEXTBOOK = (
+    "regroup",
+    "share_frames",
+    "lump",
+    "absolute",
+    "meet",
+    "together",
+    "factor",
+    "share",
+)  # reductions to switch off for it
 OFFSETS_OF: Mapping[Precision, Sequence[float]] = {  # m, up to where all of the body's own inertia is lost in m c2
     "float64": tuple(10.0**k for k in range(9)),
     "float32": tuple(10.0**k for k in range(5)),

@@ -103,13 +103,16 @@ def test_a_heavy_tip(ratio: int, reductions):
 
 @pytest.mark.parametrize("ratio", [10**4, 10**6, 10**8, 10**10, 10**12])
 def test_elimination_fails_at_a_heavy_tip_where_digits_are_gone(ratio: int):
-    """A status comes at n u 1000 of an entry of M and no earlier: up to 1e8 five digits are left, and given out."""
+    """A status comes at n u 1000 of an entry of M and no earlier: up to 1e8 five digits are left, and given out.
+
+    Just above, one rounding loses 2.5 u / (n u 1000) = 2.5e-4 of an acceleration, and all lose some ten times as much.
+    """
     tree = spatial_chain(10, [1] * 9 + [ratio])
     tape = tape_of("exp1", tree)
     for seed in range(10, 14):
         state = draw_state(10, seed)
         failed, error = status(tape, state) != 0, error_of("exp1", tree, state)
-        assert failed or error <= 5e-3 / 10
+        assert failed or error <= 5e-3
         assert not failed or error >= 1e-6
         assert not failed or ratio > 10**8
 

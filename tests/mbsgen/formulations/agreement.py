@@ -25,7 +25,11 @@ SWITCHED = {
     "no shared frames": replace(FEW, share_frames=False),
     "no lumps": replace(FEW, lump=False),
     "relative angles": replace(FEW, absolute=False),
+    "no meeting": replace(FEW, meet=False),
+    "one by one": replace(FEW, together=False),
     "no factoring": replace(FEW, factor=False),
+    "no sharing": replace(FEW, share=False),
+    "sums as they come": replace(FEW, order=False),
     "lumps by parameters": replace(FEW, lump_runtime=True),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import sin
 from typing import Any
 
@@ -11,8 +12,8 @@ import pytest
 from mbsgen.formulations import exp1, exp2, impl, semi, textbook
 from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations
-from mbsgen.formulations.parsimony.mass_matrix import mass_matrix
-from mbsgen.formulations.parsimony.plan import Choice, Mass, NoSuchPlanError, Plan
+from mbsgen.formulations.parsimony.mass_matrix import joint_matrix, mass_matrix
+from mbsgen.formulations.parsimony.plan import Choice, Mass, Meeting, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
 from mbsgen.formulations.parsimony.segments import align
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
@@ -88,7 +89,15 @@ def random_chain(seed: int) -> Tree:
 
 def random_choice(rng: np.random.Generator) -> Choice:
     mass = [Mass.PASSED, Mass.BALANCING, Mass.POINT, Mass.KEPT][rng.integers(4)]
-    return Choice(bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)))
+    meeting = list(Meeting)[rng.integers(len(Meeting))]
+    return Choice(bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)), meeting)
+
+
+def change(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Change one body's choice, the way to M, and the joints that are eliminated together."""
+    n = len(plan.choices)
+    changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
+    return replace(changed, by_angles=bool(rng.integers(2)), together=int(rng.integers(n + 1)))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -98,7 +107,7 @@ def test_every_plan_that_fits_writes_the_equations_of_the_textbook(seed: int) ->
     n, tried = len(tree.bodies), 0
     plan = Plan((Choice(),) * n)
     for _ in range(STEPS):
-        changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
+        changed = change(plan, rng)
         try:
             tape = write_by(tree, changed)
         except NoSuchPlanError:
@@ -116,7 +125,7 @@ def test_trials_that_remember_write_the_same_operations(seed: int) -> None:
     forgetting.chain.builder.memory = None
     plan, tried = Plan((Choice(),) * len(tree.bodies)), 0
     for _ in range(STEPS):
-        changed = plan.put(int(rng.integers(1, len(tree.bodies) + 1)), random_choice(rng))
+        changed = change(plan, rng)
         try:
             expected = write_trial(forgetting, changed)
         except NoSuchPlanError:
@@ -135,9 +144,9 @@ def write_trial(trials: PlanTrials, plan: Plan) -> list[int]:
     found = sensitivities(writing, state.qd, state.qdd)
     results = [
         *residual(writing, state.qd, state.qdd),
-        *mass_matrix(writing).values(),
+        *joint_matrix(writing).values(),
         *mass_matrix(writing, absolute=True).values(),
-        *accelerations(writing, state.qd, state.qdd)[0],
+        *accelerations(writing, state.qd, state.qdd).qdd,
         *(value for entries in (found.Phi, found.q, found.qd, found.qdd) for value in entries.values()),
     ]
     return [value.ref for value in results]
@@ -154,11 +163,12 @@ def write_by(tree: Tree, plan: Plan) -> Tape:
         "expected": expected,
         "rest": textbook.residual(chain, state.qd, chain.drift),
         "found": residual(writing, state.qd, chain.accelerate(state.qdd)),
-        "qdd": accelerations(writing, state.qd, expected)[0],
+        "qdd": accelerations(writing, state.qd, expected).qdd,
+        "relative": accelerations(writing, state.qd, expected, absolute=False).qdd,
     }
     for name, column in columns.items():
         builder.output_dense(name, [[x] for x in column])
-    M = mass_matrix(writing)
+    M = joint_matrix(writing)
     builder.output_nonzeros("M", *[len(tree.bodies)] * 2, {(i - 1, j - 1): v for (i, j), v in M.items()})
     return builder.build("plan")
 
@@ -181,5 +191,6 @@ def assert_textbook(tape: Tape, at: dict[str, list[Any]]) -> None:
         (results["found"], results["expected"]),
         (moved, results["expected"]),
         (results["qdd"], at["qdd"]),
+        (results["relative"], at["qdd"]),
     ):
         assert max(abs(a - b) for a, b in zip(found, expected, strict=True)) <= TOLERANCE * scale

@@ -141,4 +141,4 @@ def test_large_rotors_cost_no_digits() -> None:
         given = {i.name: list({"q": q, "qd": qd, "u": u}[i.name]) for i in tape.inputs}
         exact = evaluate(tape, {name: [DIGITS.literal(x) for x in v] for name, v in given.items()}, DIGITS)["qdd"]
         found = evaluate(tape, given)["qdd"]
-        assert all(abs(a / float(b) - 1) < 1e-13 for a, b in zip(found, exact, strict=True))
+        assert all(abs(a / float(b) - 1) < 2e-13 for a, b in zip(found, exact, strict=True))

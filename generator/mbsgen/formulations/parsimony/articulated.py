@@ -11,6 +11,9 @@ and from the base to the leaves, with the acceleration a' on top of the bias (`I
 counts from the bias motion, the product of articulated inertia and bias acceleration never arises. Along the joint's
 axis, p + K u is the joint's force, so that it is not computed.
 
+Joints near the base may be eliminated *together*, in absolute angles: by their part of the mass matrix, in which
+articulated bodies beyond are met by the motions of these joints. This takes fewer operations where axes are parallel.
+
 A rotor feels only its joint's own acceleration. So the pivot D contains its inertia, and the rotor takes the fraction
 `rotor_share` = rotor / D of the joint's force. The bodies take the rest. Along the axis, the parent then feels
 `rotor_share` times the bodies' inertia; without a rotor, nothing.
@@ -18,28 +21,21 @@ A rotor feels only its joint's own acceleration. So the pivot D contains its ine
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.chain import Chain, check_pivot
-from mbsgen.formulations.parsimony.mass_matrix import link, own_inertia
+from mbsgen.formulations.parsimony.angles import absolute_forces, relative_acceleration
+from mbsgen.formulations.parsimony.elimination import Solution, solve
+from mbsgen.formulations.parsimony.mass_matrix import Inertia, cross_matrix, link, mass_matrix, own_inertia
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
-
-
-@dataclass(frozen=True)
-class Inertia:
-    """The articulated inertia of a body at its origin: with all bodies beyond it, whose joints are free."""
-
-    M: Matrix[Scalar]  # symmetric
-    B: Matrix[Scalar]
-    J: Matrix[Scalar]  # symmetric
 
 
 @dataclass(frozen=True)
@@ -62,32 +58,90 @@ class Increment:
     OMp: Vector[Scalar]
 
 
-def accelerations(writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar]) -> tuple[list[Scalar], dict[int, Body]]:
-    """Compute qdd; also return the terms of the elimination."""
+@dataclass(frozen=True)
+class Accelerations:
+    """The accelerations of the joints, and the terms of their elimination."""
+
+    qdd: list[Scalar]
+    bodies: dict[int, Body]  # with joints that are eliminated one by one
+    pivots: dict[int, Scalar]  # of every joint
+
+
+def accelerations(
+    writing: Writing, qd: Sequence[Scalar], Q: Sequence[Scalar], *, absolute: bool = True
+) -> Accelerations:
+    """Compute qdd. With `absolute`, the joints that the plan eliminates together have absolute angles."""
     kinematics, inertias = writing.kinematics, writing.inertias
-    segments = kinematics.segments
+    segments, together = kinematics.segments, find_together(kinematics)
     movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
-    bodies = articulate(writing)
+    bodies = articulate(writing, together)
+    forces = absolute_forces(segments, Q) if absolute else [s.signed(x) for s, x in zip(segments, Q, strict=True)]
     force_residual: dict[int, Scalar] = {}  # u = Q - e.p: the joint force residual of the bias motion
     loads: dict[int, Load] = {}
     for segment in reversed(segments):
         i = segment.number
-        force = segment.signed(Q[i - 1])
         bias = join_loads(kinematics, segment, inertias[i], movements[i], loads)
+        if i in together:
+            turning = bias.alone if absolute else bias.N
+            force_residual[i] = forces[i - 1] - (turning if segment.is_revolute else bias.F)[segment.axis]
+            loads[i] = bias
+            continue
+        force = segment.signed(Q[i - 1])
         force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
         loads[i] = kinematics.builder.remember(
             ("hook", force_residual[i].ref, force.ref),
             (segment, bias, bodies[i]),
             partial(_hook, segment, bias, bodies[i], force_residual[i], force),
         )
-    return _accelerate(kinematics, bodies, force_residual), bodies
+    solution = _solve_together(writing, bodies, force_residual, together, absolute=absolute)
+    qdd = _accelerate(kinematics, bodies, force_residual, solution.x, absolute=absolute)
+    return Accelerations(qdd, bodies, {i: x.pivot for i, x in bodies.items()} | solution.pivots)
 
 
-def articulate(writing: Writing) -> dict[int, Body]:
-    """Compute the articulated inertia of each body and eliminate its joint, from the leaves to the base."""
+def find_together(kinematics: Kinematics) -> frozenset[int]:
+    """Find the joints that the plan eliminates together: few enough joints are before them."""
+    return frozenset(i for i, depth in find_depths(kinematics.segments).items() if depth <= kinematics.plan.together)
+
+
+def find_depths(segments: Sequence[Segment]) -> dict[int, int]:
+    """Count the joints from the base to each body."""
+    depths: dict[int, int] = {}
+    for s in segments:
+        depths[s.number] = depths.get(s.parent, 0) + 1
+    return depths
+
+
+def _solve_together(
+    writing: Writing,
+    bodies: Mapping[int, Body],
+    force_residual: Mapping[int, Scalar],
+    together: frozenset[int],
+    *,
+    absolute: bool,
+) -> Solution:
+    """Solve for the accelerations of joints near the base, with all joints beyond them free."""
+    segments, tree = writing.kinematics.segments, writing.chain.tree
+    beyond = {s.number: bodies[s.number].left for s in segments if s.number in bodies and s.parent in together}
+    numbers = dict(enumerate(sorted(together), 1))
+    places = {number: k for k, number in numbers.items()}
+    M = mass_matrix(writing, absolute=absolute, freed=beyond) if together else {}
+    found = solve(
+        writing.chain.builder,
+        {(places[i], places[j]): value for (i, j), value in M.items()},
+        {k: x if absolute else segments[i - 1].signed(x) for k, i in numbers.items() for x in [force_residual[i]]},
+        len(numbers),
+        lambda k, pivot: check_pivot(tree, numbers[k], pivot),
+    )
+    return Solution(*({numbers[k]: x for k, x in column.items()} for column in (found.x, found.pivots)))
+
+
+def articulate(writing: Writing, together: Container[int] = ()) -> dict[int, Body]:
+    """Compute the articulated inertia of each body and eliminate its joint, from the leaves; except for `together`."""
     kinematics = writing.kinematics
     bodies: dict[int, Body] = {}
     for segment in reversed(kinematics.segments):
+        if segment.number in together:
+            continue
         inertia, beyond = writing.inertias[segment.number], children(kinematics.segments, segment.number)
         parts = (*(bodies[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
         bodies[segment.number] = kinematics.builder.remember(
@@ -168,35 +222,50 @@ def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, forc
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
-def _accelerate(kinematics: Kinematics, bodies: dict[int, Body], force_residual: dict[int, Scalar]) -> list[Scalar]:
-    """Compute the increments and qdd, from the base to the leaves."""
+def _accelerate(
+    kinematics: Kinematics,
+    bodies: Mapping[int, Body],
+    force_residual: Mapping[int, Scalar],
+    known: Mapping[int, Scalar],
+    *,
+    absolute: bool,
+) -> list[Scalar]:
+    """Compute the increments and qdd, from the base to the leaves; `known` holds accelerations near the base."""
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
     increments = {0: Increment(still, still)}
+    carried: dict[
+        int, Scalar
+    ] = {}  # along the axis of a joint with a known acceleration, before the joint or its group
     qdd = []
     for segment in kinematics.segments:
-        parent, body = increments[segment.parent], bodies[segment.number]
+        i, axis, parent = segment.number, segment.axis, increments[segment.parent]
         lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
         a, OMp = kinematics.arrive(segment, parent.a + lever), kinematics.arrive(segment, parent.OMp)
-        axis = segment.axis
         before = (OMp if segment.is_revolute else a)[axis]
-        rest = [(body.KN, OMp), (body.KF, a)]
-        total = force_residual[segment.number] / body.pivot
-        for K, motion in rest:
-            for r in range(3):
-                if r != axis or (K is body.KF) == segment.is_revolute:
-                    total = total - K[r] * motion[r]
-        total = total + body.rotor_share * before
+        if i in known:
+            continues = absolute and not segment.counts_angle
+            carried[i] = carried[segment.parent] if continues else before
+            total = carried[i] + (known[i] if absolute else segment.signed(known[i]))
+            qdd.append(relative_acceleration(segment, known) if absolute else known[i])
+        else:
+            total = _free_acceleration(segment, bodies[i], force_residual[i], a, OMp)
+            qdd.append(segment.signed(total - before))
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
-        increments[segment.number] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
-        qdd.append(segment.signed(total - before))
+        increments[i] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
     return qdd
 
 
-def cross_matrix(builder: Builder, v: Vector[Scalar]) -> Matrix[Scalar]:
-    """Make v~, with v~ w = v x w."""
-    zero = builder.zero
-    return Matrix.of([[zero, -v.z, v.y], [v.z, zero, -v.x], [-v.y, v.x, zero]])
+def _free_acceleration(
+    segment: Segment, body: Body, force_residual: Scalar, a: Vector[Scalar], OMp: Vector[Scalar]
+) -> Scalar:
+    """Compute the increment along a joint that is eliminated alone: u / D - K.a', and the rotor's share."""
+    total = force_residual / body.pivot
+    for K, motion in ((body.KN, OMp), (body.KF, a)):
+        for r in range(3):
+            if r != segment.axis or (K is body.KF) == segment.is_revolute:
+                total = total - K[r] * motion[r]
+    return total + body.rotor_share * (OMp if segment.is_revolute else a)[segment.axis]
 
 
 def symmetric(upper: dict[tuple[int, int], Scalar]) -> Matrix[Scalar]:

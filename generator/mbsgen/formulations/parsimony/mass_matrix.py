@@ -8,6 +8,10 @@ base. The unit acceleration of joint i needs the load
 which is carried down to the base; M_ji is its component along joint j, and the rotor is added to M_ii (Walker, Orin,
 1982; Fisette, Samin, 1996; Featherstone, 2008, 6.2).
 
+A body may be *met* instead, where this takes fewer operations: the motions of the joints before it are carried up to
+it, and M_ji is the power of its load for the motion of i by the motion of j. In a group of parallel axes, the motions
+are levers.
+
 In *absolute* rates the coordinate of a body in a group of parallel axes is its angle to the frame before the group: the
 bodies beyond it in the group do not turn with it. Many terms that relative angles add up in M then vanish. A joint with
 a rotor keeps its own angle: the rotor, which may be large, is then on the diagonal of M alone.
@@ -15,12 +19,15 @@ a rotor keeps its own angle: the rotor, which may be large, is then on the diago
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
+from mbsgen.formulations.parsimony.angles import relative_entries
 from mbsgen.formulations.parsimony.motion import Kinematics
+from mbsgen.formulations.parsimony.plan import Meeting
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, slide_lever
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
@@ -28,6 +35,33 @@ from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
 Entries = dict[tuple[int, int], Scalar]  # of M, by body numbers (ancestor, descendant); others are zero
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The acceleration of a body's origin, and its angular acceleration."""
+
+    a: Vector[Scalar]
+    OMp: Vector[Scalar]
+
+    def work(self, load: Load) -> Scalar:
+        """Form the power of a load."""
+        return self.a.dot(load.F) + self.OMp.dot(load.N)
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Inertia at the origin of a body: F = M a + B OMp, N = BT a + J OMp."""
+
+    M: Matrix[Scalar]  # symmetric
+    B: Matrix[Scalar]
+    J: Matrix[Scalar]  # symmetric
+
+    def resist(self, motion: Motion) -> Load:
+        """Form the load that a motion takes."""
+        F = self.M.apply(motion.a) + self.B.apply(motion.OMp)
+        N = self.B.transposed.apply(motion.a) + self.J.apply(motion.OMp)
+        return Load(F, N, N)
 
 
 @dataclass(frozen=True)
@@ -39,6 +73,12 @@ class Composite:
     J: Matrix[Scalar]
     alone: Part
 
+    @property
+    def moments(self) -> Inertia:
+        """The inertia without the mass."""
+        builder = self.m.builder
+        return Inertia(self.J.map(lambda _: builder.zero), cross_matrix(builder, -self.S), self.J)
+
 
 @dataclass(frozen=True)
 class Part:
@@ -49,32 +89,59 @@ class Part:
     axial: Scalar  # the component of it along the joint
 
 
-def mass_matrix(writing: Writing, *, absolute: bool = False) -> Entries:
-    """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry."""
+def mass_matrix(
+    writing: Writing, *, absolute: bool = False, freed: Mapping[int, Inertia] = MappingProxyType({})
+) -> Entries:
+    """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry.
+
+    The joints of bodies in `freed`, and all joints beyond, are free, and have no entries: these bodies have the
+    articulated inertia that is given, as their parents feel it.
+    """
     kinematics, inertias = writing.kinematics, writing.inertias
     composites: dict[int, Composite] = {}
     M: Entries = {}
+
+    def add(kind: str, write: Callable[[], Entries], *parts: object) -> None:
+        path = list_path(kinematics, segment)
+        key = (kind, absolute, *(kinematics.plan[i].meeting for i in path))
+        frames = (kinematics.frames[i] for i in path)
+        for place, value in kinematics.builder.remember(key, (segment, *parts, *frames), write).items():
+            M[place] = M[place] + value if place in M else value
+
     for segment in reversed(kinematics.segments):
-        body = compose(kinematics, segment, inertias[segment.number], composites)
-        composites[segment.number] = body
-        M |= kinematics.builder.remember(
-            ("column", absolute),
-            (segment, body, *(kinematics.frames[i] for i in list_path(kinematics, segment))),
-            partial(_column, kinematics, segment, body, absolute=absolute),
-        )
-        own = segment.number, segment.number
-        M[own] = M[own] + writing.chain.armatures[segment.number - 1]
+        i = segment.number
+        if i in freed:
+            add("freed", partial(_meet, kinematics, segment, freed[i], absolute=absolute), freed[i])
+        if not freed.keys().isdisjoint(list_path(kinematics, segment)):
+            continue
+        body = composites[i] = compose(kinematics, segment, inertias[i], composites)
+        if _is_met(kinematics, segment):
+            add("met", partial(_meet, kinematics, segment, body.moments, absolute=absolute), body)
+        add("column", partial(_column, kinematics, segment, body, absolute=absolute), body)
+        M[i, i] = M[i, i] + writing.chain.armatures[i - 1]
     return M
+
+
+def joint_matrix(writing: Writing) -> Entries:
+    """Compute one triangle of M in the joints' own angles, by absolute ones if the plan says so."""
+    if not writing.kinematics.plan.by_angles:
+        return mass_matrix(writing)
+    return relative_entries(writing.kinematics.segments, mass_matrix(writing, absolute=True))
+
+
+def _is_met(kinematics: Kinematics, segment: Segment) -> bool:
+    """Return whether the motions of the joints before a body are carried to it; all of its mass passes nevertheless."""
+    return segment.parent != 0 and kinematics.plan[segment.number].meeting is not Meeting.PASSED
 
 
 def compose(
     kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, composites: dict[int, Composite]
 ) -> Composite:
     """Add to a body what its joints carry."""
-    beyond = [c.number for c in children(kinematics.segments, segment.number)]
-    parts = (*(composites[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
+    beyond = [c for c in children(kinematics.segments, segment.number) if c.number in composites]
+    parts = (*(composites[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
     return kinematics.builder.remember(
-        ("composite",),
+        ("composite", *(_is_met(kinematics, c) for c in beyond)),
         (segment, inertia, kinematics.frames[segment.number], *parts),
         lambda: _compose(kinematics, segment, inertia, composites),
     )
@@ -86,23 +153,30 @@ def _compose(
     b, axis = kinematics.builder, segment.axis
     axes = kinematics.frames[segment.number].directions
     m, S, J = inertia.m, kinematics.fixed(segment.number, inertia.S), own_inertia(b, segment, inertia, axes)
-    beyond = children(kinematics.segments, segment.number)
+    beyond = [c for c in children(kinematics.segments, segment.number) if c.number in composites]
     for child in (x for x in beyond if x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
-        s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
-        J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
+        (s, own), weight = _pass(kinematics, child, carried), d.scale(carried.m)
+        J = shift_inertia(own, d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     alone = Part(S, J.column(axis), J[axis, axis])
     for child in (x for x in beyond if not x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
-        s, weight = kinematics.depart(child, carried.S), d.scale(carried.m)
+        (s, own), weight = _pass(kinematics, child, carried), d.scale(carried.m)
         follows = [-(d[r] * (s[axis] + weight[axis])) for r in range(3)]
         follows[axis] = sum_across(segment, d, s) + sum_across(segment, d, weight)
         axial = alone.axial + sum_across(segment, d, weight)
         alone = Part(alone.S + weight, alone.Je + Vector.of(follows), axial)
-        J = shift_inertia(kinematics.depart_tensor(child, carried.J), d, s, weight) + J
+        J = shift_inertia(own, d, s, weight) + J
         S, m = S + s + weight, m + carried.m
     return Composite(m, S, J, alone)
+
+
+def _pass(kinematics: Kinematics, child: Segment, body: Composite) -> tuple[Vector[Scalar], Matrix[Scalar]]:
+    """Carry the first moment and the inertia of a body down to where its parent is written, unless they are met."""
+    if _is_met(kinematics, child):
+        return body.S.map(lambda x: x.builder.zero), body.J.map(lambda x: x.builder.zero)
+    return kinematics.depart(child, body.S), kinematics.depart_tensor(child, body.J)
 
 
 def list_path(kinematics: Kinematics, segment: Segment) -> list[int]:
@@ -145,6 +219,9 @@ def own_inertia(
     total = Matrix.of(
         [(along if r == segment.axis else trace) if r == c else builder.zero for c in range(3)] for r in range(3)
     )
+    if inertia.radius is not None:  # a point mass: its first moment times its distance
+        e = axes[inertia.direction]
+        return total - outer(e.scale(inertia.S[inertia.direction]), e.scale(inertia.radius))
     for t, a in enumerate(axes):
         for u, e in enumerate(axes):
             if not inertia.P[t, u].is_zero:
@@ -175,6 +252,8 @@ def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolu
     column = {(segment.number, segment.number): own}
     at = segment
     while at.parent:
+        if _is_met(kinematics, at):
+            return column | _meet_load(kinematics, at, load, segment, absolute=absolute)
         below = kinematics.segments[at.parent - 1]
         F = kinematics.depart(at, load.F)
         lever = link(kinematics, at).cross(F)
@@ -182,11 +261,99 @@ def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolu
         load = Load(F, N, N)
         keeps_angle = absolute and not at.counts_angle  # bodies beyond `at` only follow its origin
         along = lever[below.axis] if keeps_angle else _along(load, below)
-        same = absolute or below.sense == segment.sense
-        column[below.number, segment.number] = along if same else -along
+        column[below.number, segment.number] = _sign(below, segment, along, absolute=absolute)
         at = below
     return column
 
 
 def _along(load: Load, segment: Segment) -> Scalar:
     return (load.N if segment.is_revolute else load.F)[segment.axis]
+
+
+def _sign(one: Segment, other: Segment, entry: Scalar, *, absolute: bool) -> Scalar:
+    """Return an entry of M with its sign: absolute rates are along the positive axes."""
+    return entry if absolute or one.sense == other.sense else -entry
+
+
+# -- motions that are carried up to inertia -------------------------------------------------------------------------
+
+
+def _meet(kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolute: bool) -> Entries:
+    """Compute what a body's inertia adds to the entries of M of all joints before it."""
+    M, B, J = (kinematics.depart_tensor(segment, x, faithful=True) for x in (inertia.M, inertia.B, inertia.J))
+    sides = {True: Inertia(M, B, J), False: inertia}
+    before = [kinematics.segments[i - 1] for i in list_path(kinematics, segment)[1:]]
+    motions = {j.number: _bring(kinematics, j, segment, absolute=absolute) for j in before}
+    entries: Entries = {}
+    for number, k in enumerate(before):  # from the last to the first
+        for j in before[number:]:
+            one, other = motions[j.number], motions[k.number]
+            side = one.is_before or other.is_before
+            load = sides[side].resist(other.at(before=side))
+            entries[j.number, k.number] = _sign(j, k, one.at(before=side).work(load), absolute=absolute)
+    return entries
+
+
+def _meet_load(kinematics: Kinematics, at: Segment, load: Load, segment: Segment, *, absolute: bool) -> Entries:
+    """Compute the entries of a joint and all joints before a body, from the joint's load on this body."""
+    F, N = kinematics.depart(at, load.F), kinematics.depart(at, load.N)
+    sides = {True: Load(F, N, N), False: load}
+    column: Entries = {}
+    for i in list_path(kinematics, at)[1:]:
+        j = kinematics.segments[i - 1]
+        motion = _bring(kinematics, j, at, absolute=absolute)
+        side = motion.is_before
+        work = motion.at(before=side).work(sides[side])
+        column[j.number, segment.number] = _sign(j, segment, work, absolute=absolute)
+    return column
+
+
+@dataclass(frozen=True)
+class _Brought:
+    """The motion of a body for a unit acceleration of a joint before it, and the side of its joint where it is met."""
+
+    before: Motion  # where the parent is written
+    beyond: Motion  # where the body is written
+    is_before: bool
+
+    def at(self, *, before: bool) -> Motion:
+        return self.before if before else self.beyond
+
+
+def _bring(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolute: bool) -> _Brought:
+    """Carry a joint's motion up to a body that is met."""
+    b, meeting = kinematics.builder, kinematics.plan[segment.number].meeting
+
+    def write() -> _Brought:
+        before = _arrive(kinematics, joint, segment, absolute=absolute)
+        a, OMp = kinematics.arrive(segment, before.a), kinematics.arrive(segment, before.OMp)
+        is_lever = all(x.is_zero for x in before.OMp)
+        is_beyond = meeting is Meeting.BEYOND or (meeting is Meeting.SPLIT and is_lever)
+        return _Brought(before, Motion(a, OMp), not is_beyond)
+
+    frames = (kinematics.frames[i] for i in list_path(kinematics, segment))
+    return b.remember(("bring", absolute, meeting), (joint, segment, *frames), write)
+
+
+def _arrive(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolute: bool) -> Motion:
+    """Compute the acceleration of a body's origin, and its angular one, where its parent is written.
+
+    In absolute rates, a body that continues the joint's group only follows.
+    """
+    b = kinematics.builder
+    still = Vector(b.zero, b.zero, b.zero)
+    if segment.parent == joint.number:
+        e = unit_vector(b, joint.axis)
+        at = Motion(still, e) if joint.is_revolute else Motion(e, still)
+    else:
+        parent = kinematics.segments[segment.parent - 1]
+        far = _arrive(kinematics, joint, parent, absolute=absolute)
+        at = Motion(kinematics.arrive(parent, far.a), kinematics.arrive(parent, far.OMp))
+    follows = absolute and segment.parent == joint.number and not segment.counts_angle
+    return Motion(at.a + at.OMp.cross(link(kinematics, segment)), still if follows else at.OMp)
+
+
+def cross_matrix(builder: Builder, v: Vector[Scalar]) -> Matrix[Scalar]:
+    """Make v~, with v~ w = v x w."""
+    zero = builder.zero
+    return Matrix.of([[zero, -v.z, v.y], [v.z, zero, -v.x], [-v.y, v.x, zero]])

@@ -24,6 +24,14 @@ class Mass(Enum):
     POINT = "point"  # the remainder is a point mass at the centre of percussion; divides by the body's inertia
 
 
+class Meeting(Enum):
+    """The place where M meets the first and second moments of a body, and the loads of the joints from there on."""
+
+    PASSED = "passed"  # at each joint before it: they are carried down
+    BEYOND = "beyond"  # at the body: the motions of all joints before it are carried up
+    SPLIT = "split"  # displacements without rotation at the body, as of levers in a group; others before its joint
+
+
 @dataclass(frozen=True)
 class Choice:
     """How one body is written."""
@@ -32,6 +40,7 @@ class Choice:
     mass: Mass = Mass.PASSED
     scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
     spin_from: int = 1  # the transverse second moment that becomes spin: 0, 1: first, second axis after the joint's
+    meeting: Meeting = Meeting.PASSED  # in M alone
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,8 @@ class Plan:
 
     choices: tuple[Choice, ...]
     by_runtime: bool = False  # divisions by run-time parameters are allowed; by numbers they always are
+    by_angles: bool = False  # M is written in absolute angles, and summed up
+    together: int = 0  # in EXP2, joints with fewer joints before them are eliminated together, in M
 
     def __getitem__(self, number: int) -> Choice:
         """Look up the choice for body `number`, from 1."""
@@ -48,6 +59,11 @@ class Plan:
     def put(self, number: int, choice: Choice) -> Plan:
         """Return the plan with another choice for one body."""
         return replace(self, choices=(*self.choices[: number - 1], choice, *self.choices[number:]))
+
+    @property
+    def carried_down(self) -> Plan:
+        """The same plan, in which all inertia is carried down."""
+        return replace(self, choices=tuple(replace(x, meeting=Meeting.PASSED) for x in self.choices))
 
     def check_divisor(self, divisor: Scalar) -> None:
         """Raise NoSuchPlanError for a division that is not allowed."""

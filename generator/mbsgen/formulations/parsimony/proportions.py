@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.parsimony.segments import Moments, Segment, children
+from mbsgen.formulations.parsimony.segments import Moments, Segment, children, feels_itself
 from mbsgen.tape.builder import Scalar
 
 Array = NDArray[np.float64]
@@ -129,3 +129,27 @@ def _ratio(moved: Array, there: Array) -> float:
     size = np.sqrt(values[is_there])
     ratios = np.linalg.eigvalsh(felt[np.ix_(is_there, is_there)] / np.outer(size, size))
     return float(np.abs(ratios).max(initial=0.0))
+
+
+def find_least(segments: Sequence[Segment], segment: Segment) -> float:
+    """Return the inertia about the axis of a joint's own body, or the least of the next body that has inertia.
+
+    Where joints of both kinds lie between, this body is free to turn while it is moved, and the other way round.
+    """
+    passed = [segment]
+    while not feels_itself(passed[-1]):
+        following = children(segments, passed[-1].number)
+        if len(following) != 1:
+            return 0.0
+        passed.append(following[0])
+    body = passed[-1]
+    moments = body.moments
+    if body is segment:
+        own = (moments.P[k, k] for k in segment.across) if segment.is_revolute else (moments.m,)
+        return sum(x.literal or 0.0 for x in own)
+    inertia = find_spatial(moments)
+    mine, other = (slice(3, 6), slice(0, 3)) if segment.is_revolute else (slice(0, 3), slice(3, 6))
+    least = inertia[mine, mine]
+    if any(s.is_revolute != segment.is_revolute for s in passed):
+        least = least - inertia[mine, other] @ np.linalg.pinv(inertia[other, other]) @ inertia[other, mine]
+    return max(float(np.linalg.eigvalsh(least)[0]), 0.0)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
-from mbsgen.formulations.parsimony.plan import Choice, Mass, Plan
+from mbsgen.formulations.parsimony.plan import Choice, Mass, Meeting, Plan
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.reductions import Reductions
 
@@ -87,4 +87,16 @@ def _alternatives(
     yield from (replace(choice, scaled=scaled) for scaled in lengths)
     yield from (replace(choice, mass=mass, spin_from=spin_from) for mass, spin_from in product(masses, (0, 1)))
     for own_frame, mass, spin_from, scaled in product(frames, masses, (0, 1), lengths):
-        yield Choice(own_frame, mass, scaled, spin_from)
+        yield Choice(own_frame, mass, scaled, spin_from, choice.meeting)
+
+
+def meet(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
+    """Choose the bodies that M meets, one by one from the leaves, and the place of each."""
+    fewest = cost(plan)
+    for segment in (s for s in reversed(segments) if s.parent):
+        for meeting in Meeting:
+            trial = plan.put(segment.number, replace(plan[segment.number], meeting=meeting))
+            found = cost(trial)
+            if found is not None and (fewest is None or found < fewest):
+                plan, fewest = trial, found
+    return plan

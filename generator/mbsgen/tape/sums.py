@@ -1,0 +1,225 @@
+"""Sums and products of a tape, written anew: with common parts once, and in the order in which terms are ready.
+
+A sum is taken whole, through additions and subtractions whose result has no other use; so is a product.
+
+*Sharing*: the pair of terms that most sums hold becomes a value, which takes the place of the pair in each of them; so
+does the next pair. A pair in k sums saves k - 1 operations. Constants of a sum or product are combined first, outside
+the recursion.
+
+*Order*: a processor starts several operations per clock, but each of them takes some clocks, and a sum waits for its
+terms. So the term that is ready last is added last, where this ends the sum earlier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence, Set
+from functools import reduce
+from heapq import heapify, heappop, heappush
+from itertools import combinations
+
+from mbsgen.roles import Role
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count_uses
+from mbsgen.tape.replay import declare_inputs, find_constants, leaves, replay_guards
+from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.writer import Ref
+
+LONGEST = 48  # terms; a longer sum shares nothing, since its pairs would be thousands
+CLOCKS = {Op.ADD: 4, Op.SUB: 4, Op.MUL: 4, Op.DIV: 14, Op.SQRT: 18}  # until a result is ready; of today's processors
+CLOCKS_OF_FUNCTION = 40
+
+_KINDS = {Op.ADD: Op.ADD, Op.SUB: Op.ADD, Op.MUL: Op.MUL}  # a difference is a sum
+_Term = tuple[int, int]  # a value and its sign; of a product, always 1
+_Pair = tuple[int, int, int]  # two values in order, and the product of their signs
+
+
+def rewrite(tape: Tape, constant: Set[Role] = frozenset(), *, share: bool = True, order: bool = True) -> Tape:
+    """Write sums and products anew; inputs of the roles `constant` count as constants.
+
+    share: compute common parts once. order: combine terms as they are ready, where this ends a sum or product earlier.
+    """
+    sums = _Sums(tape, constant)
+    if share:
+        sums.share()
+    if order:
+        sums.order()
+    return sums.write()
+
+
+class _Sums:
+    def __init__(self, tape: Tape, constant: Set[Role]) -> None:
+        self.tape = tape
+        self.is_constant = find_constants(tape, constant)
+        self.inner = self._find_inner()
+        self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value
+        for value, (op, _, _) in enumerate(tape.operations, tape.first_operation):
+            if op in _KINDS and value not in self.inner and not self.is_constant[value]:
+                self.wholes[_KINDS[op]][value] = self._list_terms(value)
+        self.pairs: dict[int, tuple[Op, _Term, _Term]] = {}  # the values of pairs follow the values of the tape
+
+    def _find_inner(self) -> set[int]:
+        """Find the operations that are written only as part of the sum or product that they belong to."""
+        first, operations, uses = self.tape.first_operation, self.tape.operations, count_uses(self.tape)
+        found = set()
+        for op, a, b in operations:
+            kind = _KINDS.get(op)
+            for x in (a, b) if kind else ():
+                is_single = x >= first and uses[x] == 1 and not self.is_constant[x]
+                if is_single and _KINDS.get(operations[x - first][0]) is kind:
+                    found.add(x)
+        return found
+
+    def _list_terms(self, value: int) -> list[_Term]:
+        """List the terms of a whole sum, or the factors of a whole product, from left to right."""
+        terms: list[_Term] = []
+        waiting = [(value, 1)]
+        while waiting:
+            place, sign = waiting.pop()
+            if place != value and place not in self.inner:
+                terms.append((place, sign))
+                continue
+            op, a, b = self.tape.operations[place - self.tape.first_operation]
+            waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
+        return terms
+
+    # -- sharing ------------------------------------------------------------------------------------------------
+
+    def share(self) -> None:
+        """Replace shared pairs by values."""
+        for kind, wholes in self.wholes.items():
+            self._pair_up(kind, {value: terms for value, terms in wholes.items() if len(terms) <= LONGEST})
+
+    def _pair_up(self, kind: Op, wholes: dict[int, list[_Term]]) -> None:
+        holders: dict[_Pair, set[int]] = {}
+        for value, terms in wholes.items():
+            if len(terms) > 2:
+                for pair in self._list_pairs(terms):
+                    holders.setdefault(pair, set()).add(value)
+        for value, terms in wholes.items():
+            if len(terms) == 2:  # equal ones are one value, so that only a longer sum can share the pair
+                for pair in self._list_pairs(terms):
+                    if pair in holders:
+                        holders[pair].add(value)
+        queue = [(-len(found), pair) for pair, found in holders.items() if len(found) > 1]
+        heapify(queue)
+        while queue:
+            number, pair = heappop(queue)
+            found = holders[pair]
+            if len(found) != -number:  # some of them hold it no more
+                if len(found) > 1:
+                    heappush(queue, (-len(found), pair))
+                continue
+            shared = self._add_pair(kind, pair)
+            for value in sorted(found):
+                terms = wholes[value]
+                for old in set(self._list_pairs(terms)):
+                    if old in holders:
+                        holders[old].discard(value)
+                _replace(terms, pair, shared)
+                for new in set(self._list_pairs(terms)):
+                    now = holders.setdefault(new, set())
+                    now.add(value)
+                    if len(now) > 1 and shared in new[:2]:
+                        heappush(queue, (-len(now), new))
+
+    def _add_pair(self, kind: Op, pair: _Pair) -> int:
+        a, b, sign = pair
+        shared = len(self.is_constant)
+        self.is_constant.append(False)
+        self.pairs[shared] = (kind, (a, 1), (b, sign))
+        return shared
+
+    def _list_pairs(self, terms: Sequence[_Term]) -> Iterator[_Pair]:
+        for (x, r), (y, s) in combinations(terms, 2):
+            if not (self.is_constant[x] and self.is_constant[y]):
+                yield (x, y, r * s) if x <= y else (y, x, r * s)
+
+    # -- order --------------------------------------------------------------------------------------------------
+
+    def order(self) -> None:
+        """Sort the terms of each sum and product by the clock at which they are ready, where this ends it earlier."""
+        tape = self.tape
+        ready = dict.fromkeys(range(tape.first_operation), 0)
+
+        def look_up(value: int) -> int:
+            if value not in ready:
+                kind, *parts = self.pairs[value]
+                ready[value] = max(look_up(x) for x, _ in parts) + CLOCKS[kind]
+            return ready[value]
+
+        for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+            terms = self._find_terms(value, op)
+            if terms is None:
+                began = max(ready[a], ready[b] if b >= 0 else 0)
+                ready[value] = 0 if self.is_constant[value] else began + CLOCKS.get(op, CLOCKS_OF_FUNCTION)
+                continue
+            clocks, step = {x: look_up(x) for x, _ in terms}, CLOCKS[op]
+            by_time = sorted(terms, key=lambda term: clocks[term[0]])
+            found, before = (_end([clocks[x] for x, _ in some], step) for some in (by_time, terms))
+            if found < before:
+                terms[:] = by_time
+            ready[value] = min(found, before)
+
+    # -- the new tape -------------------------------------------------------------------------------------------
+
+    def _find_terms(self, value: int, op: Op) -> list[_Term] | None:
+        kind = _KINDS.get(op)
+        return self.wholes[kind].get(value) if kind else None
+
+    def write(self) -> Tape:
+        """Write the tape with its sums and products as they are now."""
+        tape, builder = self.tape, Builder()
+        refs = dict(enumerate(x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))))
+        for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
+            terms = self._find_terms(value, op)
+            if terms is not None:
+                refs[value] = self._combine(builder, refs, _KINDS[op], terms)
+            elif value not in self.inner:
+                refs[value] = builder.operate(op, refs[a], refs[b] if b >= 0 else 0)
+        tested = {v for g in tape.guards for v in (g.value, g.scale)}
+        shown = tested.union(tape.labels, *(o.values for o in tape.outputs)) - self.inner
+        values = {v: Scalar(builder, refs[v]) for v in shown}
+        labelled = [(v, text) for v, text in sorted(tape.labels.items()) if v in values]
+        builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
+        for o in tape.outputs:
+            builder.output(o.port, o.sparsity, [values[v] for v in o.values])
+        replay_guards(tape, builder, values)
+        return builder.build(tape.function)
+
+    def _combine(self, builder: Builder, refs: dict[int, Ref], kind: Op, terms: Sequence[_Term]) -> Ref:
+        """Write a sum or product; several constants become one, the first factor or the last term."""
+        operate = builder.add if kind is Op.ADD else builder.mul
+
+        def look_up(term: _Term) -> Ref:
+            value, sign = term
+            if value not in refs:
+                refs[value] = reduce(operate, map(look_up, self.pairs[value][1:]))
+            return sign * refs[value]
+
+        fixed = [look_up(term) for term in terms if self.is_constant[term[0]]]
+        if len(fixed) < 2:
+            return reduce(operate, map(look_up, terms))
+        rest, together = [term for term in terms if not self.is_constant[term[0]]], reduce(operate, fixed)
+        varying = map(look_up, rest)
+        return reduce(operate, (*varying, together) if kind is Op.ADD else (together, *varying))
+
+
+def _end(ready: Sequence[int], step: int) -> int:
+    """Return the clock at which a sum is complete, by the clocks at which its terms are ready."""
+    clock = ready[0]
+    for other in ready[1:]:
+        clock = max(clock, other) + step
+    return clock
+
+
+def _replace(terms: list[_Term], pair: _Pair, shared: int) -> None:
+    """Put the value of a pair in its place: where its first term stands, with the sign of this term."""
+    a, b, sign = pair
+    first, second = next(
+        (i, j)
+        for i, x in enumerate(terms)
+        for j, y in enumerate(terms)
+        if i != j and x[0] == a and y[0] == b and x[1] * y[1] == sign
+    )
+    terms[first] = (shared, terms[first][1])
+    del terms[second]

@@ -1,0 +1,128 @@
+"""Sums written anew keep what a tape computes: common parts come once, and terms are added as they are ready."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+import pytest
+
+from mbsgen.roles import Role
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import count_paper
+from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.ports import Port
+from mbsgen.tape.sums import rewrite
+from mbsgen.tape.types import Op, Tape
+
+share, order = partial(rewrite, order=False), partial(rewrite, share=False)
+PARAMETERS = Port("p", Role.PARAMETER)
+
+
+def write(size: int, results: Callable[[Sequence[Scalar]], Sequence[Scalar]]) -> Tape:
+    builder = Builder()
+    x = builder.vector("x", size)
+    builder.output_dense("y", [[y] for y in results(x)])
+    return builder.build("sums")
+
+
+@pytest.mark.parametrize(
+    ("results", "before", "after"),
+    [
+        pytest.param(lambda x: [x[0] + x[1] + x[2], x[0] + x[3] + x[2]], 4, 3, id="sums"),
+        pytest.param(lambda x: [x[0] * x[1] * x[2], x[0] * x[3] * x[2]], 4, 3, id="products"),
+        pytest.param(lambda x: [x[0] - x[1] + x[2], x[3] + x[1] - x[0]], 4, 3, id="differences of both signs"),
+        pytest.param(lambda x: [x[0] + x[1], x[0] + x[2] + x[1]], 3, 2, id="one within another"),
+        pytest.param(lambda x: [x[0] + x[1] + x[2], x[0] - x[1] + x[3]], 4, 4, id="a sum is no difference"),
+        pytest.param(lambda x: [x[0] * x[0] * x[1], x[0] * x[2] * x[0]], 4, 3, id="squares"),
+        pytest.param(lambda x: [x[0] + x[1] + x[2] + x[3], x[3] + x[2] + x[1]], 5, 3, id="three terms"),
+    ],
+)
+def test_common_parts_are_computed_once(
+    results: Callable[[Sequence[Scalar]], Sequence[Scalar]], before: int, after: int
+) -> None:
+    tape = write(4, results)
+    assert (count_paper(tape), count_paper(share(tape))) == (before, after)
+    assert_same(tape, share(tape))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_tape_keeps_its_values(seed: int) -> None:
+    """In 50 digits, as the order of sums changes; and the same tape is written again."""
+    tape = random_tape(seed)
+    for found in (share(tape), order(tape), rewrite(tape)):
+        assert_same(tape, found)
+    assert rewrite(tape) == rewrite(tape)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sums_over_few_products_take_a_fraction_of_their_operations(seed: int) -> None:
+    """Each of 20 sums holds half of the same 10 products: of 90 operations, pairs save more than a quarter."""
+    rng = np.random.default_rng(seed)
+
+    def sums(x: Sequence[Scalar]) -> list[Scalar]:
+        products = [a * b for k, a in enumerate(x) for b in x[k + 1 :]]
+        return [sum((products[i] for i in rng.permutation(10)[:5]), start=x[0].builder.zero) for _ in range(20)]
+
+    tape = write(5, sums)
+    assert_same(tape, share(tape))
+    assert count_paper(share(share(tape))) <= count_paper(share(tape)) < 0.75 * count_paper(tape)
+
+
+def test_constants_of_a_product_come_together() -> None:
+    """p0 x p1 y is (p0 p1) x y: one product of three varies."""
+    builder = Builder()
+    (x, y), (p, r) = builder.vector("x", 2), builder.vector(PARAMETERS, 2)
+    builder.output_dense("z", [[(p * x) * r * y], [x * y]])
+    shared = share(builder.build("product"), {Role.PARAMETER})
+    assert count_paper(shared) == 3
+    assert shared.operations[0][1:] == (2, 3) or shared.operations[1][1:] == (2, 3)
+
+
+def test_sums_longer_than_the_limit_are_left() -> None:
+    """Their pairs would be thousands; the values stay."""
+    tape = write(60, lambda x: [sum(x[1:], start=x[0]), sum(x[1:], start=x[0]) * x[0], sum(x[2:], start=x[0])])
+    assert_same(tape, share(tape))
+
+
+def test_the_term_that_is_ready_last_is_added_last() -> None:
+    """Of sin(sin x2) + x0 - x1, the difference x0 - x1 does not wait for the sines."""
+    builder = Builder()
+    x = builder.vector("x", 3)
+    late = builder.sin(builder.sin(x[2]))
+    builder.output_dense("y", [[(late + x[0]) - x[1]]])
+    tape = builder.build("late")
+    assert longest_wait(order(tape)) == 3
+    assert longest_wait(tape) == 4
+    assert_same(tape, order(tape))
+
+
+def longest_wait(tape: Tape) -> int:
+    """Count the operations of the longest chain of operands."""
+    depths = [0] * tape.first_operation
+    for _, a, b in tape.operations:
+        depths.append(1 + max(depths[a], depths[b] if b >= 0 else 0))
+    return max(depths)
+
+
+def random_tape(seed: int) -> Tape:
+    """Write sums of products of few numbers, so that much is common."""
+    rng, builder = np.random.default_rng(seed), Builder()
+    values = [*builder.vector("x", 5), builder.number(2.0)]
+    for _ in range(120):
+        a, b = (values[i] for i in rng.integers(max(0, len(values) - 12), len(values), 2))
+        values.append([a + b, a - b, a * b, a * values[int(rng.integers(5))]][rng.integers(4)])
+    builder.guard(values[-1] * values[-1] + values[0] * values[0], values[1] * values[1], 1.0, 1)
+    builder.output_dense("y", [[x] for x in values[-20:]])
+    return builder.build("random")
+
+
+def assert_same(tape: Tape, shared: Tape) -> None:
+    size = tape.inputs[0].sparsity.nnz
+    given = {"x": [DIGITS.literal(float(x)) for x in np.random.default_rng(1).uniform(-1, 1, size)]}
+    expected, found = (evaluate(x, given, DIGITS)["y"] for x in (tape, shared))
+    for a, b in zip(expected, found, strict=True):
+        assert abs(a - b) <= 1e-40 * max(1, abs(a))
+    assert len(shared.guards) == len(tape.guards)
+    assert all(op in Op for op, _, _ in shared.operations)
