@@ -15,11 +15,12 @@ from mbsgen.derivatives.kernels import Derivatives, differentiable, differentiat
 from mbsgen.derivatives.staged import StagedDerivatives
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, Entry, refuse, select_functions
+from mbsgen.formulations.planning import count_own
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.splitting import hoist
 from mbsgen.request import EVERY_FUNCTION, OptionError, Request
-from mbsgen.roles import ON_REQUEST, Order, Role
+from mbsgen.roles import ACCELERATING, ON_REQUEST, QUICKEST, Order, Role
 from mbsgen.tape.passes import keep_results, merge, set_zero
 from mbsgen.tape.ports import Function, is_of
 from mbsgen.tape.types import Tape
@@ -61,6 +62,7 @@ def write_functions(
     derivatives are needed in stages only, not in straight code. Raises OptionError for functions that the tree does
     not have.
     """
+    request = _name_quickest(tree, request)
     families, ways = _write_chosen(tree, request, tell, staged=staged)
     families = _finish(families, request)
     added = add_functions(families, find_targets(request.targets))  # they compute run-time parameters themselves
@@ -71,7 +73,23 @@ def write_functions(
 
 def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
     """List the functions of the catalogue that are written. Raises OptionError for unknown names."""
-    return tuple(_choose_functions(tree, request))
+    return tuple(_choose_functions(tree, _name_quickest(tree, request)))
+
+
+def _name_quickest(tree: Tree, request: Request) -> Request:
+    """Replace the name of the quickest accelerations by the name of the form with the fewest operations."""
+    if not any(QUICKEST in names for names in (request.functions or (), request.optional, request.values)):
+        return request
+
+    def replace_in(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(best if name == QUICKEST else name for name in names))
+
+    forms = {name: straight(FUNCTIONS[name].build(tree, request.reductions)) for name in ACCELERATING}
+    best = min(forms, key=lambda name: count_own(forms[name]))
+    functions = None if request.functions is None else replace_in(request.functions)
+    return replace(
+        request, functions=functions, optional=replace_in(request.optional), values=replace_in(request.values)
+    )
 
 
 def _write_chosen(

@@ -7,6 +7,7 @@ The user's names appear here only; in C they are mangled.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, Valid
 from pydantic_core import from_json
 
 from mbsgen.errors import Fault, InputError
-from mbsgen.roles import Axis, Order, Role
+from mbsgen.roles import ACCELERATING, QUICKEST, Axis, Order, Role, name_kernel
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -412,11 +413,24 @@ class Manifest(_Entry):
         for kernel in self.kernels:
             if kernel.name == name:
                 return kernel
+        if name in self.quickest:
+            return self.quickest[name]
         raise KeyError(f"no kernel {name!r}; there are {', '.join(k.name for k in self.kernels)}")
 
     def find(self, base: str, order: Order = Order.VALUE) -> Kernel | None:
         """Return the kernel of a function and an order, if there is one."""
+        if base == QUICKEST:
+            return self.quickest.get(name_kernel(QUICKEST, order))
         return next((k for k in self.kernels if (k.base, k.order) == (base, order)), None)
+
+    @property
+    def quickest(self) -> Mapping[str, Kernel]:
+        """The accelerations with the fewest operations, and their derivatives, by the names `exp`, `jac_exp`, …"""
+        forms = [k for name in ACCELERATING for k in self.kernels if (k.base, k.order) == (name, Order.VALUE)]
+        if not forms:
+            return {}
+        best = min(forms, key=lambda kernel: kernel.flops.paper).base
+        return {name_kernel(QUICKEST, k.order): k for k in self.kernels if k.base == best}
 
     @property
     def setup(self) -> Kernel | None:

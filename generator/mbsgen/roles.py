@@ -60,6 +60,11 @@ ON_REQUEST = ("accelerations", "attitudes", "lengths", "tensions", "contact_forc
 MOMENTS = ("m", "Sx", "Sy", "Sz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
+# A name for the form of the accelerations with the fewest operations; of equal ones, the first.
+QUICKEST = "exp"
+ACCELERATING = ("exp2", "exp1")
+
+
 class Axis(Enum):
     """The meaning of the entries along one side of an argument."""
 

@@ -305,7 +305,7 @@ class _Binder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.manifest = manifests.read(folder / manifests.FILE_NAME)
-        self.kernels = {kernel.name: kernel for kernel in self.manifest.kernels}
+        self.kernels = {**{kernel.name: kernel for kernel in self.manifest.kernels}, **self.manifest.quickest}
         self._entries: dict[str, Entry] = {}
         self._loops: dict[int, Loop] = {}  # by how many states they compute at once
         self._several: dict[str, Several | None] = {}

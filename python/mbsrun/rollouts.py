@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel
-from mbsgen.roles import Role
+from mbsgen.roles import QUICKEST, Role
 from mbsrun import many
 from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_library
 from mbsrun.external import Mechanism
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
 from mbsrun.simulation.tableaus import FIXED, Tableau
 
-FUNCTIONS = ("exp2", "exp1")  # kernels of accelerations; the one with fewer flops is taken
 _DECLARED = """
 typedef struct {{ const double *first; long long step, pace, numbers, place, rates_place; }} mbs_course;
 typedef struct {{ void *f; long long n_in, n_out, q, qd; }} mbs_function;
@@ -107,11 +106,10 @@ def rollout(
 
 
 def _choose_function(mechanism: Mechanism) -> str:
-    kernels = {kernel.name: kernel for kernel in mechanism.manifest.kernels}
-    found = [kernels[name] for name in FUNCTIONS if name in kernels]
-    if not found:
-        raise ArgumentError(f"{mechanism.manifest.model} has no accelerations; generate {' or '.join(FUNCTIONS)}")
-    return min(found, key=lambda kernel: kernel.flops.paper).name
+    kernel = mechanism.manifest.find(QUICKEST)
+    if kernel is None:
+        raise ArgumentError(f"{mechanism.manifest.model} has no accelerations; generate {QUICKEST}")
+    return kernel.name
 
 
 def _check(

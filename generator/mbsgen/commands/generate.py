@@ -20,10 +20,14 @@ from mbsgen.importing import Choices
 from mbsgen.model.scene import EVERYTHING
 from mbsgen.output import find_differences, write_folder
 from mbsgen.pipeline import Options, make
+from mbsgen.roles import ACCELERATING, QUICKEST
 from mbsgen.targets.languages import TARGETS
 from mbsgen.targets.symbols import describe_mangling
 
-SWITCHES = {name.replace("_", "-"): name for name in ("regroup", "share_frames", "lump", "absolute", "factor")}
+SWITCHES = {
+    name.replace("_", "-"): name
+    for name in ("regroup", "share_frames", "lump", "absolute", "meet", "together", "factor", "share", "order")
+}
 
 
 def _targets(command: Callable[..., None]) -> Callable[..., None]:
@@ -63,7 +67,8 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--functions",
     metavar="NAME,...",
-    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all.",
+    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all. {QUICKEST}: of "
+    f"{' and '.join(sorted(ACCELERATING))}, the one with fewer operations.",
 )
 @click.option(
     "--derivatives",

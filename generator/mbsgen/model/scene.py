@@ -25,7 +25,7 @@ from mbsgen.model.quantities import find_read_frames
 from mbsgen.model.sections import NumberField
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
-from mbsgen.roles import RESERVED
+from mbsgen.roles import QUICKEST, RESERVED
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}", re.ASCII)
 TAKEN = ("setup", "check", "names", "default_parameters")  # of other files of a generated folder
@@ -151,7 +151,7 @@ class _Judgement:
         steps = [step for i, body in enumerate(self.model.bodies) for step in list_steps(i, body)]
         joints, loose = [x.name for x in steps], [x.name for x in steps if x.joint.floats]
         lists: tuple[tuple[str, str, Sequence[str] | None, Sequence[str]], ...] = (
-            ("functions", "function", section.functions, list(self.functions)),
+            ("functions", "function", section.functions, [*self.functions, QUICKEST]),
             ("sensors", "frame", section.sensors, [f.name for f in self.model.frames if f.is_sensor]),
             ("wrenches", "wrench", section.wrenches, [w.name for w in self.model.wrenches]),
         )

@@ -22,7 +22,7 @@ from pydantic import TypeAdapter
 from mbsgen import resources
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FILE_NAME, Kernel
-from mbsgen.roles import Role
+from mbsgen.roles import QUICKEST, Role
 from mbsrun import bare
 from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import emulate
@@ -57,7 +57,7 @@ from mbsrun.ocp.transcription import Transcription
 
 Mask = NDArray[np.bool_]
 
-PREDICTING = "exp2"  # gives the accelerations of the model's own motion
+PREDICTING = QUICKEST  # gives the accelerations of the model's own motion
 
 
 class UnsolvedError(MbsError):

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mbsgen.roles import Role
+from mbsgen.roles import QUICKEST, Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces.face import VALUES, Face
 from mbsrun.faces.operators import Operator
@@ -42,7 +42,7 @@ class SteppingFace(Face[A]):
         """Return q and qd after a step of length h [s], in which the other inputs stay as they are.
 
         `method` is euler, rk4 or the implicit midpoint, for trees without quaternions. A step whose equations are not
-        solved gives results that are not a number. `dynamics` is the function that gives accelerations: exp1, and
+        solved gives results that are not a number. `dynamics` is the function that gives accelerations: exp, and
         exp1_red for closed loops. The loops of the given state are closed. Raises ArgumentError for anything else.
         """
         flow = self._make_flow(method, dynamics, inputs)
@@ -94,9 +94,9 @@ class SteppingFace(Face[A]):
                 raise ArgumentError(
                     f"{manifest.model}: {MIDPOINT} steps trees without quaternions and driven joints; take rk4"
                 )
-            return _MidpointFlow(self, FIXED["euler"], dynamics or "exp1", inputs)
+            return _MidpointFlow(self, FIXED["euler"], dynamics or QUICKEST, inputs)
         if not manifest.loops:
-            return _Flow(self, FIXED[method], dynamics or "exp1", inputs)
+            return _Flow(self, FIXED[method], dynamics or QUICKEST, inputs)
         if manifest.quaternions or manifest.driven:
             raise ArgumentError(
                 f"{manifest.model}: steps of closed loops with quaternions or driven joints are not made"
