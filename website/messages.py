@@ -138,7 +138,7 @@ CLASSES = (
     ),
     Class(
         "robots",
-        "Faults of robots in URDF, MJCF and SDF",
+        "Faults of files in URDF, MJCF, SDF and OpenSim",
         "A message has the line and the element. Omissions are warnings. The exit code is 2.",
         (Case("An unknown type of joint", "mbsgen check robot.urdf", "revolt"),),
     ),

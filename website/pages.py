@@ -289,7 +289,7 @@ mbsrun solve models/arm_reach.ocp.yaml -o build/arm_reach
 | I want to | |
 |---|---|
 | learn it by doing | [Tutorials](tutorials/README.md), each with something to see |
-| take my robot's URDF | [Importing URDF, MJCF or SDF](importing.md) |
+| take my robot's URDF, or a model of OpenSim | [Importing](importing.md) |
 | describe my own mechanism | [The model file](model.md), [closed loops](loops.md) |
 | read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
 | call its dynamics from C, C++ or Python | [Kernels](kernels.md): derivatives, batches; [C++](cpp.md) |

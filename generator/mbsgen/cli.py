@@ -24,8 +24,8 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen models/pendulum.yaml -o pendulum    write C to the folder pendulum
   mbsgen show models/pendulum.yaml           print the tree of its bodies
 
-MODEL is a YAML file (models/ holds examples), or a file of URDF, MJCF or SDF. Without COMMAND, `generate` is meant.
-Write ./NAME for a file with the name of a command. `mbsgen COMMAND --help` describes a command.
+MODEL is a YAML file (models/ holds examples), or a file of URDF, MJCF, SDF or OpenSim. Without COMMAND,
+`generate` is meant. Write ./NAME for a file with the name of a command. `mbsgen COMMAND --help` describes a command.
 
 \b
 Exit codes
@@ -42,7 +42,7 @@ ENTRIES = (
     Entry("scaling", "", "Count the formulations for chains of growing length."),
     Entry("check", "MODEL", "Print every fault of MODEL, and write nothing."),
     Entry("compare", "MODEL", "Compare MODEL, a URDF file, with another program."),
-    Entry("import", "MODEL", "Make a model file of MODEL, a file of URDF, MJCF or SDF."),
+    Entry("import", "MODEL", "Make a model file of MODEL, a file of URDF, MJCF, SDF or OpenSim."),
 )
 
 

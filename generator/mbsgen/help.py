@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-ROBOTS = "Options for robots in URDF, MJCF and SDF"
+ROBOTS = "Options for robots in URDF, MJCF, SDF and OpenSim"
 COMMANDS = "Commands"  # the subject of commands without one
 _WHOLE = 1000  # characters, more than any summary has
 
 
 class RobotOption(click.Option):
-    """An option that files of URDF, MJCF and SDF alone take."""
+    """An option that files of other formats alone take."""
 
 
 class ModelCommand(click.Command):

@@ -17,8 +17,9 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun simulate models/cart_pole.yaml --duration 5 --pose pole=2 -o moves
   mbsrun solve models/cart_pole_swing_up.ocp.yaml -o swing_up
 
-MODEL is a YAML file, a file of URDF, MJCF or SDF, or a folder that mbsgen wrote; PROBLEM is a YAML file. models/ holds
-examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, progress and messages to stderr.
+MODEL is a YAML file, a file of URDF, MJCF, SDF or OpenSim, or a folder that mbsgen wrote; PROBLEM is a YAML file.
+models/ holds examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, progress and messages to
+stderr.
 """
 
 COMMANDS = {

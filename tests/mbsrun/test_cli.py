@@ -386,7 +386,7 @@ def test_help_lists_commands_by_subject_and_options_of_robots_apart(run: Run) ->
         assert line.endswith(entry.summary)
         assert len(line) <= 80
     assert lines.index("Motions:") < lines.index("Optimal control:") < lines.index("Files:")
-    own, _, robots = run("animate", "--help").stdout.partition("Options for robots in URDF, MJCF and SDF:")
+    own, _, robots = run("animate", "--help").stdout.partition("Options for robots in URDF, MJCF, SDF and OpenSim:")
     assert "--apart" in own
     assert "--mimic" not in own
     assert "--mimic" in robots

@@ -71,7 +71,7 @@ def test_the_imported_model_is_the_one_that_mbsgen_writes(arm: Path) -> None:
 def test_the_options_are_refused_without_a_robots_file(option: list[str]) -> None:
     run = CliRunner().invoke(cli, ["linearise", "acrobot.yaml", *option])
     options = "--base, --sensor, --lock, --lock-massless, --mimic and --loop-tolerance"
-    expected = f"acrobot.yaml: {options} are for files of URDF, MJCF or SDF"
+    expected = f"acrobot.yaml: {options} are for files of URDF, MJCF, SDF or OpenSim"
     assert str(run.exception) == expected
 
 

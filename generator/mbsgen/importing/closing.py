@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mbsgen.expressions import Expression, Name, Negation, Number, Operation, Power
+from mbsgen.expressions import FLOATS, Expression, Name, Negation, Number, Operation, Power, evaluate, substitute
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import Array, Pose
 from mbsgen.model.tree import Cut
 
 Rule = tuple[str, float, float]  # of a follower: the joint that it follows, ratio, offset
+X = "x"  # in the expression of a curve: the coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +63,28 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Any function of the coordinate of a joint, with the coefficient 1 or -1."""
+
+    joint: str
+    coefficient: float
+    expression: Expression  # over X
+
+    def at(self, q: float) -> float:
+        """Return its value at a coordinate."""
+        return self.coefficient * evaluate(self.expression, {X: q}, FLOATS)
+
+    def write(self, name: str) -> Expression:
+        """Write the function, without the sign of the coefficient, for a joint of this name."""
+        return substitute(self.expression, {X: Name(name)})
+
+
+@dataclass(frozen=True)
 class Equation:
     """A sum of terms, and of a constant, that vanishes."""
 
     name: str
-    terms: tuple[Term, ...]
+    terms: tuple[Term | Curve, ...]
     constant: float
     source: Element
 

@@ -9,8 +9,14 @@ from mbsgen.importing.findings import read_number
 from mbsgen.importing.markup import Element
 
 ATTRIBUTES = ("anchor", "axis", "axisangle", "euler", "pos", "quat", "rpy", "xyaxes", "xyz", "zaxis")
-TEXTS = ("pose", "xyz")  # elements of SDF
-AWAY = ("collision", "geom", "inertial", "visual")  # elements that place no joint
+TEXTS = (  # elements of SDF and OpenSim
+    *("pose", "xyz", "axis", "location", "location_in_parent", "orientation", "orientation_in_parent", "translation"),
+    *("location_body_1", "location_body_2", "orientation_body_1", "orientation_body_2"),
+)
+AWAY = (  # elements that place no joint
+    *("collision", "geom", "inertial", "visual", "ContactGeometrySet", "ForceSet", "MarkerSet", "VisibleObject"),
+    "WrapObjectSet",
+)
 
 
 def list_numbers(root: Element) -> Iterator[float]:

@@ -42,7 +42,7 @@ class Format:
     read: Callable[[Source, Choices], Imported]  # raises InputError with all faults of the file
 
 
-_MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")  # the root element shows the format, whatever the file's name
+_MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".osim")  # the root element shows the format
 _ADVICE = {
     "mujocoinclude": "import the file that includes this one",
 }
@@ -77,10 +77,17 @@ def _read_sdf(root: Element, choices: Choices, findings: Findings) -> Imported:
     return read_sdf(root, choices, findings)
 
 
+def _read_osim(root: Element, choices: Choices, findings: Findings) -> Imported:
+    from mbsgen.importing.osim import read_osim
+
+    return read_osim(root, choices, findings)
+
+
 FORMATS: tuple[Format, ...] = (
     make_markup_format("URDF", "robot", _read_urdf),
     make_markup_format("MJCF", "mujoco", _read_mjcf),
     make_markup_format("SDF", "sdf", _read_sdf),
+    make_markup_format("OpenSim", "OpenSimDocument", _read_osim),
 )
 
 

@@ -19,7 +19,7 @@ from mbsrun.models import Extent, find_folder
 
 def test_a_file_of_no_format_is_refused_with_what_there_is(tmp_path: Path) -> None:
     advice = {
-        "page": "give a file of URDF (<robot>), MJCF (<mujoco>) or SDF (<sdf>)",
+        "page": "give a file of URDF (<robot>), MJCF (<mujoco>), SDF (<sdf>) or OpenSim (<OpenSimDocument>)",
         "mujocoinclude": "import the file that",
     }
     for tag, remedy in advice.items():
@@ -63,7 +63,7 @@ def test_a_new_format_is_a_reader_and_an_entry(tmp_path: Path, monkeypatch: pyte
     wrong.write_text("rods\n0.5\n", encoding="utf-8")
     other.write_text("balls\n", encoding="utf-8")
     monkeypatch.setattr(formats, "FORMATS", (*FORMATS, CHAIN))
-    assert list_formats() == "URDF, MJCF, SDF or rods"
+    assert list_formats() == "URDF, MJCF, SDF, OpenSim or rods"
     assert [x.name for x in read_tree(file).bodies] == ["rod1", "rod2"]
 
     run = CliRunner().invoke(cli, ["import", str(file), "--name", "pair", "-o", str(tmp_path / "pair.yaml")])
