@@ -128,7 +128,10 @@ def describe_joint(tree: Tree, number: int) -> str:
                 for leader, ratio in x.terms
             ]
             return f"{kind}, follows {' + '.join([*terms, *([f'{offset:g}'] if offset else [])])}"
-    return kind if joint.actuated else f"{kind}, passive"
+    kind = kind if joint.actuated else f"{kind}, passive"
+    if joint.stops is not None:
+        kind += ", compliant stops" if joint.stops.restitution is None else f", stops of {joint.stops.restitution:g}"
+    return kind if joint.dry is None else f"{kind}, dry friction"
 
 
 def draw(tree: Tree, q: Sequence[float]) -> Figure:

@@ -23,7 +23,10 @@ SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a 
     ("csrc/stages/*.c", STAGES),
     ("csrc/mbs_least.c", ("tests/csrc/test_least.py", f"{MOTIONS}/test_loops.py")),
     ("csrc/mbs_variational.c", (f"{MOTIONS}/test_variational.py",)),
-    ("csrc/mbs_explicit.c", (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py")),
+    (
+        "csrc/mbs_explicit.c",
+        (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py", f"{MOTIONS}/test_switching.py"),
+    ),
     ("csrc/mbs_radau.c", (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py")),
     ("csrc/program/*.c", ("tests/mbsrun/ocp/stages", "tests/mbsrun/controllers/test_controllers.py")),
     ("python/mbsrun/tracking/compiled.py", ("tests/mbsrun/tracking/test_compiled.py",)),

@@ -120,11 +120,15 @@ class Mechanism:
 
     def slopes(self, q: Array) -> Array:
         """Return dh/dq, shape (all equations, entries of q)."""
+        if not self.equations:
+            return np.zeros((0, len(self.steps)))
         found: Array = self._rows[:, None] * self._spread(self._slopes, q) * self.steps
         return found
 
     def J(self, q: Array) -> Array:
         """Return J, shape (all equations, n)."""
+        if not self.equations:  # driven joints alone
+            return np.zeros((0, self.n))
         found: Array = self._rows[:, None] * self._spread(self._jacobian, q) * self._speeds
         return found
 

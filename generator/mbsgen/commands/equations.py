@@ -74,6 +74,10 @@ def equations_command(
         tell("the equations")
         tree = build_numeric(source) if numbers else build_symbolic(source)
         page = _choose_page(tree, form)
+    if hidden := [x.name for x in tree.joints if x.dry or (x.stops and x.stops.restitution is not None)]:
+        click.echo(
+            f"note: rigid stops and dry friction of joints {', '.join(hidden)} are not in the equations", err=True
+        )
     for out, own in zip(outputs, languages, strict=True):
         write_file(FORMATS[own](page).encode(), out)
     if not outputs:

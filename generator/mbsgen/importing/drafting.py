@@ -266,9 +266,10 @@ class Draft:
             self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
 
     def warn_of_limits(self) -> None:
-        """Warn of the joints that the file stops at the ends of their ranges: no simulation of a model does."""
+        """Warn of the joints that the file stops at the ends of their ranges: without stops, no simulation does."""
         joints = [joint for body in self.bodies for joint in _list_joints(body.joint)]
-        bounded = sum(joint.lower is not None or joint.upper is not None for joint in joints)
+        ends = [(joint.lower, joint.upper) for joint in joints if joint.stops is None]
+        bounded = sum(lower is not None or upper is not None for lower, upper in ends)
         if bounded:
             text = "1 joint" if bounded == 1 else f"{bounded} joints"
             self.findings.sum_up(f"the ranges of {text} bound problems alone: a simulation passes them", alters=True)

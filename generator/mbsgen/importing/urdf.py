@@ -346,7 +346,7 @@ class _Robot:
             armature += self._read_armature(dynamics)
         if friction:
             self._findings.tell(joint, describe_friction(friction, self._choices, follows=follows is not None))
-        self._lossy += bool(damping or friction)
+        self._lossy += bool(damping or (friction and not self._choices.dry_friction))
         return Move(
             Motion.PRISMATIC if kind == "prismatic" else Motion.REVOLUTE,
             read_axis(joint, self._findings),

@@ -57,6 +57,7 @@ Array = NDArray[np.float64]
 SLOW = 1e-3  # m/s, rad/s: only a slower rebound may be the last one
 REBOUND = 1e-15  # m, rad: a rebound that rises less is the last one
 NEAR = 1e-9  # of the forces of a joint: a force that is as near to the most that holds it lets it go
+MANY = 100  # impacts at one time: the rest of them is one without rebounds
 MOST = 1000  # switches at one time
 
 
@@ -190,12 +191,15 @@ class _Course:
         q, qd = q.copy(), qd.copy()
         sides = joints.touch(q)
         M = self.forces.mass(q, qd, piece.at(time, q, qd))
-        for _ in range(MOST):
+        for k in range(MOST):
             joints.still(qd)
-            sides_now = np.where(sides * qd > 0, 0, sides)
-            if not ((sides_now * qd) < 0).any():
+            closing = sides * qd < 0
+            if not closing.any():
                 break
-            impact = self.hit(time, piece, q, qd, M, sides_now)
+            if k < MANY or (joints.restitution[closing] == 1).any():
+                impact = self.hit(time, piece, q, qd, M, np.where(sides * qd > 0, 0, sides))
+            else:  # of impacts that alternate without end, each with less speed
+                impact = self.strike(time, qd, M, sides, np.zeros_like(qd))
             qd, self.loss, self.driven = impact.qd, self.loss + impact.loss, self.driven + impact.driven
             events += impact.events
             self.jumps = (*self.jumps, impact.jump)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.drawing import describe_joint
 from mbsgen.model.construction import body, make_model, prismatic
 from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
@@ -166,7 +167,7 @@ def test_the_manifest_names_joints_that_switch_and_says_nothing_of_others(tmp_pa
     hashes = []
     for number in (0.4, 0.5):
         file = tmp_path / f"{number}.yaml"
-        text = TEXT.replace("restitution: 0.4", f"restitution: {number}").replace("driven: [belt]\n", "")
+        text = TEXT.replace("restitution: 0.4", f"restitution: {number}")
         file.write_text(text, encoding="utf-8")
         manifest = generate(file, tmp_path / str(number), Options(functions=("energy",), derivatives=0)).manifest
         hashes.append(manifest.model_hash)
@@ -183,3 +184,10 @@ def test_the_manifest_names_joints_that_switch_and_says_nothing_of_others(tmp_pa
     text = (tmp_path / "plain" / "manifest.json").read_text()
     assert "stops" not in text
     assert "friction" not in text
+
+
+def test_a_joint_is_described_with_its_stops_and_friction(tmp_path: Path) -> None:
+    tree = read_text(TEXT, tmp_path)
+    texts = {b.joint.name: describe_joint(tree, k) for k, b in enumerate(tree.bodies, 1)}
+    assert texts["slide"] == "prismatic along x, stops of 0.4, dry friction"
+    assert texts["nut"] == "prismatic along y, compliant stops"

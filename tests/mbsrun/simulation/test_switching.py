@@ -249,6 +249,20 @@ bodies:
     assert np.abs(motion.energy.drift).max() < 1e-12
 
 
+def test_impacts_that_alternate_at_one_time_end(make: Make) -> None:
+    """A light mass touches two heavy ones that close on each other: it is squeezed, and all go on together."""
+    text = chain(2, 0.5).replace("mass: 1\n  - name: b1", "mass: 1e6\n  - name: b1")
+    text = text[: text.rindex("mass: 1")] + "mass: 1e6\n"
+    motion = simulate(make(text), hold([]), [0, 0, 0], [0, -1, 0.5], Settings(0.1))
+    assert motion.is_complete
+    assert {event.time for event in motion.events if event.kind is Kind.IMPACT} == {0.0}
+    assert motion.qd[-1, 1:] == pytest.approx([0, 0], abs=1e-12)
+    assert motion.qd[-1, 0] == pytest.approx(-0.25, abs=1e-5)
+    assert motion.energy is not None
+    assert motion.energy.total[-1] < motion.energy.total[0]
+    assert np.abs(motion.energy.drift).max() < 1e-9 * motion.energy.total[0]
+
+
 def test_a_stop_lets_go_when_the_force_turns(make: Make) -> None:
     """Pressed on its stop by -cos t, the block leaves at pi/2, and moves freely from there."""
     block = slide(make, "limits: [0, null], stops: {restitution: 0}", mass=1.0)
