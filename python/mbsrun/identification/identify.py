@@ -16,7 +16,7 @@ from mbsrun.identification.estimation import Estimate, Part, compress, estimate,
 from mbsrun.identification.physical import find_bodies
 from mbsrun.identification.reading import read_samples
 from mbsrun.identification.result import Base, Identification, Torque, Trace
-from mbsrun.identification.settings import DEFAULT, ENCODER, FALL, LOSSES, MOTOR, IdentificationError, Settings
+from mbsrun.identification.settings import DEFAULT, ENCODER, FALL, LOSSES, IdentificationError, Settings
 from mbsrun.identification.structure import Structure, find_structure
 from mbsrun.identification.unknowns import FALLS, PARAMETER, Unknown, list_speeds, list_unknowns
 from mbsrun.models import Extent, is_model, read_numbers
@@ -34,7 +34,7 @@ ITERATIONS = 40  # of Gauss and Newton
 SETTLED = 1e-9  # decrease of the sum of squares at which they end, relative
 SHORTEST = 1e-4  # part of a step
 FILTERED = 2.0  # samples in a period of a filter's cut-off, which are kept
-SCALE = 1e-9  # of the equations' rest in the span of the unknown numbers: then forces have no scale
+SCALE = 1e-9  # of the equations: what is left of them without the unknown numbers; then forces have no scale
 
 
 def say_nothing(_: str, __: int, ___: int) -> None:
@@ -141,12 +141,10 @@ def _check_scale(task: Task, parts: Sequence[Part]) -> None:
     """Refuse equations that numbers of 0 solve: without any known torque, mass or load, forces have no scale."""
     if any(samples.u.any() for samples in task.samples):
         return
-    A = np.concatenate([part.A.reshape(-1, part.A.shape[2]) for part in parts])
-    b = np.concatenate([part.b.ravel() for part in parts])
-    own = A[:, [k for k, i in enumerate(task.structure.kept) if task.structure.unknowns[i].kind != MOTOR]]
-    lengths = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    left = b - own @ (np.linalg.lstsq(own / lengths, b, rcond=1e-12)[0] / lengths)
-    if b.any() and np.linalg.norm(left) <= SCALE * np.linalg.norm(b):
+    own = task.structure.evaluate(np.array([x.value for x in task.structure.unknowns]))
+    left = np.concatenate([(part.A @ own + part.b).ravel() for part in parts])
+    size = np.concatenate([part.b.ravel() for part in parts])
+    if size.any() and np.linalg.norm(left) <= SCALE * np.linalg.norm(size):
         raise IdentificationError(
             "no torque is known and all forces are unknown, so recordings determine ratios alone; name the bodies "
             "whose inertia is unknown, give a motor's constant, or record a known load"

@@ -13,7 +13,9 @@ from mbsgen.errors import MbsError
 from mbsgen.model.reader import read_model
 from mbsrun import cli
 from mbsrun.identification import IdentificationError, Settings, identify
+from mbsrun.identification.writing import write_model
 from mbsrun.recordings import Recording
+from mbsrun.recordings.recording import Column
 from tests.mbsrun.identification.motions import ROOT, TWO_LINK, open_model, record, swing
 from tests.picture_kinds import find_kind
 
@@ -126,6 +128,9 @@ def test_recordings_that_tell_nothing_are_refused() -> None:
         identify(TWO_LINK, [change(made, q=0.0, qd=0.0, qdd=0.0)], Settings(unknown=("damping",)))
     with pytest.raises(IdentificationError, match=r"no torque is known .* ratios alone"):
         identify(TWO_LINK, [change(made, u=0.0)])
+    currents = {name: f"u[{name}]" for name in ("shoulder", "elbow")}
+    with pytest.raises(IdentificationError, match="give a motor's constant"):
+        identify(TWO_LINK, [made], Settings(unknown=("inertia", "motor"), currents=currents))
     with pytest.raises(IdentificationError, match="no recording is given"):
         identify(TWO_LINK, [])
     with pytest.raises(IdentificationError, match="it holds code"):
@@ -135,7 +140,6 @@ def test_recordings_that_tell_nothing_are_refused() -> None:
 def test_closed_loops_are_identified() -> None:
     """A five-bar: torques of both motors, of a motion that keeps the loop closed, determine all sums that it feels."""
     from mbsrun.closure import Closure
-    from mbsrun.recordings.recording import Column
     from mbsrun.simulation.inverse import balance
 
     path = ROOT / "models" / "five_bar.yaml"
@@ -157,3 +161,49 @@ def test_closed_loops_are_identified() -> None:
     assert len(found.base) == 11
     for x in found.base:
         assert abs(x.value - x.before) < 4 * x.deviation
+
+
+PUSHED = """name: pushed
+gravity: [0, 0, -9.81]
+bodies:
+  - name: rod
+    joint: {name: hinge, type: revolute, axis: y, actuated: false}
+    mass: MASS
+    com: [0, 0, -0.5]
+    inertia: [0.2, 0.2, 0.01]
+wrenches:
+  - {name: push, body: rod, position: [0, 0, -1], frame: base, force: input}
+"""
+
+
+def test_a_known_force_gives_the_scale_where_no_torque_is_measured(tmp_path: Path) -> None:
+    """A rod without a motor, pushed at its tip: (J + m/4) qdd + g m/2 sin q = -F cos q, by hand."""
+    path, t = tmp_path / "pushed.yaml", np.arange(500) / 50
+    path.write_text(PUSHED.replace("MASS", "2"), "utf-8")
+    (q,), (qd,), (qdd,) = (x.T for x in swing(1, t, 3))
+    m, J = 1.5, 0.25
+    force = -((J + m / 4) * qdd + 9.81 * m / 2 * np.sin(q)) / np.cos(q)
+    columns = ["q[hinge]", "qd[hinge]", "qdd[hinge]", *(f"input[push.force.{axis}]" for axis in "xyz")]
+    values = np.stack((q, qd, qdd, force, 0 * t, 0 * t), axis=1)
+    found = identify(path, [Recording("pushed.csv", t, tuple(map(Column, columns)), values)])
+    assert found.find("Jyy[rod]").value == pytest.approx(J + m / 4, rel=1e-9)
+    assert found.find("Sz[rod]").value == pytest.approx(-m / 2, rel=1e-9)
+    free = Recording("free.csv", t, tuple(map(Column, columns[:3])), values[:, :3])
+    with pytest.raises(IdentificationError, match="ratios alone"):
+        identify(path, [free])
+
+
+def test_frictions_and_rotors_are_written_into_the_model(tmp_path: Path) -> None:
+    """The written model explains the recording as well as the estimate: its force, friction, damping and armature."""
+    kernels, t = open_model(TWO_LINK), np.arange(1000) / 100
+    q, qd, qdd = swing(2, t, 3)
+    slope = np.tanh(qd / 0.02)
+    more = 0.3 * qd + 0.5 * slope + 0.4 * np.exp(-((qd / 0.15) ** 2)) * slope + 0.07 * qdd
+    made = record(kernels, t, (q, qd, qdd), 0.01, more=more)
+    found = identify(TWO_LINK, [made], Settings(unknown=("inertia", "damping", "friction", "stribeck", "armature")))
+    path = tmp_path / "found.yaml"
+    path.write_text(write_model(found, TWO_LINK), "utf-8")
+    assert "exp(-(qd/0.1" in path.read_text("utf-8")
+    again = identify(path, [made], Settings(unknown=("inertia",)))
+    for own, other in zip(again.torques, found.torques, strict=True):
+        assert own.before == pytest.approx(other.deviation, rel=1e-3)
