@@ -34,7 +34,7 @@ ITERATIONS = 40  # of Gauss and Newton
 SETTLED = 1e-9  # decrease of the sum of squares at which they end, relative
 SHORTEST = 1e-4  # part of a step
 FILTERED = 2.0  # samples in a period of a filter's cut-off, which are kept
-SCALE = 1e-9  # of the equations: what is left of them without the unknown numbers; then forces have no scale
+SCALE = 1e-9  # of the equations, beyond which they hold where all unknown numbers are 0: forces have no scale then
 
 
 def say_nothing(_: str, __: int, ___: int) -> None:
