@@ -42,7 +42,9 @@ Exit codes
 @click.option(
     "--derivatives", type=click.IntRange(0, 2), default=2, show_default=True, help="The highest order of derivatives."
 )
-@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The folder for machine code.")
+@click.option(
+    "-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder for machine code."
+)
 @accept_robots
 def cuda_command(
     model: Path, arch: str, float32: bool, functions: str | None, derivatives: int, out: Path | None
