@@ -167,7 +167,8 @@ class _File:
             self._add_marker(marker, mount)
         if self._findings.faults:
             raise self._findings.refuse()
-        return self._draft.finish(self._model.attributes.get("name", "") or "model", gravity, self._root)
+        name = self._model.attributes.get("name", "").removesuffix(".osim")
+        return self._draft.finish(name or "model", gravity, self._root)
 
     def _read_gravity(self) -> tuple[float, ...]:
         child = self._model.first("gravity")
@@ -564,6 +565,10 @@ class _File:
             return
         amount = self._replace(amount)
         for name in (own, *amount.coordinates):
+            if name == own and own in self._held and own not in self._leaders:
+                remedy = "hold the coordinates that it depends on instead"
+                self._findings.fault(element, f"{abbreviate(own)} is held, and is no joint here", remedy)
+                return
             if name not in self._leaders:
                 self._findings.fault(element, f"{abbreviate(name)} is the coordinate of no joint here", "remove it")
                 return

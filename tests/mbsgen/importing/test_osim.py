@@ -26,6 +26,7 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.reduction import build_tree
 from tests import peers
 from tests.mbsgen.importing.osim_files import (
+    ARC,
     CASES,
     CHAIN,
     COORDINATES,
@@ -33,11 +34,13 @@ from tests.mbsgen.importing.osim_files import (
     LEG,
     LINE,
     Link,
+    axis,
     coordinate,
     coupler,
     limit,
     save,
     spring,
+    transform,
     write_model,
 )
 from tests.mbsgen.importing.osim_motion import Case, Motion, ask_opensim, draw, find_misses, list_states
@@ -118,6 +121,34 @@ def test_straight_lines_go_on_beyond_their_points() -> None:
     assert [evaluate(found, {"x": at}, FLOATS) for at in (-2.0, -0.5, 1.0, 3.0)] == [2, 0.5, 2, 6]
 
 
+def test_two_turns_by_curves_of_one_coordinate_balance_their_power(tmp_path: Path) -> None:
+    """The power of the forces is the rate of the kinetic energy, without gravity; OpenSim's forces are not."""
+    turns = (
+        axis("rotation1", "1 0 0", "q", LINE),
+        *(axis(f"rotation{k}", f"0 {k - 2} {3 - k}", "q", ARC) for k in (2, 3)),
+    )
+    text = write_model([Link("one", "CustomJoint", coordinates=("q",), more=transform(*turns))])
+    motion = Motion(read(tmp_path, text, gravity=(0.0, 0.0, 0.0)), {})
+    assert motion.tapes
+
+    def move(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        at, none = np.array([0.4 + 0.9 * t]), np.zeros(1)
+        return motion.follow(at, np.array([0.9]), none, lambda z: [motion.find(name, z) for name in motion.order])
+
+    def find_energy(t: float) -> float:
+        q, qd, _ = move(t)
+        return float(qd @ motion.compute("semi", q=q, qd=qd)["M"] @ qd / 2)
+
+    q, qd, qdd = move(0.0)
+    power = float(qd @ motion.compute("impl", q=q, qd=qd, qdd=qdd)["Phi"][:, 0])
+    assert abs(power) > 1e-3
+    assert (find_energy(1e-4) - find_energy(-1e-4)) / 2e-4 == pytest.approx(power, rel=1e-6)
+
+
+def test_the_name_of_a_file_is_no_part_of_the_models(tmp_path: Path) -> None:
+    assert read(tmp_path, write_model(LEG).replace('name="leg"', 'name="leg.osim"')).model.name == "leg"
+
+
 # --- structure -------------------------------------------------------------------------------------------------------
 
 
@@ -149,6 +180,13 @@ def test_a_locked_coordinate_is_held_and_the_command_line_has_the_last_word(tmp_
     at = {value: read(tmp_path, text, locked=(("knee", value),)).model for value in (0.4, 0.5)}
     assert at[0.4] == read(tmp_path, text).model != at[0.5]
     assert "held at 0.4" in show(read(tmp_path, text), alters=False)
+
+
+def test_coordinates_that_are_replaced_are_held_by_others(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match='"beta" is held, and is no joint here; hold the coordinates that it depends on'
+    ):
+        read(tmp_path, CASES["coupled"], locked=(("beta", 0.3),))
 
 
 def test_coordinate_actuators_give_inputs_and_bound_them(tmp_path: Path) -> None:
