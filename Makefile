@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-identification bench-gpu bench-learning bench-startup bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -111,6 +111,10 @@ bench-batches: $(VENV)/installed-bench
 # A Panda identified from made recordings: errors of masses, times, and how many regions of 95 % hold the truth: minutes.
 bench-identification: $(VENV)/installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.identification $(BENCH)
+
+# Derivatives of the solutions of all shipped problems against differences of solves: ten minutes.
+bench-derivatives: $(VENV)/installed
+	$(BIN)/python -m benchmarks.derivatives $(BENCH)
 
 # Kernels on a GPU of NVIDIA, beside frax, MJX and MuJoCo Warp where they are installed: minutes. Where there is none, it says so, and writes nothing.
 bench-gpu: $(VENV)/installed-bench

@@ -20,6 +20,7 @@ ROUNDS = 4  # of scaling
 ZERO = 1e-14  # a pivot that is none, where entries are about 1
 THRESHOLD = 1e-2  # least ratio of a pivot to its column
 REFINEMENTS = 3
+SMALL = 1e-15  # of a residual, over the right side: nothing is left to refine
 SINGULAR = -7  # the library's word
 
 _Ints = ctypes.POINTER(ctypes.c_int)
@@ -104,6 +105,8 @@ class Factors:
         found = self._solve(known)
         for _ in range(REFINEMENTS):
             rest = known - self._whole @ found
+            if (np.abs(rest).max(axis=0, initial=0.0) <= SMALL * np.abs(known).max(axis=0, initial=0.0)).all():
+                break
             found = found + self._solve(rest)
         return found.reshape(right.shape)
 

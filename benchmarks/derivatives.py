@@ -1,0 +1,183 @@
+"""Derivatives of the solutions of all shipped problems against differences: `python -m benchmarks.derivatives`.
+
+Each problem is solved to a tolerance of 1e-13, and differentiated by all of its numbers. For some numbers, drawn at
+random from the ones that move the motion, the problem is solved again at four values beside its own. Differences of
+order four of times, coordinates, velocities, inputs, states and controls have a largest deviation from the derivatives,
+over the largest derivative. Of steps of 3e-4, 3e-5 and 3e-6 of a number the best one counts, since long steps meet
+changes of the active set. Times are processor time: of the solve by the project's method in C; of the optimum with its
+active set and factors, from the solution on, in Python; and of the adjoint of one function, by all numbers, with these
+factors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import mbsrun
+from benchmarks.compilation import describe_machine
+from benchmarks.pages import tabulate
+from mbsgen.errors import MbsError
+from mbsrun.ocp.functions import Array
+from mbsrun.ocp.optima.movement import Movement
+from mbsrun.ocp.optima.point import find_optimum
+from mbsrun.ocp.optima.status import SMOOTH
+from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.optimal.control import OptimalControl
+from mbsrun.optimal.derivatives import PARTS, Derivatives
+from mbsrun.optimal.phases import PhasedControl, SolvedPhases
+from mbsrun.optimal.result import Solved
+
+MODELS = Path(__file__).parents[1] / "models"
+TOLERANCE = 1e-13
+STEPS = (3e-4, 3e-5, 3e-6)  # of a number, over its size
+CHOSEN = 3  # numbers of a problem
+ROUNDS = 5  # of a time, of which the shortest counts
+
+
+@dataclass(frozen=True)
+class Row:
+    """The figures of a problem."""
+
+    name: str
+    status: str
+    variables: int
+    active: int
+    numbers: int  # by which there are derivatives
+    errors: tuple[tuple[str, float], ...]  # by number; infinite where a solve failed
+    seconds: tuple[float, float, float]  # of the solve, the optimum, an adjoint
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--out", type=Path, default=Path("build/bench-derivatives"))
+    parser.add_argument("--only", nargs="*", help="names of problems, such as leg_step or legged/walker")
+    options = parser.parse_args()
+    files = sorted(MODELS.glob("**/*.ocp.yaml"))
+    names = [file.relative_to(MODELS).as_posix().removesuffix(".ocp.yaml") for file in files]
+    rows: list[Row] = []
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, file in zip(names, files, strict=True):
+        if not options.only or name in options.only:
+            rows.append(measure(name, file))
+            print(rows[-1], flush=True)
+            (options.out / "derivatives.md").write_text(write_page(rows), encoding="utf-8")
+
+
+def measure(name: str, file: Path) -> Row:
+    """Solve a problem, and compare its derivatives with differences."""
+    problem = mbsrun.read_problem(file).with_changes(solver={"tolerance": TOLERANCE}, refine=None)
+    found = problem.solve(check=False)
+    if not isinstance(found, Solved | SolvedPhases):
+        return Row(name, found.status, 0, 0, 0, (), (np.nan,) * 3)
+    derivatives = problem.derivatives(found)  # type: ignore[arg-type]
+    movement = derivatives.answer.movement
+    smooth = [x for x, status in derivatives.statuses.items() if status == SMOOTH]
+    moving = [x for x in smooth if np.abs(_flatten(derivatives.by(x).phases)).max() > 1e-6]
+    chosen = [moving[k] for k in np.random.default_rng(0).permutation(len(moving))[:CHOSEN]]
+    errors = [(x, _compare(problem, found, derivatives, x)) for x in chosen]
+    seconds = found.solution.run.cpu_seconds, _time(lambda: _improve(movement)), _time_adjoint(movement)
+    size = movement.optimum.x.size
+    return Row(name, derivatives.status, size, derivatives.active, len(smooth), tuple(errors), seconds)
+
+
+def _compare(
+    problem: OptimalControl | PhasedControl, found: Solved | SolvedPhases, derivatives: Derivatives, name: str
+) -> float:
+    """Return the least error of a derivative, over its largest entry."""
+    number = next(x for x in derivatives.answer.numbers if x.name == name)
+    own, errors = _flatten(derivatives.by(name).phases), []
+    for step in STEPS:
+        h, motions = step * (abs(number.value) or 1.0), []
+        for k in (-2, -1, 1, 2):
+            try:
+                again = problem.with_numbers({name: number.value + k * h}).solve(check=False, guess=found)  # type: ignore[arg-type]
+            except MbsError:
+                break
+            if isinstance(again, Solved | SolvedPhases):
+                motions.append(_flatten(_list_motions(again)))
+        if len(motions) == 4:
+            a, b, c, d = motions
+            errors.append(float(np.abs((8 * (c - b) - (d - a)) / (12 * h) - own).max() / np.abs(own).max()))
+        if errors and min(errors) < 1e-7:
+            break
+    return min(errors, default=np.inf)
+
+
+def _list_motions(found: Solved | SolvedPhases) -> tuple[Trajectory, ...]:
+    solutions = (found.solution,) if isinstance(found, Solved) else found.solution.phases
+    return tuple(solution.trajectory for solution in solutions)
+
+
+def _flatten(motions: tuple[Trajectory, ...]) -> Array:
+    return np.concatenate([getattr(motion, name).ravel() for motion in motions for name in PARTS])
+
+
+def _improve(movement: Movement) -> None:
+    optimum, program = movement.optimum, movement.prepared
+    answer = optimum.instance.x, optimum.multipliers / optimum.scale
+    find_optimum(program.numpy, program.data, optimum.instance, optimum.scale, answer)
+
+
+def _time_adjoint(movement: Movement) -> float:
+    if movement.status != SMOOTH:
+        return np.nan
+    gradient = np.random.default_rng(0).standard_normal(movement.optimum.x.size)
+    movement.pull(gradient)
+    return _time(lambda: movement.pull(gradient))
+
+
+def _time(call: Callable[[], object]) -> float:
+    times = []
+    for _ in range(ROUNDS):
+        begin = time.process_time()
+        call()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def write_page(rows: list[Row]) -> str:
+    """Return the page."""
+    smooth = [row for row in rows if row.errors]
+    errors = [error for row in smooth for _, error in row.errors]
+    shares = [row.seconds[2] / row.seconds[0] for row in smooth if row.seconds[0] > 0]
+    table = [
+        (
+            row.name,
+            row.status,
+            str(row.variables),
+            str(row.active),
+            str(row.numbers),
+            f"{max((error for _, error in row.errors), default=np.nan):.1e}" if row.errors else "–",
+            *(f"{1e3 * x:.2g}" if np.isfinite(x) else "–" for x in row.seconds),
+        )
+        for row in rows
+    ]
+    titles = ("problem", "status", "variables", "active", "numbers", "largest error")
+    times = ("solve [ms]", "optimum [ms]", "adjoint [ms]")
+    agreeing = sum(error <= 1e-6 for error in errors)
+    share = 100 * float(np.median(shares)) if shares else np.nan
+    return "\n".join(
+        [
+            "# Derivatives of solutions",
+            "",
+            *(__doc__ or "").split("\n\n", 1)[1].strip().splitlines(),
+            "",
+            f"Of {len(rows)} problems, {len(smooth)} have derivatives. Of {len(errors)} numbers, {agreeing} agree to",
+            f"1e-6; the median is {np.median(errors or [np.nan]):.1e}.",
+            f"An adjoint takes {share:.2g} % of the time of its solve in the median. On {describe_machine()}.",
+            "",
+            *tabulate((*titles, *times), table, words=2),
+            "",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    main()
