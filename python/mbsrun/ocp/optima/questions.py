@@ -96,7 +96,13 @@ def ask(
         return hold(problem, plants, {name: given[name] for name in held}, horizon=is_timed)
 
     fixed = fix(base)
-    solver = make(fixed, plants)
+    try:
+        solver = make(fixed, plants)
+    except ProblemError:  # a horizon cannot be a variable beside delays, and references in seconds
+        if is_strict or not is_timed:
+            raise
+        others = [x.number for x in stated if not x.is_timed]
+        return ask(solution, own, plants, others, make, is_strict=False)
     outcome = solver.resume(fixed, solution.guess)
     guess = solver.complete(fixed, solution.guess)
 
