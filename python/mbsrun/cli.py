@@ -32,7 +32,7 @@ COMMANDS = {
     ),
     "Optimal control": (
         Entry("solve", "PROBLEM", "Find an optimal motion; write it with an animation."),
-        Entry("continue", "PROBLEM", "Go from a solution to a hard problem, along a number."),
+        Entry("continue", "PROBLEM", "Go from a solution to a harder problem."),
         Entry("sweep", "PROBLEM", "Solve for many targets, in several representations."),
     ),
     "Controllers": (
