@@ -42,7 +42,7 @@ COMMANDS = {
     "Recorded motions": (
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers."),
         Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
-        Entry("excite", "MODEL", "Design motions that determine inertias and frictions."),
+        Entry("excite", "MODEL", "Design motions that determine inertias."),
         Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
     "Other programs": (
