@@ -73,7 +73,7 @@ def flights(count: int) -> Family:
     axes = [f"frame.{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")]
     moment = {"range": [-1, 1], "guess": 0}
     problem = mbsrun.problem(
-        OWN / "quadrotor.yaml",
+        Path(__file__).with_name("quadrotor.yaml"),
         horizon=2,
         intervals=30,
         degree=3,

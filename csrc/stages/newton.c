@@ -18,7 +18,6 @@
 #define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
 #define LEAST ((real)1e-20)
 #define MOST ((real)1e20)
-#define HOPELESS ((real)1e8) /* where this does not help, the price of hard rows takes all digits */
 #define FREE ((real)1e20)
 #define REFINEMENTS 8
 #define MANY 2               /* refinements that show a loss of digits */
@@ -98,16 +97,24 @@ static void find_diagonal(mbs_stages *s, const mbs_stages_phase *p)
         diagonal[i] += s->weight_factor * s->weight[i] * s->weight[i];
 }
 
+/* The largest entry of a diagonal of the Hessian, at least 1. */
+static real largest_curvature(const mbs_stages_recursion *r)
+{
+    real curvature = 1;
+    int k;
+    for (k = 0; k < r->stages; ++k) {
+        const real most = mbs_stages_matrix_diagonal(&r->stage[k].H);
+        curvature = most > curvature ? most : curvature;
+    }
+    return curvature;
+}
+
 /* Let hard rows give. */
 static void soften_rows(mbs_stages *s)
 {
     mbs_stages_recursion *r = &s->recursion;
-    real curvature = 1;
+    const real curvature = r->plain ? 1 : largest_curvature(r);
     int k, i, count = 0;
-    for (k = 0; !r->plain && k < r->stages; ++k) {
-        const real most = mbs_stages_matrix_diagonal(&r->stage[k].H);
-        curvature = most > curvature ? most : curvature;
-    }
     for (k = 0; k < r->stages; ++k) {
         const mbs_stages_stage *t = &r->stage[k];
         for (i = t->e + t->inner.n; i < t->g + t->ng; ++i)
@@ -149,10 +156,12 @@ static real first_curvature(real before)
     return before / 3 > LEAST ? before / 3 : LEAST;
 }
 
-/* Let rows be soft where no curvature makes hard ones convex. */
+/* Let rows be soft where more curvature than there is anywhere does not make hard ones convex: they take all digits. */
 static int softens(mbs_stages *s, const mbs_stages_phase *p, real regular)
 {
-    if (!MBS_STAGES_SEARCHES || p->elastic || s->softening != MBS_STAGES_HARD || regular < HOPELESS)
+    if (!MBS_STAGES_SEARCHES || p->elastic || s->softening != MBS_STAGES_HARD)
+        return 0;
+    if (!(regular > largest_curvature(&s->recursion)))
         return 0;
     s->softening = MBS_STAGES_SOFTENED;
     return 1;

@@ -61,7 +61,9 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
     "--without",
     multiple=True,
     type=click.Choice(list(SWITCHES)),
-    help="Switch a reduction off; repeatable. Without share-frames, each angle also has its own sine.",
+    metavar="NAME",
+    help=f"Switch a reduction off; repeatable: {', '.join(SWITCHES)}. Without share-frames, each angle also has its "
+    "own sine.",
 )
 @_targets
 @click.option(

@@ -47,7 +47,11 @@ def refuse(folder: Path, text: str | bytes) -> str:
         (b" " * (MAX_BYTES + 1), f": larger than {MAX_BYTES} bytes"),
         (b'<?xml version="1.0" encoding="none"?><robot/>', ":1: "),
         ("<sdf/>", ":1: sdf: an <sdf> without a version; give the version"),
-        ("<html/>", ":1: html: the file is <html>; give a file of URDF (<robot>), MJCF (<mujoco>) or SDF (<sdf>)"),
+        (
+            "<html/>",
+            ":1: html: the file is <html>; give a file of URDF (<robot>), MJCF (<mujoco>), SDF (<sdf>) or OpenSim "
+            "(<OpenSimDocument>)",
+        ),
     ],
 )
 def test_what_is_refused(tmp_path: Path, text: str | bytes, finding: str) -> None:

@@ -100,6 +100,15 @@ def test_every_kernel_gives_the_bits_of_the_scalar_one(gpu: Gpu, kernels: Kernel
     assert failed or not kernels.manifest.loops
 
 
+def test_a_failed_state_has_no_result(gpu: Gpu, pendulum: Kernels) -> None:
+    q = np.zeros((5, 2))
+    q[2] = np.nan
+    found, status = compute(gpu, mbsrun.cuda.load(pendulum), "exp1", {"q": q, "qd": np.ones((5, 2))})
+    assert (status != 0).tolist() == [False, False, True, False, False]
+    assert np.isnan(found["qdd"]).all(axis=1).tolist() == [False, False, True, False, False]
+    assert np.isfinite(found["qdd"][[0, 1, 3, 4]]).all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_random_mechanisms(gpu: Gpu, seed: int, tmp_path: Path) -> None:
     """All joints, laws, rotors, sensors, wrenches; a parameter that differs by state."""

@@ -43,11 +43,18 @@ def write_main(kernel: str, inputs: list[Argument], outputs: list[Argument], *, 
     yield "}\nint main() { for (int k = 0; k < 2; ++k) { run(0, k); run(1, k); run(129, k); } }"
 
 
+def test_no_thread_beyond_the_states_computes(tmp_path: Path) -> None:
+    check_memory("satellite", "exp1", "double", tmp_path / "folder")
+
+
 @pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize(("model", "name"), [("four_bar", "jac_exp1"), ("four_bar", "close"), ("satellite", "exp1")])
 def test_nothing_beside_the_arrays_is_touched(model: str, name: str, real: str, sparse: bool, tmp_path: Path) -> None:
-    folder = tmp_path / "folder"
+    check_memory(model, name, real, tmp_path / "folder", sparse=sparse)
+
+
+def check_memory(model: str, name: str, real: str, folder: Path, *, sparse: bool = False) -> None:
     base = name.removeprefix("jac_")
     generate(MODELS / f"{model}.yaml", folder, Options(functions=(base,), derivatives=1))
     kernels: Kernels = load(folder)
