@@ -41,7 +41,7 @@ from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.layers import Differentiable, check_reads
 from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
-from mbsrun.optimal.naming import Source, list_left_out
+from mbsrun.optimal.naming import Numbered, Source, list_left_out
 from mbsrun.optimal.phases import PhasedControl, load
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
@@ -60,7 +60,7 @@ DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these i
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OptimalControl:
+class OptimalControl(Numbered):
     """A problem and its model. It does not change: `with_...` returns a changed copy.
 
     Programs are built once for all copies of one structure, so another start, target, bound, weight or constant costs
@@ -273,15 +273,6 @@ class OptimalControl:
 
     # --- derivatives of solutions ---
 
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """List the names of all numbers of the problem that solutions may be differentiated by."""
-        return self._source.list_names()
-
-    def read_number(self, name: str) -> float:
-        """Return the value of a number. Raises ProblemError for a name that is none."""
-        return self._source.find(name).value
-
     def continue_to(
         self, name: str, value: float, *, guess: GuessLike | None = None, watch: Callable[[Stop], None] | None = None
     ) -> Continued:
@@ -290,11 +281,6 @@ class OptimalControl:
         `watch` sees every solve on the way. Raises ProblemError for a name that is no number.
         """
         return follow(self, name, value, guess, watch)
-
-    def check_numbers(self, names: Sequence[str]) -> None:
-        """Raise ProblemError for a name that is no number of the problem."""
-        for name in names:
-            self._source.find(name)
 
     def with_numbers(self, numbers: Mapping[str, float]) -> OptimalControl:
         """Return a copy with other values of numbers, by the names of `numbers`. Raises ProblemError."""

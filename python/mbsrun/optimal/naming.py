@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -91,6 +92,28 @@ class Source:
             if value is not None:
                 found[name] = value
         return found
+
+
+class Numbered(ABC):
+    """A problem in Python whose numbers have names."""
+
+    @property
+    @abstractmethod
+    def _source(self) -> Source: ...
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """List the names of all numbers of the problem that solutions may be differentiated by."""
+        return self._source.list_names()
+
+    def read_number(self, name: str) -> float:
+        """Return the value of a number. Raises ProblemError for a name that is none."""
+        return self._source.find(name).value
+
+    def check_numbers(self, names: Sequence[str]) -> None:
+        """Raise ProblemError for a name that is no number of the problem."""
+        for name in names:
+            self._source.find(name)
 
 
 def list_left_out(problem: Problem, plant: Plant, data: Mapping[str, Data]) -> dict[str, float]:

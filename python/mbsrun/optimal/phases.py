@@ -49,7 +49,7 @@ from mbsrun.optimal.display import Page, Picture
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
-from mbsrun.optimal.naming import Source
+from mbsrun.optimal.naming import Numbered, Source
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
@@ -172,7 +172,7 @@ PhasedGuess = SolvedPhases | Guess | Mapping[str, GuessLike] | str | Path
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PhasedControl:
+class PhasedControl(Numbered):
     """A problem in phases and its models. It does not change: `with_...` returns a changed copy."""
 
     value: PhasedProblem
@@ -328,15 +328,6 @@ class PhasedControl:
 
         return Family(self.name, self.data, self.plants, self._restate, state, read)
 
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """List the names of all numbers of the problem that solutions may be differentiated by."""
-        return self._source.list_names()
-
-    def read_number(self, name: str) -> float:
-        """Return the value of a number. Raises ProblemError for a name that is none."""
-        return self._source.find(name).value
-
     def continue_to(
         self, name: str, value: float, *, guess: PhasedGuess | None = None, watch: Callable[[Stop], None] | None = None
     ) -> Continued:
@@ -345,11 +336,6 @@ class PhasedControl:
         `watch` sees every solve on the way. Raises ProblemError for a name that is no number.
         """
         return follow(self, name, value, guess, watch)
-
-    def check_numbers(self, names: Sequence[str]) -> None:
-        """Raise ProblemError for a name that is no number of the problem."""
-        for name in names:
-            self._source.find(name)
 
     def with_numbers(self, numbers: Mapping[str, float]) -> PhasedControl:
         """Return a copy with other values of numbers, by the names of `numbers`. Raises ProblemError."""
