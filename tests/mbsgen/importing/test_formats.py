@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,7 @@ def test_a_new_format_is_a_reader_and_an_entry(tmp_path: Path, monkeypatch: pyte
     file.write_text("rods\n0.5 2\n0.3 1\n", encoding="utf-8")
     wrong.write_text("rods\n0.5\n", encoding="utf-8")
     other.write_text("balls\n", encoding="utf-8")
+    import_module("mbsgen.commands.import_")  # its help lists the formats once, for the whole process
     monkeypatch.setattr(formats, "FORMATS", (*FORMATS, CHAIN))
     assert list_formats() == "URDF, MJCF, SDF, OpenSim or rods"
     assert [x.name for x in read_tree(file).bodies] == ["rod1", "rod2"]
