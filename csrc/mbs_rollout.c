@@ -85,17 +85,18 @@ static void set(mbs_real *numbers, int state, MBS_REAL x)
     ((MBS_REAL *)numbers)[state] = x;
 }
 
-/* Give inputs and parameters of a step: all in step 0, the changing ones in later steps. */
-static void give(const mbs_motion *motion, const casadi_int *state, casadi_int step, mbs_real *given)
+/* Give inputs and parameters of a stage: all at the start, the changing ones in later steps and stages. */
+static void give(const mbs_motion *motion, const casadi_int *state, casadi_int step, casadi_int stage, mbs_real *given)
 {
     casadi_int i, k;
     int s;
     for (i = 0; i < motion->courses; given += motion->course[i++].numbers) {
         const mbs_course *course = motion->course + i;
-        if (step && !course->pace)
+        if (stage ? !course->stage_pace : step && !course->pace)
             continue;
         for (s = 0; s < MBS_ABREAST; ++s) {
-            const MBS_REAL *from = course->first + state[s] * course->step + step * course->pace;
+            const MBS_REAL *from = course->first + state[s] * course->step + step * course->pace
+                                   + stage * course->stage_pace;
             for (k = 0; k < course->numbers; ++k)
                 set(given + k, s, from[k]);
         }
@@ -135,11 +136,12 @@ static void add_slopes(const mbs_motion *motion, const mbs_desk *desk, casadi_in
 }
 
 /* Take a step. */
-static int advance(const mbs_motion *motion, const mbs_desk *desk)
+static int advance(const mbs_motion *motion, const mbs_desk *desk, const casadi_int *state, casadi_int step)
 {
     casadi_int i, k;
     for (i = 0; i < motion->stages; ++i) {
         int status;
+        give(motion, state, step, i, desk->given);
         add_slopes(motion, desk, i, motion->A + i * motion->stages, desk->stage);
         status = find_slope(motion, desk, desk->slopes + i * (motion->nq + motion->n));
         if (status)
@@ -177,8 +179,7 @@ static int move(const mbs_motion *motion, const mbs_desk *desk, const casadi_int
         for (k = 0; k < width; ++k)
             set(desk->x + k, s, kept[state[s] * samples * width + k]);
     for (step = 0; step < motion->steps; ++step) {
-        give(motion, state, step, desk->given);
-        status = advance(motion, desk);
+        status = advance(motion, desk, state, step);
         if (status)
             return status;
         if ((step + 1) % motion->every == 0)

@@ -1,4 +1,4 @@
-/* Motions of many states of a tree, by a Runge-Kutta method of fixed steps, with inputs that are constant in a step.
+/* Motions of many states of a tree, by a Runge-Kutta method of fixed steps.
  *
  * Compiled with -DMBS_STATES=8, mbs_rollout.c gives mbs_rollout_at_8, which moves 8 states at a time. C99, reentrant.
  */
@@ -29,10 +29,11 @@ typedef struct {
     casadi_int n_in, n_out, q, qd;
 } mbs_function;
 
-/* Numbers of a state begin at first + state * step; of step k of its motion at + k * pace. */
+/* Numbers of a state begin at first + state * step; of step k of its motion at + k * pace, of stage i at + i * stage_pace:
+ * with 0 they are the same in all steps, and in all stages of a step. */
 typedef struct {
     const MBS_REAL *first;
-    casadi_int step, pace, numbers;
+    casadi_int step, pace, stage_pace, numbers;
     casadi_int place, rates_place; /* which argument of the accelerations and of the rates they are; -1: none */
 } mbs_course;
 

@@ -107,6 +107,7 @@ MBSRUN = Package(
         "ocp.inputs",
         "simulation ocp.problem ocp.elimination ocp.layout",
         "rollouts",
+        "motions",
         "faces faces.operators",
         "faces.face",
         "faces.stepping",
@@ -222,7 +223,7 @@ MBSRUN = Package(
         "commands.console",
         "commands.searching commands.failures commands.columns commands.derived",
         "commands.recorded commands.animated commands.robots",
-        "commands.cases",
+        "commands.cases commands.starts",
         "commands.advise commands.animate commands.cache commands.chart commands.continue_ "
         "commands.controller commands.cuda "
         "commands.excite commands.fit_motion commands.fmu commands.identify commands.inverse commands.inverse_dynamics "

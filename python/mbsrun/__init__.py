@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from mbsrun.external import Mechanism, load
     from mbsrun.identification.excitation import excite
     from mbsrun.identification.identify import identify
+    from mbsrun.motions import Motions, simulate_many
     from mbsrun.ocp.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
     from mbsrun.rollouts import rollout
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Controller",
     "Mechanism",
+    "Motions",
     "OptimalControl",
     "ProblemError",
     "controller",
@@ -26,6 +28,7 @@ __all__ = [
     "problem",
     "read_problem",
     "rollout",
+    "simulate_many",
 ]
 
 _MODULES = {
@@ -35,6 +38,7 @@ _MODULES = {
     "excite": "identification.excitation",
     "identify": "identification.identify",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
+    **dict.fromkeys(("Motions", "simulate_many"), "motions"),
     "rollout": "rollouts",
 }
 

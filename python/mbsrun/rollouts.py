@@ -25,7 +25,7 @@ from mbsrun.library import compile_library, find_compiler, once_per_compiler
 from mbsrun.simulation.tableaus import FIXED, Tableau
 
 _DECLARED = """
-typedef struct {{ const double *first; long long step, pace, numbers, place, rates_place; }} mbs_course;
+typedef struct {{ const double *first; long long step, pace, stage_pace, numbers, place, rates_place; }} mbs_course;
 typedef struct {{ void *f; long long n_in, n_out, q, qd; }} mbs_function;
 typedef struct {{
     mbs_function accelerations, rates;
@@ -59,8 +59,8 @@ class Rollouts:
 
 
 @dataclass(frozen=True)
-class _Course:
-    """Numbers of one argument: (states or 1, steps or 1, numbers)."""
+class Course:
+    """Numbers of one argument: (states or 1, steps or 1, stages or 1, numbers)."""
 
     argument: Argument
     values: Array
@@ -91,7 +91,7 @@ def rollout(
     _check(mechanism, kernel, step, steps, every, method, threads)
     starts = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, qd)]
     given = [_read_course(kernel, name, array, steps) for name, array in (inputs or {}).items()]
-    given += _read_parameters(mechanism, kernel, parameters or {})
+    given += read_parameters(mechanism, kernel, parameters or {})
     sizes = (len(mechanism.manifest.positions), len(mechanism.manifest.coordinates))
     states = _count_states([*(x.shape[0] for x in starts), *(course.values.shape[0] for course in given)])
     for name, start, size in zip(("q", "qd"), starts, sizes, strict=True):
@@ -99,7 +99,7 @@ def rollout(
             raise ArgumentError(f"{name}: shape {start.shape} given, ({size},) or (states, {size}) expected")
     kept = np.full((states, 1 + steps // every, sum(sizes)), np.nan)
     kept[:, 0] = np.hstack([np.broadcast_to(start, (states, start.shape[1])) for start in starts])
-    motion = _Motion(mechanism, function, given, FIXED[method], step, steps, every)
+    motion = March(mechanism, function, given, FIXED[method], (step, steps, every), mechanism.manifest.quaternions)
     status = motion.move(kept, threads)
     t = np.asarray(step * every * np.arange(kept.shape[1]), dtype=np.float64)
     return Rollouts(t, kept[..., : sizes[0]], kept[..., sizes[0] :], status)
@@ -129,7 +129,7 @@ def _check(
         raise ArgumentError("\n".join(f"rollout of {manifest.model} by {kernel.name}: {fault}" for fault in faults))
 
 
-def _read_course(kernel: Kernel, name: str, array: ArrayLike, steps: int) -> _Course:
+def _read_course(kernel: Kernel, name: str, array: ArrayLike, steps: int) -> Course:
     """Read an input: (numbers,), (states, numbers), or (states or 1, steps, numbers)."""
     taken = {
         a.name: a for a in kernel.inputs if a.role not in (Role.COORDINATE, Role.VELOCITY, Role.SETUP, Role.DESIGN)
@@ -141,10 +141,10 @@ def _read_course(kernel: Kernel, name: str, array: ArrayLike, steps: int) -> _Co
     if values.ndim > 3 or laid.shape[2] != size or (values.ndim == 3 and laid.shape[1] != steps):
         shapes = f"({size},), (states, {size}) or (states, {steps}, {size})"
         raise ArgumentError(f"{name}: shape {values.shape} given, {shapes} expected")
-    return _Course(taken[name], np.ascontiguousarray(laid))
+    return Course(taken[name], np.ascontiguousarray(laid[:, :, None]))
 
 
-def _read_parameters(mechanism: Mechanism, kernel: Kernel, changes: Mapping[str, ArrayLike]) -> list[_Course]:
+def read_parameters(mechanism: Mechanism, kernel: Kernel, changes: Mapping[str, ArrayLike]) -> list[Course]:
     """Compute the inputs that come from parameters, for each state where one differs."""
     known = dict(mechanism.parameters)
     unknown = [name for name in changes if name not in known]
@@ -157,12 +157,12 @@ def _read_parameters(mechanism: Mechanism, kernel: Kernel, changes: Mapping[str,
     manifest, found = mechanism.manifest, []
     for argument in kernel.inputs:
         if argument.role is Role.DESIGN:
-            found.append(_Course(argument, _stack([columns[p.name] for p in manifest.design])[:, None, :]))
+            found.append(Course(argument, _stack([columns[p.name] for p in manifest.design])[:, None, None]))
         if argument.role is Role.SETUP and manifest.setup is not None:
             rows = _stack([columns[p.name] for p in manifest.parameters])
             given: dict[str, Any] = {manifest.setup.inputs[0].name: rows}
             results, _ = mechanism.attempt(manifest.setup.name, **given)
-            found.append(_Course(argument, np.ascontiguousarray(results[argument.name][:, None, :])))
+            found.append(Course(argument, np.ascontiguousarray(results[argument.name][:, None, None])))
     return found
 
 
@@ -179,26 +179,30 @@ def _count_states(sizes: Sequence[int]) -> int:
     return different.pop() if different else 1
 
 
-class _Motion:
-    """A rollout, laid out for C."""
+class March:
+    """Steps of many states, laid out for C: times[1] steps of length times[0] [s], of which each times[2]-th is kept.
+
+    `unit` are the quaternions that are scaled to length 1 after each step, by their first coordinates.
+    """
 
     def __init__(
         self,
         mechanism: Mechanism,
         function: str,
-        courses: Sequence[_Course],
+        courses: Sequence[Course],
         tableau: Tableau,
-        step: float,
-        steps: int,
-        every: int,
+        times: tuple[float, int, int],
+        unit: Sequence[int],
     ) -> None:
         self.mechanism, self.function = mechanism.find_holder(function), function
         self.has_rates = bool(mechanism.manifest.configuration)
-        self.courses, self.tableau = courses, tableau
-        self.times = (step, steps, every)
+        self.courses, self.tableau, self.times, self.unit = courses, tableau, times, unit
 
     def move(self, kept: Array, threads: int) -> Status:
-        """Fill in the motions; beside one that fails, each is moved once more, alone."""
+        """Fill in the motions (states, 1 + samples, nq + n) after the first; return statuses as of kernels.
+
+        Beside one that fails, each is moved once more, alone.
+        """
         status = np.zeros(kept.shape[0], dtype=np.int32)
         work = kept.shape[0] * self.times[1]
         names = (self.function, *(("rates",) if self.has_rates else ()))
@@ -210,7 +214,8 @@ class _Motion:
                 [found.function for found in several if found], width, kept, status, range(kept.shape[0]), threads
             )
         else:
-            status[:] = -1
+            self._run(one, 1, kept, status, range(kept.shape[0]), threads)
+            return status
         for state in np.flatnonzero(status):
             kept[state, 1:] = np.nan
             self._run(one, 1, kept, status, range(state, state + 1), 1)
@@ -241,12 +246,13 @@ class _Motion:
             places.append(_lay_function(ffi, laid.rates, self.mechanism.bind("rates"), functions[1]))
         courses: Any = ffi.new("mbs_course[]", max(1, len(self.courses)))
         for item, course in zip(courses, self.courses, strict=False):
-            states, steps, size = course.values.shape
+            states, steps, stages, size = course.values.shape
             item.first, item.numbers = ffi.cast("double *", course.values.ctypes.data), size
-            item.step, item.pace = (size * steps if states > 1 else 0), (size if steps > 1 else 0)
+            item.step, item.pace = (size * stages * steps if states > 1 else 0), (size * stages if steps > 1 else 0)
+            item.stage_pace = size if stages > 1 else 0
             item.place, item.rates_place = (*(place.get(course.argument.name, -1) for place in places), -1)[:2]
         A, b = (np.array(x, dtype=float) for x in (self.tableau.A, self.tableau.b))
-        quaternions = np.array(manifest.quaternions, dtype=np.int64)
+        quaternions = np.array(self.unit, dtype=np.int64)
         laid.nq, laid.n = len(manifest.positions), len(manifest.coordinates)
         laid.quaternions, laid.quaternion = quaternions.size, ffi.cast("long long *", quaternions.ctypes.data)
         laid.courses, laid.course, laid.stages = len(self.courses), courses, b.size

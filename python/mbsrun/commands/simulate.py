@@ -25,6 +25,7 @@ from mbsrun.commands.console import (
     show_status,
 )
 from mbsrun.commands.robots import accept_robots
+from mbsrun.commands.starts import Wish, simulate_starts
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
 from mbsrun.ocp.driving import HORIZON
@@ -82,6 +83,10 @@ The output folder gets
                     --columns names
   plots.png         the same over time
   animation.html    plays the motion in any browser
+
+--starts makes many motions: one for each row of a table with columns q_NAME, qd_NAME or a parameter's name, or for each
+of N draws from the ranges of --vary. The folder gets simulation.json, starts.csv (the numbers of each start, its status
+and its last state) and motions.npz (t, q, qd of all motions).
 
 Energies are a check. The drift is kinetic and potential energy, minus their start and the work of inputs, springs,
 dampers and wrenches: it is the error of the integration.
@@ -185,6 +190,12 @@ def list_keeping() -> str:
     help="A table of inputs from time 0 on, linear between its rows: CSV, MOT or STO, with columns NAME, u[NAME] or "
     "input[NAME]; other inputs are 0.",
 )
+@click.option(
+    "--starts", metavar="TABLE|N", help="Make many motions, from the starts of a table, or from N random ones."
+)
+@click.option("--vary", multiple=True, metavar="NAME=LOW:HIGH", help="Draw a number of each random start from a range.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="S", help="Of random starts; by default 0.")
+@click.option("--threads", type=click.IntRange(min=1), default=1, metavar="K", help="That make many motions; 1.")
 @more_columns
 @choose_format
 @accept_robots
@@ -198,9 +209,14 @@ def simulate_command(
     solution: Path | None,
     table: Path | None,
     columns: tuple[str, ...],
+    starts: str | None,
+    vary: tuple[str, ...],
+    seed: int,
+    threads: int,
     **given: Any,
 ) -> None:
     """Read, integrate, write, print."""
+    _check_starts(context, starts, columns)
     mechanism = load(model, extent=INTEGRATED)
     if solution is not None and table is not None:
         raise click.UsageError("--solution and --inputs both give the inputs; leave one out")
@@ -209,10 +225,14 @@ def simulate_command(
         recording = _read_table(table, mechanism.manifest)
     statement = read_statement(file, _collect_options(given), mechanism.manifest, recording)
     mechanism = mechanism.with_parameters(**statement.parameters)
+    out = out or Path(f"{model.stem}.simulation")
+    if starts is not None:
+        if not simulate_starts(mechanism, statement, Wish(starts, vary, seed, threads), out):
+            context.exit(NOT_SOLVED)
+        return
     q, qd, note = close_start(mechanism, statement.start, statement.course)
     if note:
         say(f"note: {note}")
-    out = out or Path(f"{model.stem}.simulation")
     Numbers(mechanism, list_quantities(mechanism.manifest, Added()), {}).select(columns)
     with show_status("integrating") as status:
 
@@ -229,6 +249,16 @@ def simulate_command(
     if motion.halt is not None:
         say(f"{motion.halt}; what was written is incomplete")
         context.exit(NOT_SOLVED)
+
+
+def _check_starts(context: click.Context, starts: str | None, columns: tuple[str, ...]) -> None:
+    """Refuse options that have no effect without many starts, or with them."""
+    if starts is not None and columns:
+        raise click.UsageError("--columns belongs to the table of one motion; leave it out, or --starts")
+    for name in ("vary", "seed", "threads"):
+        is_given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if starts is None and is_given:
+            raise click.UsageError(f"--{name} belongs to many motions; give --starts, or leave it out")
 
 
 def _collect_options(given: Mapping[str, Any]) -> dict[str, Data]:

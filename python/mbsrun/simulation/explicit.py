@@ -320,6 +320,15 @@ class Plant:
             m.guide = memory.keep(self.feed.serve(self.ffi, self.feed.lay_course))
         self.inputs = memory.keep(self.feed.serve(self.ffi, self.feed.lay_inputs))
 
+    def begin(self, dynamics: Equations) -> None:
+        """Begin another motion of the model, with its own parameters; forget the one before."""
+        self.dynamics, self.feed.course = dynamics, dynamics.course
+        self.memory.fill(dynamics.kernels)
+        self.length[0] = 0.0
+        self.memory.arrays["reals"][:] = 0.0
+        integers = self.ffi.buffer(self.room[1])
+        integers[:] = bytes(len(integers))
+
     def open(self, piece: Piece) -> None:
         """Take the inputs of a piece."""
         self.feed.open(piece)

@@ -43,7 +43,7 @@ class Memory:
             forces = len(kernels.manifest.actuated)
             self.inputs |= {"u": self.inputs["v"], "w": self.inputs["v"] + forces}
         self._kept: list[Any] = []  # objects that C has pointers to
-        self._filled: dict[str, dict[str, Any]] = {}  # by kernel: the inputs that come from parameters
+        self._filled: dict[str, dict[str, Array]] = {}  # by kernel: the inputs that come from parameters
 
     def add(self, name: str, size: int) -> Any:
         """Make an array, and return a pointer to it."""
@@ -63,9 +63,14 @@ class Memory:
         """Compile a kernel and find its arguments."""
         holder = self.kernels.find_holder(name)
         entry: Entry = self.keep(bind(holder.compile(name), holder.describe(name)))
-        filled = self.keep(holder.filled)
-        self._filled[name] = {key: self.ffi.cast("double *", x.ctypes.data) for key, x in filled.items()}
+        self._filled[name] = {key: x.copy() for key, x in holder.filled.items()}
         return entry
+
+    def fill(self, kernels: Source) -> None:
+        """Take the parameters of kernels that are the same else."""
+        for name, arrays in self._filled.items():
+            for key, x in kernels.find_holder(name).filled.items():
+                arrays[key][:] = x
 
     def describe(self, name: str) -> Kernel:
         """Describe a kernel."""
@@ -74,7 +79,8 @@ class Memory:
     def lay(self, entry: Entry, results: Mapping[str, str]) -> tuple[Any, Any, Any]:
         """Return a kernel's function and its lists of arguments; `results` names the array of each result."""
         arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)
-        inputs = self.inputs | self._filled[entry.kernel.name]
+        filled = self._filled[entry.kernel.name]
+        inputs = self.inputs | {key: self.ffi.cast("double *", x.ctypes.data) for key, x in filled.items()}
         for port in entry.inputs:
             arg[port.position] = inputs[port.argument.name]
         for port in entry.outputs:

@@ -39,10 +39,10 @@ from mbsrun.simulation.motion import (
     Segment,
     Settings,
 )
+from mbsrun.simulation.outputs import Outputs
 
 Array = NDArray[np.float64]
 
-SAME = 1e-9  # of the distance of outputs: an output that is as near to a step's end is there
 BEYOND = 1e-6  # of a limit or of 1 rad or m: beyond it there is a warning
 STIFF = 500.0  # times that a fast motion decays within a simulation; slower ones bring no warning of stiffness
 
@@ -64,7 +64,8 @@ def simulate(
     that do not fit, OpenError for a start with open loops, ArgumentError for kernels that were not generated, and
     DriveError for inputs without a value.
     """
-    start = _check(kernels, drive, q, qd, settings)
+    check_settings(kernels, drive, settings)
+    start = check_start(kernels, q, qd)
     is_closed = is_constrained(kernels.manifest)
     settings = complete_settings(settings, is_closed=is_closed)
     course = course or stand(start[0][place_driven(kernels.manifest)])
@@ -99,7 +100,8 @@ def simulate(
     return record.finish(dynamics.effort, halt)
 
 
-def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> tuple[Array, Array]:
+def check_start(kernels: Kernels, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """Return a start, (nq,) and (n,), as arrays. Raises ValueError for one from which no motion begins."""
     manifest = kernels.manifest
     sizes = len(manifest.positions), len(manifest.coordinates)
     start = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
@@ -107,6 +109,14 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError(f"q must be {sizes[0]} finite numbers, qd {sizes[1]}")
     if (measure_lengths(start[0], manifest) == 0).any():
         raise ValueError("a quaternion of q is 0; it turns by 0 as 0, 0, 0, 1")
+    for joint, found, stop in Joints.of(manifest).find_beyond(start[0]):
+        raise ValueError(f"joint {joint} starts at {found:.9g}, beyond its stop at {stop:.9g}")
+    return start
+
+
+def check_settings(kernels: Kernels, drive: Drive, settings: Settings) -> None:
+    """Check that a model can be simulated with some settings. Raises ValueError, and ArgumentError for kernels."""
+    manifest = kernels.manifest
     if settings.method not in METHODS:
         raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
     lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}
@@ -122,12 +132,17 @@ def _check(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings
         raise ValueError(f"{settings.method} takes no quaternions; gauss with one stage does")
     for name, finding, remedy in find_refusals(settings, manifest):
         raise ValueError(f"{name}: {finding}; {remedy}")
-    for joint, found, stop in Joints.of(manifest).find_beyond(start[0]):
-        raise ValueError(f"joint {joint} starts at {found:.9g}, beyond its stop at {stop:.9g}")
     _check_kernels(kernels, settings)
     if settings.duration > drive.end:
         raise ValueError(f"the inputs end at {drive.end} s, before the duration of {settings.duration} s")
-    return start
+
+
+def check_inputs(kernels: Kernels, piece: Piece, q: Array, qd: Array) -> Array:
+    """Return the inputs at the start of a piece, (m,). Raises ValueError where there are fewer or more."""
+    inputs, count = piece.at(piece.start, q, qd), len(kernels.manifest.inputs)
+    if inputs.shape != (count,):
+        raise ValueError(f"the inputs have shape {inputs.shape}, ({count},) expected")
+    return inputs
 
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
@@ -177,13 +192,12 @@ class _Record:
         self.is_closed, self.gaps = is_constrained(kernels.manifest), [0.0, 0.0]
         self.equations = Closure(kernels)
         self.observer = Dynamics(kernels, settings.formulation, course)  # its calls are not the integrator's
-        self.distance = settings.output_step or settings.duration / STORED
+        self.outputs = Outputs(settings.output_step or settings.duration / STORED)
         self.t, self.q, self.qd, self.work = [0.0], [q], [qd], [0.0]
         self.inputs: list[Array] = []
         self.last, self.last_time, self.done = (q, qd), 0.0, 0.0
         self.piece: Piece | None = None
         self.work_is_known = True
-        self.steps = 0
         self.switches = bool(kernels.manifest.switching)
         self.joints, self.forces = Joints.of(kernels.manifest), Forces(self.observer)
         self.events: list[Event] = []
@@ -193,24 +207,16 @@ class _Record:
 
     def open(self, piece: Piece) -> None:
         """Begin a piece; the inputs at its start are its own."""
-        self.piece, self.steps = piece, 0
-        inputs, count = piece.at(piece.start, *self.last), len(self.kernels.manifest.inputs)
-        if inputs.shape != (count,):
-            raise ValueError(f"the inputs have shape {inputs.shape}, ({count},) expected")
-        self.inputs[len(self.t) - 1 :] = [inputs]
+        self.piece = piece
+        self.outputs.open()
+        self.inputs[len(self.t) - 1 :] = [check_inputs(self.kernels, piece, *self.last)]
 
     def add(self, chunk: Chunk) -> None:
         """Take steps: keep the states at the times of outputs."""
         assert self.piece is not None, "a chunk lies in a piece"
         if self.is_closed:
             self.gaps = [max(*x) for x in zip(self.gaps, self._measure_gaps(chunk.q, chunk.qd), strict=True)]
-        if chunk.dense is not None:
-            chunk, chosen = self._refine(chunk)
-        else:
-            stride = max(1, round(self.distance / (chunk.t[1] - chunk.t[0])))
-            numbers = self.steps + 1 + np.arange(len(chunk.t) - 1)
-            chosen = np.flatnonzero(numbers % stride == 0) + 1
-            self.steps += len(numbers)
+        chunk, chosen = self.outputs.choose(chunk)
         if chunk.segment is not None:
             self._add_losses(chunk, chunk.segment, chosen)
         work = self.done + np.concatenate(([0.0], np.cumsum(self._add_up(chunk))))
@@ -308,26 +314,6 @@ class _Record:
             except DriveError:
                 rows.append(np.full(len(self.kernels.manifest.inputs), np.nan))
         return rows
-
-    def _refine(self, chunk: Chunk) -> tuple[Chunk, NDArray[np.intp]]:
-        """Cut steps at the times of outputs; return the finer chunk, and the indices of these outputs."""
-        assert chunk.dense is not None, "only steps with an interpolation are cut"
-        dense, (first, last) = chunk.dense, chunk.t[[0, -1]]
-        wanted = self.distance * np.arange(np.floor(first / self.distance), np.ceil(last / self.distance) + 1)
-        later = np.searchsorted(chunk.t, wanted).clip(1, len(chunk.t) - 1)
-        near = np.where(wanted - chunk.t[later - 1] < chunk.t[later] - wanted, chunk.t[later - 1], chunk.t[later])
-        wanted = np.where(np.abs(near - wanted) < SAME * self.distance, near, wanted)
-        wanted = wanted[(wanted > first) & (wanted <= last)]
-        t = np.union1d(chunk.t, wanted)
-        step = np.clip(np.searchsorted(chunk.t, t, side="left") - 1, 0, len(chunk.t) - 2)
-        q, qd = dense(t, step)
-        whole = np.isin(t, chunk.t)  # there the integrator's own states, not interpolated ones
-        q[whole], qd[whole] = chunk.q, chunk.qd
-
-        def dense_in_parts(times: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
-            return dense(times, step[part + 1])
-
-        return Chunk(t, q, qd, dense_in_parts, segment=chunk.segment), np.flatnonzero(np.isin(t, wanted))
 
     def _add_up(self, chunk: Chunk) -> Array:
         assert self.piece is not None, "a chunk lies in a piece"
