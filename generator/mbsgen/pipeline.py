@@ -178,6 +178,7 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification, 
         tolerance=approximation.tolerance if approximation and approximation.taken else None,
         references=verification.references,
         headers=tuple(name for x in find_targets(request.targets) for name in x.headers(prefix)),
+        widths=tuple(width for x in find_targets(request.targets) for width in x.widths),
     )
 
 

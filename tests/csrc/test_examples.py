@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from mbsgen.pipeline import Options, generate
 from mbsrun import load
 from mbsrun.models import find_folder
 from tests.mbsgen.targets.compilation import run
@@ -81,9 +82,16 @@ def test_gravity_torques(requires: Callable[[str], str], arm_folder: Path, tmp_p
         assert torque == pytest.approx(-moment * np.cos(angle) - upright * np.sin(angle), rel=1e-9)
 
 
-def test_many_arms(make: Callable[[str], str], arm_folder: Path) -> None:
+def test_many_arms(requires: Callable[[str], str], arm_folder: Path, tmp_path: Path) -> None:
     """As many at once as the processor can; the last arm is NumPy's, and all are the single ones."""
-    text = make("many_arms")
+    cmake, folder = requires("cmake"), tmp_path / "lanes"
+    options = Options(functions=("impl",), derivatives=0, targets=("lanes",))
+    generate(ROOT / "models" / "arm_pendulum.yaml", folder, options)
+    built = tmp_path / "built"
+    flags = "-DCMAKE_C_FLAGS=-Wall -Wextra -Wpedantic -Werror"
+    run(cmake, "-S", EXAMPLES / "many_arms", "-B", built, f"-DMODEL={folder}", flags, cwd=tmp_path)
+    run(cmake, "--build", built, cwd=tmp_path)
+    text = run(built / "many_arms", cwd=tmp_path)
     at_once, failures, difference = re.findall(
         r"(\d+) arms at once\n(\d+) failures, differences up to (\S+) N m", text
     )[0]

@@ -82,7 +82,13 @@ def write_c(unit: Unit) -> Sources:
         f"{unit.prefix}_check.c": _write_check(unit, found, common),
         f"{unit.prefix}.pc": lay_out("c/model.pc", **common),
         "CMakeLists.txt": lay_out(
-            "c/CMakeLists.txt", sources=tuple(sources), abi=ABI_HEADER, headers=unit.headers, **common
+            "c/CMakeLists.txt",
+            sources=tuple(sources),
+            abi=ABI_HEADER,
+            headers=unit.headers,
+            widths=unit.widths,
+            laned=[view.file for view in views if view.stages.has_lanes],
+            **common,
         ),
     }
     files, own = seal(files, unit.prefix)

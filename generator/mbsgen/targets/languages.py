@@ -21,6 +21,7 @@ from mbsgen.targets.cuda import pack_cuda
 from mbsgen.targets.double_double import add_double_double
 from mbsgen.targets.fmu import pack_source
 from mbsgen.targets.julia import write_julia
+from mbsgen.targets.lanes import WIDTHS, list_lane_headers, write_lanes
 from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python import write_python
 from mbsgen.targets.rust import write_rust
@@ -53,6 +54,7 @@ class Target:
     pack: Callable[[Manifest, Mapping[str, str]], Mapping[str, bytes]] = _pack_nothing  # of the files, name -> content
     add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
     headers: Callable[[str], tuple[str, ...]] = _list_nothing  # installed beside the model's header, by its prefix
+    widths: tuple[int, ...] = ()  # states at once: the library holds the kernels for each of these too
 
 
 TARGETS: tuple[Target, ...] = (
@@ -66,6 +68,13 @@ TARGETS: tuple[Target, ...] = (
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
     Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", write_rust),
     Target("julia", "Also write a Julia module that calls the C.", write_julia),
+    Target(
+        "lanes",
+        "Also write functions in C for many states, by the vectors of the processor that runs them.",
+        write_lanes,
+        headers=list_lane_headers,
+        widths=WIDTHS,
+    ),
     Target("cuda", "Also write CUDA C that computes many states on a GPU, a state a thread.", pack=pack_cuda),
     Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
     Target(

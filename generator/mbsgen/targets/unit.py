@@ -25,6 +25,7 @@ class Unit:
     references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # results at the check's first state
     tolerance: float | None = None  # allowed relative error of the functions; None: exact
     headers: tuple[str, ...] = ()  # that target languages add, to be installed
+    widths: tuple[int, ...] = ()  # states at once, for which the library holds further versions of the kernels
     part: int = LENGTH  # least lines of a part of a long function
     own: str = ""  # the prefix of symbols in C, with the tag; known when the C is written
 
