@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -10,16 +11,14 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from mbsgen.errors import Fault, InputError
 from mbsgen.help import ModelCommand
 from mbsrun.commands.console import keep_grid, open_console, show_progress
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import Mechanism, load
+from mbsrun.external import load
 from mbsrun.measuring import motions, solves
 from mbsrun.measuring.advice import Advice, Option
 from mbsrun.measuring.points import Cost
 from mbsrun.measuring.surveys import survey_control, survey_optimisation, survey_simulation
-from mbsrun.ocp.statement import read_problem
 
 ADVISE_HELP = """Find the fastest way to compute with MODEL, with errors of at most --accuracy.
 
@@ -70,26 +69,20 @@ def advise_command(
     out = out or Path(f"{model.stem}.advice")
     with show_progress() as report:
         if task == "simulate":
-            advice = survey_simulation(motions.read_course(model, settings, None), out, accuracy, quick, report)
+            course = motions.read_course(model, settings, None)
+            extent = motions.QUICK if quick else motions.MotionScope()
+            advice = survey_simulation(course, out, accuracy, extent, report)
         elif task == "optimise":
             mechanism = load(model)
-            case = None if problem is None else _read_case(mechanism, problem)
+            case = None if problem is None else solves.read_case(mechanism, problem)
             told = "a reach from rest to rest in 1 s, stated for any model" if problem is None else str(problem)
-            case = case or solves.state_reach(mechanism)
-            advice = survey_optimisation(case, told, out, accuracy, quick, report)
+            case = solves.state_reach(mechanism) if case is None else replace(case, problem=keep_grid(case.problem))
+            scope = solves.QUICK if quick else solves.SolveScope()
+            advice = survey_optimisation(case, told, out, accuracy, scope, report)
         else:
             advice = survey_control(model, out, accuracy, quick, report)
     _print_advice(advice)
     context.exit(0 if advice.is_complete else NOTHING_GOOD)
-
-
-def _read_case(mechanism: Mechanism, problem: Path) -> solves.Case:
-    """Read the problem to measure on. Raises InputError for a problem of another model."""
-    found, plant = read_problem(problem, load)
-    if plant.manifest.model_hash != mechanism.manifest.model_hash:
-        fault = f"its model is {plant.manifest.model}, not {mechanism.manifest.model} as given"
-        raise InputError([Fault(str(problem), 0, "model", fault, "give the problem's model")])
-    return solves.Case(keep_grid(found), mechanism)
 
 
 def _print_advice(advice: Advice) -> None:

@@ -11,13 +11,14 @@ from pathlib import Path
 import click
 
 from mbsgen.help import CommandsBySubject
-from mbsrun.commands.console import choose_format, keep_grid, say, show_progress
+from mbsrun.commands.console import Report, choose_format, keep_grid, say, show_progress
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import load
+from mbsrun.external import Mechanism, load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves, surveys
 from mbsrun.measuring.captions import write_captions
-from mbsrun.measuring.overview import draw_overview
-from mbsrun.measuring.pictures import draw_fidelity, draw_kernels, draw_motions, draw_optima
+from mbsrun.measuring.charts import draw_fidelity, draw_kernels, draw_motions, draw_optima
+from mbsrun.measuring.fidelity import FidelityPoint
+from mbsrun.measuring.overview import Sources, draw_overview, list_layers, title_overview, write_course
 from mbsrun.measuring.points import MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.checks import LEAST_TOLERANCE
@@ -83,15 +84,20 @@ The output folder gets
   fidelity.jsonl                all measurements
 """
 
-FRONTS_HELP = """Chart the fronts of all formulations of MODEL, for every task, in one picture, with the advice marked.
+FRONTS_HELP = """Chart speed against accuracy of all that can be chosen for MODEL, in one picture, with the advice.
 
-Kernels, simulation and optimal control are measured as by `mbsrun advise`; with --quick in a minute. Each formulation
-has its own front of time against error. A ring marks the choice of `mbsrun advise` for errors of --accuracy.
+A panel for each need: torques, accelerations and their derivatives in single and double precision; a motion, by all
+methods of simulation; a solve, on grids; and what may be left out of MODEL. Each names the fastest methods, and a ring
+marks the choice for errors of --accuracy. The solve is of --problem, else of the first problem file beside MODEL that
+names it, else of a small reach from rest to rest. It takes two minutes at most for a model of some ten joints, as each
+part begins nothing after half a minute; with --quick it takes one.
 
 \b
 The output folder gets
-  fronts.png
-  fronts.csv, fronts.json   the options on the fronts, and the advised one
+  fronts.png, fronts.svg    the picture; fronts_narrow.png is for a phone
+  fronts.html               the same as a page: a dot shows its setting, and the command that repeats it
+  fronts.csv, fronts.json   all settings, their times and errors
+  motion.yaml               the motion that was measured, as settings of `mbsrun simulate`
   *.jsonl                   all measurements
 """
 
@@ -220,28 +226,59 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
     write_captions("fidelity", points[0].mechanism, out)
 
 
-@chart_command.command("fronts", help=FRONTS_HELP, short_help="Fronts of all formulations, with the advised choice.")
+@chart_command.command("fronts", help=FRONTS_HELP, short_help="All layers of a model, with the advised choices.")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
+@click.option("--problem", type=click.Path(path_type=Path), help="The problem to be solved; by default see above.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @choose_format
 @accept_robots
-def chart_fronts_command(model: Path, out: Path | None, accuracy: float, quick: bool) -> None:
+def chart_fronts_command(model: Path, out: Path | None, accuracy: float, problem: Path | None, quick: bool) -> None:
     """Measure, write, draw."""
     out = out or Path(f"{model.stem}.chart")
     mechanism = load(model)
+    problem = problem or next(iter(solves.find_problems(model)), None)
     with show_progress() as report:
         advice = [surveys.survey_control(model, out, accuracy, quick, report)]
         course = motions.read_course(model, None, None)
-        advice.append(surveys.survey_simulation(course, out, accuracy, quick, report))
-        if solves.can_reach(mechanism.manifest):
-            case, title = solves.state_reach(mechanism), "a reach from rest to rest in 1 s, stated for any model"
-            advice.append(surveys.survey_optimisation(case, title, out, accuracy, quick, report))
-    if not solves.can_reach(mechanism.manifest):
-        say("note: no joint of one coordinate is actuated, so there is no panel of optimal control")
-    _print_written(draw_overview(advice, out))
+        scope = motions.QUICK if quick else motions.FRONTS
+        advice.append(surveys.survey_simulation(course, out, accuracy, scope, report))
+        case = _find_case(mechanism, problem)
+        if case is not None:
+            extent = solves.QUICK if quick else solves.FRONTS
+            title = str(problem or "a reach from rest to rest in 1 s, stated for any model")
+            advice.append(surveys.survey_optimisation(case, title, out, accuracy, extent, report))
+        reductions = _measure_reductions(model, mechanism, out, report, quick=quick)
+    write_course(course, out)
+    sources = Sources(str(model), str(out), str(problem or ""), course.duration)
+    layers = list_layers(advice, reductions, sources)
+    _print_written(draw_overview(title_overview(mechanism.manifest), layers, out))
     write_captions("fronts", mechanism.manifest.model, out)
+
+
+def _find_case(mechanism: Mechanism, problem: Path | None) -> solves.Case | None:
+    """Return the problem to measure; None where nothing can be stated, which a note says."""
+    if problem is not None:
+        case = solves.read_case(mechanism, problem)
+        return replace(case, problem=keep_grid(case.problem))
+    if solves.can_reach(mechanism.manifest):
+        return solves.state_reach(mechanism)
+    say("note: no joint of one coordinate is actuated, so there is no panel of optimal control")
+    return None
+
+
+def _measure_reductions(
+    model: Path, mechanism: Mechanism, out: Path, report: Report, *, quick: bool
+) -> list[FidelityPoint]:
+    """Measure reductions; none for models with quaternions and files of robots, which a note says."""
+    if mechanism.manifest.configuration or model.suffix not in (".yaml", ".yml", ".json"):
+        say("note: reductions are measured on model files without quaternions alone")
+        return []
+    scope = fidelity.QUICK if quick else fidelity.FRONTS
+    whole = fidelity.take_whole(model, scope)
+    reductions = fidelity.list_reductions(model, whole.manifest, ())
+    return fidelity.measure_fidelity(whole, reductions, out, scope, report)
 
 
 def _print_written(paths: list[Path]) -> None:

@@ -10,9 +10,9 @@ from mbsrun.environment import describe_environment
 from mbsrun.measuring.sections import Caption, Outline, write_outline
 
 MARKS = (
-    "A point stands at the shortest of its times, and a line leads to their median. The grey line is the front: no "
-    "point is both faster and more accurate than one on it; its points have labels. A cross is a failure, at the edge "
-    "where it has no time or no error; the table gives the reason."
+    "A dot is a setting, at the shortest of its times. A line joins the best settings of a method, whose name is at its "
+    "end; slower methods are grey. Lower and further left is better: the broad band is the front. Settings "
+    "that failed are in the table, with the reason."
 )
 TIMES = (
     "Times: the shortest and the median of the rounds; the spread is the distance of their quartiles, by the median."
@@ -24,17 +24,16 @@ OUTLINES: Mapping[str, Outline] = {
         Outline(
             "fronts",
             0,
-            "Speed against accuracy: all formulations",
-            "Every task of the model in one picture: kernels, simulation, and optimal control, with all formulations.",
+            "Speed against accuracy: all choices",
+            "All that can be chosen for the model: formulation, precision, method, grid, and what may be left out.",
             (
                 Caption(
                     "fronts.png",
-                    "Fronts of all formulations",
-                    "A panel for each need. A line is the front of a formulation: no option of this formulation is "
-                    "both faster and more accurate than one on it. A ring marks the option that `mbsrun advise` "
-                    "chooses for errors up to the dashed line.",
+                    "Speed against accuracy",
+                    "A panel for each need, with its finding. A ring marks the setting that `mbsrun advise` chooses "
+                    f"for errors up to the dashed line. {MARKS}",
                 ),
-                Caption("fronts.json", "Options on the fronts", "Times are the shortest of the rounds."),
+                Caption("fronts.json", "Settings", "Times are the shortest of the rounds."),
             ),
         ),
         Outline(
@@ -49,8 +48,8 @@ OUTLINES: Mapping[str, Outline] = {
                 Caption(
                     "kernels.png",
                     "Kernels: time of a call against the error of results",
-                    "A row for each mechanism, a column for each task. Across: ns of a call; up: the largest error "
-                    f"over the states, by the largest entry of a result. {MARKS}",
+                    "A panel for each mechanism and task. Up: the largest error over the states, by the largest entry "
+                    f"of a result. {MARKS}",
                 ),
                 Caption(
                     "kernels_backward.png",
@@ -78,8 +77,8 @@ OUTLINES: Mapping[str, Outline] = {
                 Caption(
                     "simulation.png",
                     "Simulation: processor time against the error, and against the drift of energy",
-                    "Left: the largest error at the end; grey: where the reference is no better. Right: the largest "
-                    f"drift of energy, by the energy that is exchanged. Labels: step or tolerance. {MARKS}",
+                    "Left: the largest error at the end; shaded: where the reference is no better. Right: the largest "
+                    f"drift of energy, by the energy that is exchanged. {MARKS}",
                 ),
                 Caption("simulation.json", "Simulations", f"Errors in rad and m, and these per s. {TIMES}"),
             ),
@@ -97,9 +96,9 @@ OUTLINES: Mapping[str, Outline] = {
                 Caption(
                     "optimisation.png",
                     "Optimal control: time of a solve against the error of the cost, and against the defect",
-                    "A column for each control grid. Above: the error of the cost on the same control grid; dashed: "
-                    "the error of this grid itself; grey: where the reference is no better. Below: the largest defect "
-                    f"of an interval by re-simulation. {MARKS}",
+                    "A row for each control grid. Left: the error of the cost on the same control grid; shaded: where "
+                    "the reference is no better. Right: the largest defect of an interval by re-simulation. "
+                    f"{MARKS}",
                 ),
                 Caption(
                     "control_grid.png",
@@ -121,9 +120,8 @@ OUTLINES: Mapping[str, Outline] = {
                 Caption(
                     "fidelity.png",
                     "Fidelity: time of a call against the error of leaving something out",
-                    "A row for each kernel. Left: states that agree with the reduction; right: any state. "
-                    "Labels: the reduction, and the share of the flops that it saves; "
-                    f"dashed: the time of the whole model. {MARKS}",
+                    "A row for each kernel. Left: states that agree with the reduction; right: any state. Reductions "
+                    f"that save a tenth of the time have names; dashed: the time of the whole model. {MARKS}",
                 ),
                 Caption("fidelity.json", "Reductions", f"ns whole: time of the whole model. {TIMES}"),
             ),

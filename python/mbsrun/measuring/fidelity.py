@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,9 +81,11 @@ class FidelityScope:
     rounds: int = 40
     judged: int = 64  # states for errors
     kernels: tuple[str, ...] = KERNELS
+    seconds: float = math.inf  # no reduced model is generated later
 
 
 QUICK = FidelityScope(3, 8, ("impl", "exp2", "sensors"))
+FRONTS = FidelityScope(10, 16, ("impl", "exp2"), 30.0)
 
 
 def list_reductions(model: Path, manifest: Manifest, scenes: Sequence[Path]) -> list[Reduction]:
@@ -124,12 +128,15 @@ def measure_fidelity(
     """
     store = Store(folder / "fidelity.jsonl", FidelityPoint)
     subjects: list[Subject | str] = []
+    begin = time.monotonic()
     for done, reduction in enumerate(reductions):
+        if time.monotonic() - begin > scope.seconds:
+            break
         report(f"generating: {reduction.name}", done, len(reductions))
         subjects.append(_generate(reduction, whole.extent, folder / "models"))
     points: list[FidelityPoint] = []
     compiler = Variant().compiler()
-    names = whole.extent.functions or ()
+    names, reductions = whole.extent.functions or (), reductions[: len(subjects)]
     for done, kernel in enumerate(names):
         report(f"measuring: {kernel}", done, len(names))
         about = (whole.manifest.generator, whole.manifest.model_hash, kernel, scope.rounds, scope.judged)

@@ -1,63 +1,244 @@
-"""The front of a chart: the marks that no other mark beats in both time and error, and a sentence about them."""
+"""Measured settings as lines of work against error, and the findings that a reader acts on, in words.
+
+A dot is one setting of a method, and a line holds the dots of a method. The *front* of some dots is the dots that no
+other one beats in both work and error. To *reach* an error means a dot with this error or a smaller one, so no number
+is interpolated.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from mbsrun.measuring.points import Cost
+ALIKE = 1.1  # works count as equal within a tenth
+SHOWN = 7  # lines of a panel that have a name
+EXACT = 1e-12  # a larger error is not of rounding alone
+DIGIT = 10.0  # errors count as equal to a digit
+USELESS = 0.1  # larger errors are of no use to a reader
 
 
 @dataclass(frozen=True)
-class Mark:
-    """A point of a chart."""
+class Dot:
+    """One setting of a method."""
 
-    series: str
-    label: str
-    cost: Cost | None
+    line: str  # the method
+    setting: str  # its step, tolerance, precision, …
+    work: float | None  # None: it failed
     error: float | None
-    marker: str = "o"
-    is_failure: bool = False
+    finding: str = ""  # why it failed
+    command: str = ""  # repeats it
+
+    @property
+    def is_good(self) -> bool:
+        """Return whether it has a work and an error, and did not fail."""
+        return self.work is not None and self.error is not None and not self.finding
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Return work and error of a good dot."""
+        assert self.work is not None, "a good dot has a work"
+        assert self.error is not None, "a good dot has an error"
+        return self.work, self.error
 
     @property
     def name(self) -> str:
-        """Return series and label; the label alone where it begins with the series."""
-        if self.label.startswith(self.series):
-            return self.label
-        return f"{self.series} ({self.label})" if self.label else self.series
+        """Return method and setting."""
+        return f"{self.line}, {self.setting}" if self.setting else self.line
 
 
-def find_front(marks: Sequence[Mark]) -> list[Mark]:
-    """Return the marks on the front, from the fastest to the most accurate; the time is the shortest of the rounds."""
-    known = [m for m in marks if m.cost is not None and m.error is not None and not m.is_failure]
-    front: list[Mark] = []
-    for mark in sorted(known, key=lambda m: (_time(m), _error(m))):
-        if not front or _error(mark) < _error(front[-1]):
-            front.append(mark)
+@dataclass(frozen=True)
+class Stretch:
+    """A range of errors in which one line is the fastest."""
+
+    line: str
+    largest: float  # the error from which on it is the fastest
+    least: float  # the smallest error that it reaches there
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A chart of work against error."""
+
+    question: str  # what a reader decides by it
+    dots: tuple[Dot, ...]
+    work: str  # the axis across, in words
+    error: str  # the axis upwards, in words
+    unit: str = "s"  # of the work: "s", "ns", or "" for a count
+    asked: float | None = None  # the largest error that is accepted
+    choice: Dot | None = None  # the advised setting
+    floor: float | None = None  # the reference is no more accurate
+    whole: float | None = None  # the work without any reduction
+
+    @property
+    def good(self) -> list[Dot]:
+        """List the dots that did not fail."""
+        return [dot for dot in self.dots if dot.is_good]
+
+    @property
+    def lines(self) -> dict[str, list[Dot]]:
+        """Return the good dots of each method, in the order of their first one."""
+        lines: dict[str, list[Dot]] = {}
+        for dot in self.good:
+            lines.setdefault(dot.line, []).append(dot)
+        return lines
+
+    def choose_lines(self) -> list[str]:
+        """Return the methods that get a name: the finding's, the choice's, then the nearest to the front."""
+        front = find_front(self.good)
+        if self.whole is not None:  # a reduction that saves nothing needs no name
+            front = [dot for dot in front if dot.place[0] * ALIKE < self.whole]
+            return [dot.line for dot in front[:SHOWN]]
+        ranks = {name: min((_distance(dot, front) for dot in dots), default=0.0) for name, dots in self.lines.items()}
+        first = [stretch.line for stretch in find_stretches(self.good)]
+        first += [self.choice.line] if self.choice is not None else []
+        return list(dict.fromkeys([*first[:SHOWN], *sorted(ranks, key=lambda name: ranks[name])]))[:SHOWN]
+
+    @property
+    def headline(self) -> str:
+        """State the finding in one sentence."""
+        if self.whole is not None:
+            return state_savings(self.good, self.whole, self.asked)
+        return state_finding(self.good, self.floor)
+
+    @property
+    def advice(self) -> str:
+        """State the advised setting in one sentence; empty where nothing was asked."""
+        if self.asked is None or (self.whole is not None and self.choice is None):
+            return ""
+        if self.choice is None:
+            return f"No measured setting has errors up to {write_error(self.asked)}."
+        return f"For errors up to {write_error(self.asked)}: {self.choice.name}, {write_work(*self._spend())}."
+
+    @property
+    def note(self) -> str:
+        """State what the picture leaves out."""
+        failed = sum(not dot.is_good for dot in self.dots)
+        parts = ["grey: the others"] if len(self.lines) > SHOWN else []
+        parts += [f"{failed} settings failed" if failed > 1 else "one setting failed"] if failed else []
+        parts += [f"shaded: the reference errs as much, {write_error(self.floor)}"] if self.floor else []
+        return "; ".join(parts)
+
+    def _spend(self) -> tuple[float, str]:
+        assert self.choice is not None, "a choice was made"
+        return self.choice.place[0], self.unit
+
+
+def find_front(dots: Sequence[Dot]) -> list[Dot]:
+    """Return the dots on the front, from the cheapest to the most accurate."""
+    front: list[Dot] = []
+    for dot in sorted((dot for dot in dots if dot.is_good), key=lambda dot: dot.place):
+        if not front or dot.place[1] < front[-1].place[1]:
+            front.append(dot)
     return front
 
 
-def describe_front(marks: Sequence[Mark], unit: str) -> str:
-    """Describe both ends of the front in one sentence."""
-    front = find_front(marks)
-    if not front:
+def find_stretches(dots: Sequence[Dot]) -> list[Stretch]:
+    """Divide the errors, from large to small, into as few stretches as possible.
+
+    The line of a stretch reaches each of its errors, to a digit, with the least work of all lines or a tenth more.
+    """
+    front = find_front(dots)
+    names = list(dict.fromkeys(dot.line for dot in dots if dot.is_good))
+    stretches: list[Stretch] = []
+    start = 0
+    while start < len(front):
+        ends = {name: _follow(name, front, start, dots) for name in names}
+        best = max(names, key=lambda name: (ends[name], name == front[start].line))
+        largest = front[start - 1].place[1] if start else math.inf
+        start = ends[best]
+        stretches.append(Stretch(best, largest, front[start - 1].place[1]))
+    return stretches
+
+
+def _follow(name: str, front: Sequence[Dot], start: int, dots: Sequence[Dot]) -> int:
+    """Return the number of the first dot of the front, from `start` on, that a line does not match."""
+    own = [dot.place for dot in dots if dot.line == name and dot.is_good]
+    for k, (work, error) in enumerate((dot.place for dot in front[start:]), start):
+        if min((w for w, e in own if e <= DIGIT * error), default=math.inf) > ALIKE * work:
+            return k
+    return len(front)
+
+
+def _distance(dot: Dot, front: Sequence[Dot]) -> float:
+    """Return by which factor a dot is dearer than the front at its own error, as a logarithm."""
+    work, error = dot.place
+    cheapest = min((w for w, e in (x.place for x in front) if e <= error), default=work)
+    return math.log(max(work, 1e-300) / max(cheapest, 1e-300))
+
+
+def state_finding(dots: Sequence[Dot], floor: float | None = None) -> str:
+    """Name the lines that are the fastest over most digits, one or two.
+
+    Errors below `floor` are not distinguished; errors above a tenth count where there are no others.
+    """
+    good = [replace(dot, error=max(dot.place[1], floor or 0.0)) for dot in dots if dot.is_good]
+    stretches = find_stretches([dot for dot in good if dot.place[1] <= USELESS] or good)
+    if not stretches:
         return "Nothing was measured here."
-    first, last = front[0], front[-1]
-    if first is last:
-        return f"{first.name} is both the fastest and the most accurate: {_write(first, unit)}."
-    return f"Fastest: {first.name}, {_write(first, unit)}; most accurate: {last.name}, {_write(last, unit)}."
+    if len(stretches) == 1:
+        alone = len({dot.line for dot in good}) == 1
+        return f"{stretches[0].line} is the {'only way that was measured' if alone else 'fastest at every error'}."
+    first, second = sorted(stretches, key=_measure, reverse=True)[:2]
+    text = f"{_locate(first, stretches).capitalize()}, {first.line} is the fastest"
+    if second.line == first.line:
+        return f"{text}."
+    return f"{text}; {_locate(second, stretches)}, {second.line}."
 
 
-def _write(mark: Mark, unit: str) -> str:
-    error = f"with an error of {_error(mark):.0e}" if _error(mark) else "without error"
-    return f"{_time(mark):.3g} {unit} {error}"
+def _measure(stretch: Stretch) -> float:
+    """Return the digits of a stretch; from a tenth on, and down to 1e-17."""
+    return math.log10(min(stretch.largest, USELESS) / max(stretch.least, 1e-17))
 
 
-def _time(mark: Mark) -> float:
-    assert mark.cost is not None, "only marks with a time are compared"
-    return mark.cost.shortest
+def _locate(stretch: Stretch, stretches: Sequence[Stretch]) -> str:
+    """Write the errors of a stretch."""
+    if stretch is stretches[0]:
+        return f"above {write_error(stretch.least)}"
+    if stretch is stretches[-1]:
+        return f"below {write_error(stretch.largest)}"
+    return f"between {write_error(stretch.largest)} and {write_error(stretch.least)}"
 
 
-def _error(mark: Mark) -> float:
-    assert mark.error is not None, "only marks with an error are compared"
-    return mark.error
+def state_savings(dots: Sequence[Dot], whole: float, asked: float | None = None) -> str:
+    """Name the reductions that save the most: one without an error, and one with an error up to `asked` or a tenth."""
+    limit = 0.1 if asked is None else asked
+    useful = [dot for dot in dots if dot.is_good and dot.place[0] * ALIKE < whole]
+    exact = min((d for d in useful if d.place[1] < EXACT), key=lambda d: d.place[0], default=None)
+    rough = min((d for d in useful if d.place[1] <= limit), key=lambda d: d.place[0], default=None)
+    if rough is None:
+        none = f"no reduction with errors up to {write_error(limit)} saves a tenth of the time"
+        best = min(useful, key=lambda d: d.place[1], default=None)
+        return f"N{none[1:]}." if best is None else f"N{none[1:]}; {_write_saving(best, whole)}."
+    if exact is None or rough is exact:
+        return f"{_write_saving(rough, whole)}."
+    return f"{_write_saving(exact, whole)}; {_write_saving(rough, whole)}."
+
+
+def _write_saving(dot: Dot, whole: float) -> str:
+    work, error = dot.place
+    price = "without an error" if error < EXACT else f"with errors of {write_error(error)}"
+    return f"{dot.line} saves {1 - work / whole:.0%} of the time {price}"
+
+
+def write_error(error: float) -> str:
+    """Write an error with one digit, as engineers say it: 1e-6, 3e-12, 0.04."""
+    if error == 0:
+        return "0"
+    digits, power = f"{error:.0e}".split("e")
+    return f"{float(f'{error:.0e}'):g}" if -2 <= int(power) <= 2 else f"{digits}e{int(power)}"
+
+
+def write_work(work: float, unit: str) -> str:
+    """Write a time with two digits, and the unit that fits: 48 ns, 3.7 ms, 1.2 s; without a unit, write a count."""
+    if not unit:
+        return f"{work:g}"
+    ns = work * {"ns": 1.0, "s": 1e9}[unit]
+    for size, name in ((1e9, "s"), (1e6, "ms"), (1e3, "µs")):
+        if float(f"{ns:.2g}") >= size:
+            return f"{_write_short(ns / size)} {name}"
+    return f"{_write_short(ns)} ns"
+
+
+def _write_short(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"

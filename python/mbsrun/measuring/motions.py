@@ -8,6 +8,8 @@ reference is Radau collocation with five stages, and only methods that keep loop
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,7 +43,6 @@ Array = NDArray[np.float64]
 
 EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1, optional=(*CLOSING[:3], "rates"))
 TIGHT = 1e-13  # the tolerance of the check of the reference
-PATIENCE = 5.0  # s; what takes longer is run once
 ANGLE = 0.2  # the share of the range of a coordinate in which a motion starts
 
 CLOSED_TITLE = "Radau collocation, five stages, against DOP853 at 1e-13"
@@ -99,6 +100,8 @@ class MotionScope:
     shorter: tuple[int, ...] = (1, 4, 16, 64, 256, 1024)  # for explicit ones, whose steps cost little
     tolerances: tuple[float, ...] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
     rounds: int = 3
+    patience: float = 5.0  # s; what takes longer is run once
+    seconds: float = math.inf  # no family begins later
 
 
 QUICK = MotionScope(
@@ -107,6 +110,19 @@ QUICK = MotionScope(
     (1, 16, 64),
     (1e-4, 1e-8),
     1,
+)
+FRONTS = MotionScope(
+    (
+        *(("rk4", formulation) for formulation in (EXP2, EXP1, IMPL, SEMI)),
+        *(("dop853", formulation) for formulation in (EXP2, EXP1, IMPL, SEMI)),
+        *((method, EXP2) for method in ("rk45", "euler", "lsoda", "bdf", "radau")),
+        *((method, IMPL) for method in ("gauss", "radau-iia", "variational", "generalized-alpha")),
+        ("symplectic-euler", EXP2),
+    ),
+    (1, 2, 4, 8, 16),
+    (1, 4, 16, 64, 256),
+    patience=0.2,
+    seconds=40.0,
 )
 
 
@@ -154,8 +170,10 @@ def measure_motions(
     """Integrate with all methods of `scope`; earlier measurements are read from the store."""
     points: list[MotionPoint] = []
     compiler = Variant().compiler()
-    families = [x for x in scope.families if _takes(x, course)]
+    families, begin = [x for x in scope.families if _takes(x, course)], time.monotonic()
     for done, (method, formulation) in enumerate(families):
+        if time.monotonic() - begin > scope.seconds:
+            break
         report(f"{method}, {formulation.value}", done, len(families))
         levels = [(x, replace(s, formulation=formulation)) for x, s in _list_levels(method, standard, scope)]
         manifest, values = course.mechanism.manifest, dict(course.mechanism.parameters)
@@ -204,7 +222,7 @@ class MethodSeries:
         times = [[motion.effort.seconds] for motion in motions]
         for _ in range(self.scope.rounds - 1):
             for own, (_, settings) in zip(times, self.levels, strict=True):
-                if own[0] < PATIENCE:
+                if own[0] < self.scope.patience:
                     own.append(self.course.integrate(settings).effort.seconds)
         return [
             self._judge(x, motion, np.array(own))

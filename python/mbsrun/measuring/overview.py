@@ -1,128 +1,174 @@
-"""One picture of a model: the fronts of all formulations, for every task, with the advised choice marked.
+"""All layers of a model in one picture, one table and one interactive page, with the advised choices.
 
-A panel shows one need of one task: time against error. Each formulation has its own front: the options of this
-formulation that no other option of it beats in both time and error. A ring marks the choice of `advice`.
+A panel for each need of each task: torques, accelerations and derivatives, a motion, a solve, and what may be left out.
+Each dot has the command that repeats it.
 """
 
 from __future__ import annotations
 
-import math
-import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-from mbsgen.style import in_format
+from mbsgen.manifest import Manifest
 from mbsrun.measuring.advice import Advice, Option
-from mbsrun.measuring.fronts import Mark, find_front
-from mbsrun.measuring.pictures import COLORS, EXACT, plain, prepare, save_picture, space_ticks
+from mbsrun.measuring.explorer import render_explorer
+from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
+from mbsrun.measuring.fronts import Dot, Panel, find_front
+from mbsrun.measuring.motions import Course
+from mbsrun.measuring.panels import (
+    CALL_TIME,
+    MOTION_TIME,
+    OF_DEFECTS,
+    OF_ENDS,
+    SOLVE_TIME,
+    draw_reduction,
+    name_kernel,
+    name_setting,
+    name_way,
+)
+from mbsrun.measuring.pictures import draw_panels
 from mbsrun.measuring.sections import Cell, Table, write_table
 
-ACROSS = 3  # panels in a row
-LINE = 60  # characters of a line below a panel
-UNITS = {"ns": "time of a call [ns]", "s": "processor time [s]"}
+MOTION = "motion.yaml"  # the file of the motion that was measured
+QUESTIONS = {
+    "control": ("{need}: which formulation, which precision?", CALL_TIME, "largest error, relative"),
+    "simulate": ("A motion of {duration:g} s: which method, which step?", MOTION_TIME, OF_ENDS),
+    "optimise": ("{problem}: which grid, which formulation?", SOLVE_TIME, OF_DEFECTS),
+}
 
 
 @dataclass(frozen=True)
-class Panel:
-    """One need of one task."""
+class Sources:
+    """The files that repeat the measurements, as a command line names them."""
 
-    advice: Advice
+    model: str
+    folder: str  # of the measurements
+    problem: str = ""  # a problem file; empty: the reach that is stated for any model
+    duration: float = 0.0  # of the motion [s]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A panel, with the task and the need it belongs to."""
+
+    task: str
     need: str
-
-    @property
-    def options(self) -> list[Option]:
-        """List the options that have a time and an error, and did not fail."""
-        own = [o for o in self.advice.options if o.need == self.need]
-        return [o for o in own if o.cost is not None and o.error is not None and not o.finding]
-
-    @property
-    def fronts(self) -> dict[str, list[Option]]:
-        """Return the front of each formulation, from the fastest option to the most accurate."""
-        series: dict[str, list[Option]] = {}
-        for option in self.options:
-            series.setdefault(name_series(option), []).append(option)
-        return {name: _find_front(own) for name, own in series.items()}
+    panel: Panel
 
 
-def name_series(option: Option) -> str:
-    """Return the formulation of an option; differences of all steps are one."""
-    name = option.choices[0][1]
-    return name.rsplit(", ", 1)[0] if "differences" in name else name
+def list_layers(surveys: Sequence[Advice], reductions: Sequence[FidelityPoint], sources: Sources) -> list[Layer]:
+    """Return a layer for each need of each survey, and for each kernel of the reductions."""
+    pairs = [(advice, need) for advice in surveys for need in advice.needs]
+    layers = [Layer(advice.task, need, _draw_need(advice, need, sources)) for advice, need in pairs]
+    kernels = dict.fromkeys(point.kernel for point in reductions)
+    return [*layers, *(_draw_kernel(kernel, reductions, sources, surveys[0].accuracy) for kernel in kernels)]
 
 
-def draw_overview(surveys: Sequence[Advice], folder: Path) -> list[Path]:
-    """Write fronts.png, fronts.csv and fronts.json; return their paths."""
-    panels = [Panel(advice, need) for advice in surveys for need in advice.needs]
-    panels = [panel for panel in panels if panel.options]
-    rows = math.ceil(len(panels) / ACROSS)
-    figure = Figure(figsize=(5.5 * ACROSS, 1 + 4.6 * rows), layout="constrained")
-    grid = figure.subplots(rows, ACROSS, squeeze=False).ravel()
-    for axes, panel in zip(grid, panels, strict=False):
-        _draw_panel(axes, panel)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
-    first = surveys[0]
-    figure.suptitle(
-        f"{plain(first.model)}: fronts of all formulations; ring: the advice for errors of {first.accuracy:g} (dashed)",
-        fontsize=11,
+def draw_overview(title: str, layers: Sequence[Layer], folder: Path) -> list[Path]:
+    """Write fronts.png beside its variants, fronts.csv, fronts.json and fronts.html; return their paths."""
+    paths = draw_panels(title, [layer.panel for layer in layers], folder, "fronts")
+    paths += write_table(tabulate_fronts(layers), folder, "fronts")
+    paths.append(folder / "fronts.html")
+    paths[-1].write_text(render_explorer(title, [layer.panel for layer in layers]), encoding="utf-8")
+    return paths
+
+
+def write_course(course: Course, folder: Path) -> Path:
+    """Write the start and the duration of a drawn motion as a settings file of `mbsrun simulate`; return its path."""
+    manifest = course.mechanism.manifest
+    pose = ", ".join(f"{name}: {float(x)!r}" for name, x in zip(manifest.positions, course.q, strict=True))
+    names = [c.name for c in manifest.coordinates]
+    rates = ", ".join(f"{name}: {float(x)!r}" for name, x in zip(names, course.qd, strict=True) if x)
+    velocity = f", velocity: {{{rates}}}" if rates else ""
+    path = folder / MOTION
+    path.write_text(f"duration: {course.duration!r}\nstart: {{pose: {{{pose}}}{velocity}}}\n", encoding="utf-8")
+    return path
+
+
+def tabulate_fronts(layers: Sequence[Layer]) -> Table:
+    """List all dots: whether they are on the front, and which one is advised."""
+    columns = ("task", "need", "method", "setting", "time", "unit", "error", "front", "advised", "command", "finding")
+    note = "front: no other setting of the same need is both faster and more accurate."
+    return Table("Speed against accuracy", columns, tuple(_list_rows(layers)), note)
+
+
+def _list_rows(layers: Sequence[Layer]) -> Iterator[tuple[Cell, ...]]:
+    for layer in layers:
+        panel = layer.panel
+        front = find_front(panel.good)
+        for dot in panel.dots:
+            time = None if dot.work is None else float(f"{dot.work:.4g}")
+            marks = ("yes" if dot in front else "", "yes" if dot == panel.choice else "")
+            numbers = (time, panel.unit, dot.error)
+            yield (layer.task, layer.need, dot.line, dot.setting, *numbers, *marks, dot.command, dot.finding)
+
+
+def _draw_need(advice: Advice, need: str, sources: Sources) -> Panel:
+    question, work, error = QUESTIONS[advice.task]
+    problem = sources.problem or "A reach in 1 s"
+    question = question.format(need=need.capitalize(), duration=sources.duration, problem=problem)
+    own = [option for option in advice.options if option.need == need]
+    dots = {id(option): _draw_option(advice.task, option, sources) for option in own}
+    best = advice.choose(need)
+    choice = None if best is None else dots[id(best)]
+    unit = own[0].unit
+    return Panel(question, tuple(dots.values()), work, error, unit, advice.accuracy, choice)
+
+
+def _draw_option(task: str, option: Option, sources: Sources) -> Dot:
+    chosen = dict(option.choices)
+    line, setting, command = {"control": _tell_kernel, "simulate": _tell_motion, "optimise": _tell_solve}[task](
+        chosen, sources
     )
-    path = in_format(folder / "fronts.png")
-    save_picture(figure, path, 90)
-    return [path, *write_table(tabulate_fronts(panels), folder, "fronts")]
+    work = None if option.cost is None else option.price
+    return Dot(line, setting, work, option.error, option.finding, command)
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
-    prepare(axes)
-    for k, (name, front) in enumerate(panel.fronts.items()):
-        color = COLORS[k % len(COLORS)]
-        own = [_place(o) for o in panel.options if name_series(o) == name]
-        axes.plot(*zip(*own, strict=True), "o", color=color, markersize=3, alpha=0.25)
-        x, y = zip(*map(_place, front), strict=True)
-        axes.step(x, y, where="post", color=color, linewidth=1.2, marker="o", markersize=4, label=name)
-    accuracy, best = panel.advice.accuracy, panel.advice.choose(panel.need)
-    axes.axhline(accuracy, color="0.4", linewidth=0.8, linestyle="--")
-    if best is not None:
-        axes.plot(*_place(best), "o", markersize=13, markerfacecolor="none", markeredgecolor="black")
-    text = "no measured option is so accurate" if best is None else f"advice: {_describe(best)}"
-    unit = panel.options[0].unit
-    axes.set_xlabel(f"{UNITS.get(unit, unit)}\n{textwrap.fill(text, LINE)}", fontsize=8)
-    axes.set_ylabel("largest error", fontsize=8)
-    space_ticks(axes)
-    axes.set_title(f"{panel.advice.task}: {panel.need}", fontsize=9)
-    axes.legend(fontsize=7)
+def _tell_kernel(chosen: Mapping[str, str], sources: Sources) -> tuple[str, str, str]:
+    way, precision = chosen["kernel"], chosen["precision"]
+    kernel = way.split(", ")[0].removeprefix("jac_")
+    single = "  # compile with -DMBS_REAL=float" if precision == "float32" else ""
+    command = f"mbsgen {sources.model} --functions {kernel} -o {kernel}{single}"
+    return name_way(way), name_setting(way, precision, ""), command
 
 
-def tabulate_fronts(panels: Sequence[Panel]) -> Table:
-    """List the options on the fronts, and which one is advised."""
-    columns = ("task", "need", "formulation", "option", "time", "unit", "error", "advised")
-    note = "Options that no other option of the same formulation beats in both time and error."
-    return Table("Fronts of all formulations", columns, tuple(_list_rows(panels)), note)
+def _tell_motion(chosen: Mapping[str, str], sources: Sources) -> tuple[str, str, str]:
+    method, formulation = chosen["method"], chosen["formulation"]
+    setting, value = next((key, chosen[key]) for key in ("step", "tolerance") if key in chosen)
+    options = f"--step {value}" if setting == "step" else f"--rtol {value} --atol {value}"
+    command = (
+        f"mbsrun simulate {sources.model} --settings {sources.folder}/{MOTION} --method {method} "
+        f"--formulation {formulation} {options}"
+    )
+    return f"{method} on {formulation.upper()}", f"{setting} {value}" + (" s" if setting == "step" else ""), command
 
 
-def _list_rows(panels: Sequence[Panel]) -> Iterator[tuple[Cell, ...]]:
-    for panel in panels:
-        best = panel.advice.choose(panel.need)
-        for name, front in panel.fronts.items():
-            shown = [*front, *([best] if best is not None and name_series(best) == name and best not in front else [])]
-            for option in shown:
-                numbers = (float(f"{option.price:.4g}"), option.unit, option.error)
-                advised = "yes" if option is best else ""
-                yield (panel.advice.task, panel.need, name, _describe(option), *numbers, advised)
+def _tell_solve(chosen: Mapping[str, str], sources: Sources) -> tuple[str, str, str]:
+    scheme, degree, intervals = chosen["scheme"], chosen["degree"], chosen["intervals"]
+    line, setting = f"{scheme.capitalize()} {degree}, {chosen['representation']}", f"{intervals} intervals"
+    if not sources.problem:
+        return line, setting, f"mbsrun advise {sources.model} --task optimise"
+    grid = f"scheme: {scheme}, degree: {degree}, intervals: {intervals}"
+    form = chosen["representation"].lower()
+    return line, setting, f"mbsrun solve {sources.problem} --representation {form}  # with {grid}"
 
 
-def _find_front(options: Sequence[Option]) -> list[Option]:
-    marks = [Mark("", str(k), option.cost, option.error) for k, option in enumerate(options)]
-    return [options[int(mark.label)] for mark in find_front(marks)]
+def _draw_kernel(kernel: str, points: Sequence[FidelityPoint], sources: Sources, accuracy: float) -> Layer:
+    own = [p for p in points if p.kernel == kernel]
+    (whole,) = [p for p in own if p.reduction == WHOLE]
+    command = f"mbsrun chart fidelity {sources.model} -o {sources.folder}"
+    dots = tuple(draw_reduction(p, command=command) for p in own if p.reduction != WHOLE)
+    time = None if whole.ns is None else whole.ns.shortest
+    useful = [dot for dot in dots if dot.is_good and dot.place[1] <= accuracy and dot.place[0] * 1.1 < (time or 0.0)]
+    choice = min(useful, key=lambda dot: dot.place, default=None)
+    question = f"What may be left out, for {name_kernel(kernel)}?"
+    error = "largest error in any state, by the largest result"
+    panel = Panel(question, dots, CALL_TIME, error, "ns", accuracy, choice, whole=time)
+    return Layer("reduce", kernel, panel)
 
 
-def _place(option: Option) -> tuple[float, float]:
-    assert option.error is not None, "options of a panel have an error"
-    return option.price, max(option.error, EXACT)
-
-
-def _describe(option: Option) -> str:
-    return ", ".join(f"{name} {value}" for name, value in option.choices)
+def title_overview(manifest: Manifest) -> str:
+    """Return the title of the picture."""
+    count = len(manifest.coordinates)
+    return f"{manifest.model}, {'1 joint' if count == 1 else f'{count} coordinates'}: speed against accuracy"

@@ -1,62 +1,58 @@
-"""Charts of speed against accuracy: points in series, their front drawn and labelled, failures at the edges.
+"""Draw panels of work against error: a line for each method with its name at its end, the front, the advised setting.
 
-A point stands at the shortest time of its rounds, with a line to their median; left is faster, low is more accurate.
-Only points on the front have labels, and labels cover neither marks nor each other; a table lists all points. One
-sentence below each chart names the two ends of its front.
+Work and error are logarithmic; downwards and left is better. The front is a quiet band. At most seven methods have a
+colour and a name, and the others are grey. All text has one size. Names cover neither marks, lines nor each other, at
+the width of a page and of a phone. An SVG has its own colours where a reader's page is dark.
 """
 
 from __future__ import annotations
 
 import io
-import textwrap
-from collections.abc import Iterator, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.text import Annotation
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
-from matplotlib.transforms import Bbox, BboxBase
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+from numpy.typing import NDArray
 from PIL import Image
 
-from mbsgen.style import PALETTE, in_format, save_figure, styled
-from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
-from mbsrun.measuring.fronts import Mark, describe_front, find_front
-from mbsrun.measuring.kernels import DOUBLE_DOUBLE, KERNELS, SLOPES
-from mbsrun.measuring.kernels import EXACT as DIGITS
-from mbsrun.measuring.motions import Standard
-from mbsrun.measuring.optima import GridOptimum, OptimumPoint
-from mbsrun.measuring.points import KernelPoint, MotionPoint
+from mbsgen.style import FORMATS, PALETTE, in_format, mix, save_figure, styled
+from mbsrun.measuring.fronts import Dot, Panel, find_front, write_error, write_work
+from mbsrun.measuring.sections import NARROW
 
-COLORS = PALETTE
-SHADES = 128  # colours of a picture
-MARK = 6.0  # points that a mark covers
-BESIDE = 2  # pixels around a label that are free
-DISTANCES = (6.0, 9.0, 15.0)  # points between a mark and its label
-SIDES = (  # of a mark: horizontal and vertical alignment of a label there, and its direction
-    ("left", "bottom", 0.9, 0.9),
-    ("right", "top", -0.9, -0.9),
-    ("left", "top", 0.9, -0.9),
-    ("right", "bottom", -0.9, 0.9),
-    ("center", "bottom", 0.0, 1.0),
-    ("center", "top", 0.0, -1.0),
-    ("left", "center", 1.0, 0.0),
-    ("right", "center", -1.0, 0.0),
-)
-LINE = 80  # characters of a sentence below a small chart
-MARKERS = {"float64": "o", "float32": "s", DOUBLE_DOUBLE: "^", DIGITS: "D"}
-SHAPES = ("o", "s", "^", "D")  # of marks of one colour
-NARROW, TICKS, WIDE = 8, 4, 3e3  # spans of times with few labels, and with powers of 10
-EXACT, WORST = 1e-17, 100.0  # smaller, larger and unknown errors are drawn there
-LEAST = 1e-35  # the same as EXACT, where kernels in double-double are drawn
-ROUNDINGS = {"float64": 2.0**-53, "float32": 2.0**-24, DOUBLE_DOUBLE: 2.0**-105}
+Array = NDArray[np.float64]
+Covered = tuple[float, float, float, float]  # left, bottom, right, top, in points of the figure
+Boxes = NDArray[np.float64]  # (N, 4)
+
+SHADES = 255  # colours of a picture
+SIZE = 9.0  # points, of all text
+HINTED = 1.05  # letters are up to that wider where they are fitted to pixels
+ROW = 1.32 * SIZE  # of a line of text
+PAGE, PHONE = (9.0, 2), (3.9, 1)  # inches across, and panels in a row
+HEIGHT, EDGE, LEFT, GAP = 2.55, 0.12, 0.5, 0.26  # inches: of axes, around everything, of labels of errors, of panels
+INK, QUIET, FAINT, SHADE = "#1d2733", "#5d6b7a", "#c3ccd6", "#e9edf1"
+DARK = {INK: "#e4eaf1", QUIET: "#9fadbb", FAINT: "#4a5865", SHADE: "#252f39", "#ffffff": "#12171d"}
+MARK = 5.0  # points across a dot
+RING = 12.0
+NONE, WORST = 1e-17, 10.0  # smaller and larger errors stand there
+FINEST = ((1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8), (1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))  # labels of a decade
+RINGS = (3.0, 8.0, 14.0, 20.0, 28.0, 38.0, 50.0, 65.0, 85.0, 110.0)  # points from a line's end to its name
+WAYS = tuple(np.array([math.cos(x), math.sin(x)]) for x in np.deg2rad((0, 45, -45, 90, -90, 135, -135, 180, 20, -20)))
+LEADER = 12.0  # points from which on a thin line leads to a name
+BESIDE = 1.5  # points around a name that are free
 
 
 def save_picture(figure: Figure, path: Path, dpi: int) -> None:
     """Write a figure; a PNG in few colours, with a third of the bytes. The same figure gives the same bytes."""
-    figure.set_dpi(dpi)  # lengths of texts in pixels depend on it
-    arrange_labels(figure)
     if path.suffix != ".png":
         save_figure(figure, path)
         return
@@ -69,165 +65,116 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
 
 
 @styled
-def draw_kernels(points: Sequence[KernelPoint], folder: Path) -> list[Path]:
-    """Draw kernels.png and kernels_backward.png, a row for each mechanism, and derivatives.png; return their paths."""
-    pictures = {
-        "kernels": (tuple(KERNELS), "error", "largest error, by the largest entry of a result"),
-        "kernels_backward": (tuple(KERNELS), "backward", "largest backward error"),
-        "derivatives": (tuple(SLOPES), "error", "largest error, by the largest entry of a block"),
-    }
-    paths = []
-    for name, (tasks, number, axis) in pictures.items():
-        shown = [p for p in points if p.task in tasks and (number == "error" or _has_backward(p, points))]
-        if shown:
-            paths.append(in_format(folder / f"{name}.png"))
-            _draw_tasks(shown, number, axis, paths[-1])
-    return paths
+def draw_panels(title: str, panels: Sequence[Panel], folder: Path, name: str) -> list[Path]:
+    """Write the panels as one picture, and return its paths.
+
+    A PNG has an SVG beside it, and NAME_narrow.png for a phone.
+    """
+    path = in_format(folder / f"{name}.png")
+    if path.suffix != f".{FORMATS[0]}":
+        save_picture(lay_out(title, panels, *PAGE), path, 150)
+        return [path]
+    whole, narrow = lay_out(title, panels, *PAGE), folder / f"{name}{NARROW}.png"
+    save_picture(whole, path, 150)
+    path.with_suffix(".svg").write_text(write_svg(whole), encoding="utf-8")
+    save_picture(lay_out(title, panels, *PHONE), narrow, 200)
+    return [path, path.with_suffix(".svg"), narrow]
 
 
 @styled
-def draw_motions(points: Sequence[MotionPoint], standard: Standard, folder: Path) -> list[Path]:
-    """Draw simulation.png: error of place and drift of energy against processor time; return its path."""
-    figure = Figure(figsize=(14, 7.5), layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True)
-    for axes, number in ((left, "error"), (right, "drift")):
-        marks = [
-            Mark(
-                f"{p.method}, {p.formulation}",
-                f"{p.value:.1e}",
-                p.seconds,
-                getattr(p, number),
-                is_failure=bool(p.finding),
-            )
-            for p in points
-        ]
-        sentence = _draw_marks(axes, marks, "s", lines=True)
-        axes.set_xlabel(f"processor time [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
-    left.set_ylabel("largest error at the end [rad, m; rad/s, m/s]")
-    left.axhspan(standard.accuracy / 100, standard.accuracy, color="0.9", zorder=0)
-    left.set_title(f"below {standard.accuracy:.0e} (grey) the reference is no better: {standard.title}", fontsize=9)
-    right.set_ylabel("largest drift of energy, by the energy that is exchanged")
-    right.set_title(f"labels: step [s] or tolerance; x: failed, or beyond {WORST:g}", fontsize=9)
-    figure.suptitle(f"{plain(points[0].mechanism)}, {standard.duration:g} s: simulation, speed against accuracy")
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=7)
-    path = in_format(folder / "simulation.png")
-    save_picture(figure, path, 150)
-    return [path]
+def draw_alone(panel: Panel, prefix: str) -> str:
+    """Return a panel of a phone's width as SVG, without its sentences; dot k has the id PREFIXk."""
+    return write_svg(lay_out("", [panel], *PHONE, prefix=prefix))
+
+
+def write_svg(figure: Figure) -> str:
+    """Return a figure as SVG that has colours of its own on a dark page."""
+    text = io.StringIO()
+    save_svg(figure, text)
+    return _add_dark(text.getvalue())
 
 
 @styled
-def draw_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> list[Path]:
-    """Draw optimisation.png, a column for each control grid, and control_grid.png; return their paths."""
-    figure = Figure(figsize=(6 * len(grids), 10), layout="constrained")
-    rows = figure.subplots(2, len(grids), squeeze=False)
-    usual = points[0].tolerance
-    for column, grid in enumerate(grids):
-        own = [p for p in points if p.intervals == grid.intervals]
-        for axes, number in zip(rows[:, column], ("error", "defect"), strict=True):
-            sentence = _draw_marks(axes, [_mark_optimum(p, number, usual) for p in own], "s")
-            axes.set_xlabel(f"processor time of a solve [s]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
-        axes = rows[0, column]
-        if grid.accuracy:
-            axes.axhspan(grid.accuracy / 100, grid.accuracy, color="0.9", zorder=0)
-        if grid.error:
-            axes.axhline(grid.error, color="0.4", linewidth=0.8, linestyle="--")
-        error = "unknown" if grid.error is None else f"{grid.error:.0e} (dashed)"
-        axes.set_title(f"{grid.intervals} intervals; the grid's own error: {error}", fontsize=9)
-    rows[0, 0].set_ylabel("error of the cost, on the same control grid")
-    rows[1, 0].set_ylabel("largest defect of an interval [rad, m; rad/s, m/s]")
-    handles, labels = rows[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
-    mechanism = plain(points[0].mechanism)
-    text = "circles: Radau, squares: Legendre, triangles: another tolerance of the solver"
-    notes = f"labels: degree, and tolerance unless {usual:g}; grey: the reference is no better; x: failed"
-    figure.suptitle(f"{mechanism}: optimal control, speed against accuracy\n{text}\n{notes}", fontsize=10)
-    path = in_format(folder / "optimisation.png")
-    save_picture(figure, path, 90)
-    return [path, _draw_grids(points, grids, folder)]
+def save_svg(figure: Figure, file: io.StringIO) -> None:
+    """Write a figure as SVG; equal figures have equal bytes."""
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
 
 
-@styled
-def draw_fidelity(points: Sequence[FidelityPoint], folder: Path) -> list[Path]:
-    """Draw fidelity.png: a row for each kernel, errors as supposed and anywhere against time; return its path."""
-    kernels = list(dict.fromkeys(p.kernel for p in points))
-    reductions = list(dict.fromkeys(p.reduction for p in points if p.reduction != WHOLE))
-    shapes = {name: SHAPES[i // len(COLORS) % len(SHAPES)] for i, name in enumerate(reductions)}
-    figure = Figure(figsize=(16, 5 * len(kernels)), layout="constrained")
-    rows = figure.subplots(len(kernels), 2, squeeze=False)
-    for kernel, row in zip(kernels, rows, strict=True):
-        own = [p for p in points if p.kernel == kernel]
-        (whole,) = [p for p in own if p.reduction == WHOLE]
-        for axes, (number, title) in zip(
-            row, (("error", "states that agree with the reduction"), ("error_anywhere", "anywhere")), strict=True
-        ):
-            marks = [_mark_reduction(p, number, shapes[p.reduction]) for p in own if p.reduction != WHOLE]
-            sentence = _draw_marks(axes, marks, "ns")
-            if whole.ns is not None:
-                axes.axvline(whole.ns.shortest, color="0.4", linewidth=0.8, linestyle="--")
-            axes.set_title(f"{kernel}, {whole.flops} flops as a whole (dashed: its time): {title}", fontsize=9)
-            axes.set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=8)
-        row[0].set_ylabel("largest error, by the whole model's largest result")
-    figure.suptitle(
-        f"{plain(points[0].mechanism)}: the reduction, and the share of the flops that it saves; x: failed",
-        fontsize=10,
-    )
-    handles, labels = rows[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
-    path = in_format(folder / "fidelity.png")
-    save_picture(figure, path, 90)
-    return [path]
+def _add_dark(svg: str) -> str:
+    """Add rules for a dark page: each ink of the chart has its counterpart, and colours of methods are lightened."""
+    pairs = DARK | {color: mix(color, "#ffffff", 0.25) for color in PALETTE}
+    pairs |= {_darken(color): mix(color, "#ffffff", 0.45) for color in PALETTE}
+    rules = [
+        f'[style*="{kind}: {light}"] {{ {kind}: {dark} !important }}'
+        for light, dark in pairs.items()
+        for kind in ("fill", "stroke")
+        if f"{kind}: {light}" in svg
+    ]
+    style = "<style>@media (prefers-color-scheme: dark) {\n" + "\n".join(rules) + "\n}</style>\n"
+    place = svg.index("<defs>")
+    return svg[:place] + style + svg[place:]
 
 
-def _draw_grids(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum], folder: Path) -> Path:
-    """Draw the errors of control grids and of collocation on them, against the number of intervals."""
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
-    axes = figure.subplots()
-    known = [(g.intervals, g.error) for g in grids if g.error]
-    if known:
-        axes.plot(*zip(*known, strict=True), color="black", marker="D", label="control grid alone")
-    first, usual = points[0].representation, points[0].tolerance
-    points = [p for p in points if p.tolerance == usual]
-    for i, (family, degree) in enumerate(dict.fromkeys((p.family, p.degree) for p in points)):
-        own = [p for p in points if (p.family, p.degree, p.representation) == (family, degree, first)]
-        shown = [(p.intervals, max(p.error, EXACT)) for p in own if p.error is not None]
-        style, marker = ("-", "o") if family == "radau" else ("--", "s")
-        color, label = COLORS[i % len(COLORS)], f"collocation alone, {family} {degree}, {first}"
-        if shown:
-            axes.plot(*zip(*shown, strict=True), color=color, marker=marker, linestyle=style, label=label)
-    accuracies = [g.error_accuracy for g in grids if g.error_accuracy]
-    if accuracies:
-        axes.axhspan(accuracies[0] / 100, accuracies[0], color="0.9", zorder=0)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xticks([g.intervals for g in grids], [str(g.intervals) for g in grids])
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("intervals, over each of which inputs are constant")
-    axes.set_ylabel("relative error of the cost")
-    axes.grid(color="0.9", linewidth=0.5)
-    axes.legend(fontsize=7)
-    text = (
-        "grey: below it, the limit of fine grids is uncertain" if accuracies else "the limit depends on two grids alone"
-    )
-    axes.set_title(
-        f"{plain(points[0].mechanism)}: errors of the control grid, and of collocation on it; {text}", fontsize=9
-    )
-    path = in_format(folder / "control_grid.png")
-    save_picture(figure, path, 90)
-    return path
+@dataclass(frozen=True)
+class _Cell:
+    """A panel with its sentences in lines, and the sizes that follow."""
+
+    panel: Panel
+    head: tuple[tuple[str, str, str], ...]  # text, color, weight
+    foot: tuple[str, ...]
+
+    @property
+    def above(self) -> float:
+        """Return the height of the lines above the axes [in]."""
+        return len(self.head) * ROW / 72 + 0.06
+
+    @property
+    def below(self) -> float:
+        """Return the height of the lines below the axes [in]; the first are the labels of ticks."""
+        return (len(self.foot) + 1) * ROW / 72 + 0.14
 
 
-def _mark_optimum(point: OptimumPoint, number: str, usual: float) -> Mark:
-    marker, label = "o" if point.family == "radau" else "s", str(point.degree)
-    if point.tolerance != usual:
-        marker, label = "^", f"{label}, {point.tolerance:.0e}"
-    return Mark(point.representation, label, point.seconds, getattr(point, number), marker, bool(point.finding))
+def lay_out(title: str, panels: Sequence[Panel], width: float, columns: int, prefix: str = "") -> Figure:
+    """Return a figure of panels, `width` inches across; without a title, panels have no sentences above them."""
+    columns = min(columns, max(1, len(panels)))
+    across = (width - 2 * EDGE - (columns - 1) * GAP) / columns
+    cells = [_write_cell(panel, across, is_bare=not title) for panel in panels]
+    rows = [cells[k : k + columns] for k in range(0, len(cells), columns)]
+    heights = [max(c.above for c in row) + HEIGHT + max(c.below for c in row) + GAP for row in rows]
+    titles = wrap(title, width - 2 * EDGE, "bold") if title else []
+    top = EDGE + len(titles) * ROW / 72 + (0.14 if titles else 0)
+    height = top + sum(heights) - GAP + EDGE
+    figure = Figure(figsize=(width, height), facecolor="#ffffff")
+    figure.set_dpi(72)  # so that pixels are points
+    for k, line in enumerate(titles):
+        _write(figure, line, EDGE, EDGE + k * ROW / 72, INK, "bold")
+    for row, tall in zip(rows, heights, strict=True):
+        above = max(c.above for c in row)
+        for k, cell in enumerate(row):
+            _draw_cell(figure, cell, (EDGE + k * (across + GAP), top + above, across), prefix)
+        top += tall
+    return figure
 
 
-def _mark_reduction(point: FidelityPoint, number: str, shape: str) -> Mark:
-    saved = "" if point.flops is None else f", {1 - point.flops / point.flops_whole:.0%}"
-    label, error = f"{point.reduction}{saved}", getattr(point, number)
-    return Mark(point.reduction, label, point.ns, error, shape, bool(point.finding))
+def wrap(text: str, width: float, weight: str = "normal") -> list[str]:
+    """Break a text into lines of at most `width` inches; a longer word stays whole."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and measure(longer, weight) <= 72 * width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+@cache
+def measure(text: str, weight: str = "normal") -> float:
+    """Return the width of a text in points."""
+    if not text.strip():
+        return 0.0
+    path = TextPath((0, 0), text.replace("$", r"\$"), size=SIZE, prop=FontProperties(weight=weight))
+    return HINTED * float(path.get_extents().x1)
 
 
 def plain(name: str) -> str:
@@ -235,143 +182,250 @@ def plain(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-def _has_backward(point: KernelPoint, points: Sequence[KernelPoint]) -> bool:
-    """Return whether a task of a point has backward errors."""
-    return any(p.backward is not None for p in points if p.task == point.task)
+def _write_cell(panel: Panel, across: float, *, is_bare: bool) -> _Cell:
+    sentences = () if is_bare else ((panel.question, QUIET, "normal"), (panel.headline, INK, "bold"))
+    if panel.advice and not is_bare:
+        sentences = (*sentences, (f"◉ {panel.advice}" if panel.choice else panel.advice, INK, "normal"))
+    head = [(line, color, weight) for text, color, weight in sentences for line in wrap(text, across, weight)]
+    head += [(line, QUIET, "normal") for line in wrap(f"↓ {panel.error}", across)]
+    foot = [line for text in (f"← {panel.work}", panel.note) for line in wrap(text, across - LEFT)]
+    return _Cell(panel, tuple(head), tuple(foot))
 
 
-def _draw_tasks(points: Sequence[KernelPoint], number: str, axis: str, path: Path) -> None:
-    rows = list(dict.fromkeys(p.mechanism for p in points))
-    columns = list(dict.fromkeys(p.task for p in points))
-    figure = Figure(figsize=(5.5 * len(columns), 1 + 4.2 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), len(columns), squeeze=False)
-    for r, mechanism in enumerate(rows):
-        for c, task in enumerate(columns):
-            own = [p for p in points if (p.mechanism, p.task) == (mechanism, task)]
-            exact = LEAST if any(p.precision == DOUBLE_DOUBLE for p in own) else EXACT
-            sentence = _draw_marks(grid[r, c], [_mark(p, number) for p in own], "ns", exact=exact)
-            for precision, rounding in ROUNDINGS.items():
-                if any(p.precision == precision for p in own):
-                    grid[r, c].axhline(rounding, color="0.6", linewidth=0.8, linestyle=":")
-            joints = own[0].joints if own else 0
-            count = "1 joint" if joints == 1 else f"{joints} joints"
-            grid[r, c].set_title(f"{plain(mechanism)}, {count}: {task}", fontsize=9)
-            grid[r, c].set_xlabel(f"time of a call [ns]\n{textwrap.fill(sentence, LINE)}", fontsize=7)
-            grid[r, c].legend(fontsize=7, loc="best")
-        grid[r, 0].set_ylabel(axis, fontsize=8)
-    text = (
-        "grey line: the front; squares: float32, circles: float64, triangles: double-double, diamond: 50 digits, "
-        "without error; "
-        "dotted: half a unit in the last place; x: failed"
-    )
-    figure.suptitle(text, fontsize=9)
-    save_picture(figure, path, 110)
+def _write(figure: Figure, text: str, left: float, top: float, color: str, weight: str = "normal") -> None:
+    """Write a line of text, its corner given in inches from the left and the top."""
+    width, height = figure.get_size_inches()
+    place = (left / width, 1 - top / height)
+    figure.text(*place, plain(text), color=color, weight=weight, fontsize=SIZE, ha="left", va="top")
 
 
-def _mark(point: KernelPoint, number: str) -> Mark:
-    way, label = point.way, point.flags
-    if "differences" in way:
-        way, label = way.rsplit(", ", 1)
-    is_failure = point.failed > 0 or bool(point.finding)
-    return Mark(way, label, point.ns, getattr(point, number), MARKERS[point.precision], is_failure)
+def _draw_cell(figure: Figure, cell: _Cell, place: tuple[float, float, float], prefix: str) -> None:
+    left, top, across = place
+    width, height = figure.get_size_inches()
+    for k, (line, color, weight) in enumerate(cell.head):
+        _write(figure, line, left, top - cell.above + k * ROW / 72, color, weight)
+    frame = (left + LEFT) / width, 1 - (top + HEIGHT) / height, (across - LEFT) / width, HEIGHT / height
+    axes = figure.add_axes(frame)
+    for k, line in enumerate(cell.foot):
+        _write(figure, line, left + LEFT, top + HEIGHT + 0.1 + (k + 1) * ROW / 72, QUIET)
+    _draw_axes(axes, cell.panel, prefix)
 
 
-def _draw_marks(axes: Axes, marks: Sequence[Mark], unit: str, *, lines: bool = False, exact: float = EXACT) -> str:
-    """Draw marks by series, and their front; return the sentence that describes the front.
-
-    A mark without a time or without an error stands at the right or the upper edge.
-    """
-    prepare(axes)
-    last = max((m.cost.median for m in marks if m.cost), default=1.0) * 1.5
-    worst = min(WORST, max(1.0, *(3 * m.error for m in marks if m.error is not None), 1.0))
-
-    def place(mark: Mark) -> tuple[float, float]:
-        height = worst if mark.error is None else min(max(mark.error, exact), WORST)
-        return (mark.cost.shortest if mark.cost else last), height
-
-    for i, series in enumerate(dict.fromkeys(m.series for m in marks)):
-        own, color = [m for m in marks if m.series == series], COLORS[i % len(COLORS)]
-        style = ("-", "--", ":")[i // len(COLORS) % 3]
-        markers = {m.marker for m in own}
-        marker = markers.pop() if len(markers) == 1 else "o"
-        axes.plot([], [], color=color, marker=marker, linestyle=style if lines else "", markersize=4, label=series)
-        if lines:
-            whole = [place(m) for m in own if m.error is not None]
-            axes.plot(*zip(*whole, strict=True), color=color, linewidth=0.8, linestyle=style) if whole else None
-        for m in own:
-            x, y = place(m)
-            if m.cost:
-                axes.plot([x, m.cost.median], [y, y], color=color, linewidth=0.8)
-            is_cross = m.is_failure or y == WORST
-            marker, size = ("x", 6) if is_cross else (m.marker, 4)
-            axes.plot(x, y, color=color, marker=marker, markersize=size, linestyle="")
-    front = find_front(marks)
-    if front:
-        _draw_front(axes, [place(m) for m in front], [m.label for m in front])
-    space_ticks(axes)
-    return describe_front(marks, unit)
-
-
-def space_ticks(axes: Axes) -> None:
-    """Label few times where the axis spans less than a decade, and powers of 10 where it spans many."""
-    low, high = axes.get_xlim()
-    if high < NARROW * low:
-        axes.xaxis.set_major_locator(MaxNLocator(TICKS))
-    elif high > WIDE * low:
-        axes.xaxis.set_major_locator(LogLocator())
-        axes.xaxis.set_major_formatter(LogFormatterSciNotation())
-
-
-def prepare(axes: Axes) -> None:
-    """Make both axes logarithmic, with a light grid."""
+def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.margins(0.12)
-    axes.grid(color="0.9", linewidth=0.5)
+    if not panel.good:
+        axes.text(0.5, 0.5, "no measured setting ended", transform=axes.transAxes, ha="center", color=QUIET)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        return
+    place = _find_places(panel)
+    _set_limits(axes, panel, place)
+    broken = _draw_frame(axes, panel)
+    lines = {name: [place(dot) for dot in find_front(dots)] for name, dots in panel.lines.items()}
+    front = [place(dot) for dot in find_front(panel.good)]
+    axes.plot(*zip(*front, strict=True), color=SHADE, linewidth=10, solid_joinstyle="round", zorder=0.5)
+    taken = [*(box for name in lines for box in _cover(axes, lines[name], map(place, panel.lines[name])))]
+    if panel.choice is not None:
+        axes.plot(*place(panel.choice), "o", markersize=RING, markerfacecolor="none", markeredgecolor=INK, zorder=4)
+        taken.append(_box(axes, place(panel.choice), RING / 2))
+    taken += [*broken, *_write_quiet(axes, panel, taken)]
+    wanted = panel.choose_lines()
+    colors = {name: PALETTE[k] for k, name in enumerate(name for name in lines if name in wanted)}
+    named = _place_names(axes, {name: lines[name] for name in wanted}, colors, np.array(taken))
+    numbers = {id(dot): k for k, dot in enumerate(panel.dots)}
+    for name, line in lines.items():
+        color, order = (colors[name], 2) if name in named else (FAINT, 1)
+        axes.plot(*zip(*line, strict=True), color=color, linewidth=0.7 * order, zorder=order)
+        for dot in panel.lines[name]:
+            size = MARK if place(dot) in line else 0.6 * MARK
+            (drawn,) = axes.plot(*place(dot), "o", color=color, markersize=size, zorder=order, markeredgewidth=0)
+            drawn.set_gid(f"{prefix}{numbers[id(dot)]}" if prefix else None)
 
 
-def _draw_front(axes: Axes, places: Sequence[tuple[float, float]], labels: Sequence[str]) -> None:
-    """Draw the front as steps, with labels; `arrange_labels` places them."""
-    x, y = zip(*places, strict=True)
-    axes.step(x, y, where="post", color="0.6", linewidth=2.5, alpha=0.6, zorder=0.5)
-    for place, label in zip(places, labels, strict=True):
-        note = axes.annotate(label, place, (0, 0), textcoords="offset points", fontsize=6, color="0.2")
-        note.set_in_layout(False)
+def _find_places(panel: Panel) -> Callable[[Dot], tuple[float, float]]:
+    """Return the function that places a dot: errors of 0 stand below the others."""
+    least = _find_least(panel)
+    return lambda dot: (dot.place[0], min(max(dot.place[1], least), WORST))
 
 
-def arrange_labels(figure: Figure) -> None:
-    """Place each label of a chart beside its mark, where it covers neither marks nor other labels, or take it away."""
-    figure.draw_without_rendering()  # lays out the charts
-    for axes in figure.axes:
-        taken = [mark for line in axes.lines for mark in _find_marks(line)]
-        for note in [text for text in axes.texts if isinstance(text, Annotation)]:
-            box = next((b for b in _try_places(note, axes.get_window_extent()) if not b.count_overlaps(taken)), None)
-            if box is None:
-                note.remove()
-            else:
-                taken.append(box)
+def _find_least(panel: Panel) -> float:
+    """Return the place of errors of 0: two decades below the others, and below what is asked."""
+    known = [dot.place[1] for dot in panel.good if dot.place[1] > NONE] + ([panel.asked] if panel.asked else [])
+    return min(known, default=1e-15) / 100
 
 
-def _find_marks(line: Line2D) -> list[Bbox]:
-    """Return the boxes that the marks of a line cover, in pixels."""
-    if line.get_marker() in ("", "None", None):
-        return []
-    figure = line.get_figure(root=True)
-    assert figure is not None, "a line of a chart is in a figure"
-    half = MARK * figure.dpi / 144
-    places = line.get_transform().transform(line.get_xydata())
-    return [Bbox([place - half, place + half]) for place in places]
+def _set_limits(axes: Axes, panel: Panel, place: Callable[[Dot], tuple[float, float]]) -> None:
+    """Leave room for names, and show the accuracy that is asked for."""
+    works, errors = (list(x) for x in zip(*map(place, panel.good), strict=True))
+    works += [panel.whole] if panel.whole else []
+    errors += [panel.asked] if panel.asked else []
+    for low, high, room, put in (
+        (min(works), max(works), (0.2, 0.35), axes.set_xlim),
+        (min(errors), max(errors), (0.2, 0.2), axes.set_ylim),
+    ):
+        span = max(math.log(high / low), 0.5)
+        put(low * math.exp(-room[0] * span), high * math.exp(room[1] * span))
 
 
-def _try_places(note: Annotation, limits: BboxBase) -> Iterator[Bbox]:
-    """Move a label around its mark, nearest places first; yield its box for each place within the limits, in pixels."""
-    for distance in DISTANCES:
-        for ha, va, right, up in SIDES:
-            note.set(ha=ha, va=va)
-            note.set_position((right * distance, up * distance))
-            box = note.get_window_extent()
-            if limits.x0 < box.x0 and box.x1 < limits.x1 and limits.y0 < box.y0 and box.y1 < limits.y1:
-                yield box.padded(BESIDE)
+def _draw_frame(axes: Axes, panel: Panel) -> list[Covered]:
+    """Draw ticks, grid, the accuracy that is asked for and of the reference; return the boxes of the broken lines."""
+    axes.tick_params(colors=QUIET, labelsize=SIZE, length=3)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(FAINT)
+    width = float(axes.bbox.width)
+    _set_ticks(axes, panel, width)
+    axes.grid(color=SHADE, linewidth=0.6)
+    if panel.floor is not None:
+        axes.axhspan(axes.get_ylim()[0] / 10, panel.floor, color=SHADE, zorder=0, alpha=0.7)
+    frame, boxes = axes.bbox, []
+    if panel.asked is not None:
+        axes.axhline(panel.asked, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        y = float(axes.transData.transform((1.0, panel.asked))[1])
+        boxes.append((frame.x0, y - 1, frame.x1, y + 1))
+    if panel.whole is not None:
+        axes.axvline(panel.whole, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        x = float(axes.transData.transform((panel.whole, 1.0))[0])
+        boxes.append((x - 1, frame.y0, x + 1, frame.y1))
+    return boxes
+
+
+def _write_quiet(axes: Axes, panel: Panel, taken: Sequence[Covered]) -> list[Covered]:
+    """Write the direction in which all is better, and the meaning of both broken lines; return the boxes of the texts.
+
+    A text stands at the first place where it covers nothing, or else at its usual place.
+    """
+    frame = axes.bbox
+    wanted = [("↙ better", [(frame.x0 + 3, frame.y0 + 2)])]
+    if panel.asked is not None:
+        text, y = f"asked: {write_error(panel.asked)}", float(axes.transData.transform((1.0, panel.asked))[1])
+        right = frame.x1 - 3 - measure(text)
+        places = [(x, z) for x in (right, frame.x0 + 3, (right + frame.x0) / 2) for z in (y + 3, y - 3 - ROW)]
+        wanted.append((text, places))
+    if panel.whole is not None:
+        text, x = "whole model", float(axes.transData.transform((panel.whole, 1.0))[0])
+        left = x + 4 if x + 4 + measure(text) < frame.x1 else x - 4 - measure(text)
+        wanted.append((text, [(left, z) for z in (frame.y1 - 2 - ROW, frame.y0 + 2)]))
+    found: list[Covered] = []
+    for text, places in wanted:
+        boxes = [(x, y, x + measure(text), y + ROW) for x, y in places]
+        around = np.array([*taken, *found]).reshape(-1, 4)
+        box = next((b for b in boxes if not _count_covered(np.array(b), around)), boxes[0])
+        style: dict[str, Any] = {"color": QUIET, "fontsize": SIZE, "ha": "left", "va": "bottom"}
+        axes.annotate(text, box[:2], xycoords="figure points", **style).set_gid("name")
+        found.append(box)
+    return found
+
+
+def _set_ticks(axes: Axes, panel: Panel, width: float) -> None:
+    works = _choose_ticks(*axes.get_xlim(), most=max(2, int(width / 58)))
+    axes.xaxis.set_major_locator(FixedLocator(works))
+    axes.xaxis.set_major_formatter(FixedFormatter([write_work(x, panel.unit) for x in works]))
+    errors, least = _choose_ticks(*axes.get_ylim(), most=6), _find_least(panel)
+    labels = {x: write_error(x) for x in errors}
+    if any(dot.place[1] <= NONE for dot in panel.good):
+        labels = {x: label for x, label in labels.items() if x > 10 * least} | {least: "none"}
+    axes.yaxis.set_major_locator(FixedLocator([*labels]))
+    axes.yaxis.set_major_formatter(FixedFormatter([*labels.values()]))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_locator(NullLocator())
+
+
+def _choose_ticks(low: float, high: float, most: int) -> list[float]:
+    """Return round numbers within a range, at most so many: within decades, or every second, third, … power of ten."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for shares in FINEST:
+        found = [s * 10.0**k for k in decades for s in shares if low <= s * 10.0**k <= high]
+        if len(found) <= most:
+            return found or [math.sqrt(low * high)]
+    for step in range(2, len(decades) + 1):
+        found = [10.0**k for k in decades if k % step == 0 and low <= 10.0**k <= high]
+        if len(found) <= most:
+            return found
+    return [math.sqrt(low * high)]
+
+
+def _box(axes: Axes, place: tuple[float, float], half: float) -> Covered:
+    x, y = axes.transData.transform(place)
+    return x - half, y - half, x + half, y + half
+
+
+def _cover(axes: Axes, line: Sequence[tuple[float, float]], dots: Iterable[tuple[float, float]]) -> Iterator[Covered]:
+    """Yield the boxes that a line and its dots cover."""
+    for dot in dots:
+        yield _box(axes, dot, MARK / 2)
+    points = axes.transData.transform(np.array(line))
+    for start, end in itertools.pairwise(points):
+        for share in np.linspace(0, 1, 2 + int(np.hypot(*(end - start)) / 2)):
+            x, y = start + share * (end - start)
+            yield x - 1, y - 1, x + 1, y + 1
+
+
+def _place_names(
+    axes: Axes, lines: Mapping[str, list[tuple[float, float]]], colors: Mapping[str, str], taken: Boxes
+) -> set[str]:
+    """Write the name of each line beside its end; a thin line leads to one further off.
+
+    Return the names that found a place where they cover nothing.
+    """
+    named = set()
+    for name, line in lines.items():
+        ends = [axes.transData.transform(place) for place in dict.fromkeys((line[-1], line[0]))]
+        text = "\n".join(wrap(name, axes.bbox.width / 72 / 2.2))
+        size = np.array([max(map(measure, text.split("\n"))) + 1, ROW * (text.count("\n") + 1)])
+        room = _find_room(ends, size, taken, axes)
+        if room is None:
+            continue
+        box, end, distance = room
+        taken = np.vstack((taken, [box]))
+        named.add(name)
+        if distance >= LEADER:
+            _draw_leader(axes, end, np.clip(end, box[:2], box[2:]), colors[name])
+        axes.annotate(
+            plain(text),
+            ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2),
+            xycoords="figure points",
+            ha="center",
+            va="center",
+            color=_darken(colors[name]),
+            fontsize=SIZE,
+            linespacing=ROW / SIZE / 1.2,
+        ).set_gid("name")
+    return named
+
+
+def _draw_leader(axes: Axes, end: Array, near: Array, color: str) -> None:
+    style = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 2, "shrinkB": 1}
+    places = (float(near[0]), float(near[1])), (float(end[0]), float(end[1]))
+    axes.annotate("", *places, xycoords="figure points", textcoords="figure points", arrowprops=style)
+
+
+def _find_room(ends: Sequence[Array], size: Array, taken: Boxes, axes: Axes) -> tuple[Array, Array, float] | None:
+    """Return the nearest box of a size that covers nothing, the end of the line it belongs to, and its distance."""
+    frame = axes.bbox
+    lower, upper = np.array([frame.x0 + 2, frame.y0 + 2]), np.array([frame.x1, frame.y1])
+    for distance in RINGS:
+        for end in ends[: 1 if distance < RINGS[2] else 2]:
+            for way in WAYS:
+                centre = end + way * (distance + MARK / 2) + np.sign(np.round(way, 3)) * size / 2
+                box = np.concatenate((centre - size / 2, centre + size / 2))
+                if (box[:2] >= lower).all() and (box[2:] <= upper).all() and not _count_covered(box, taken):
+                    return box, end, distance
+    return None
+
+
+def _count_covered(box: Array, taken: Boxes) -> int:
+    if not len(taken):
+        return 0
+    apart = (
+        (taken[:, 0] > box[2] + BESIDE)
+        | (taken[:, 2] < box[0] - BESIDE)
+        | (taken[:, 1] > box[3] + BESIDE)
+        | (taken[:, 3] < box[1] - BESIDE)
+    )
+    return int((~apart).sum())
+
+
+def _darken(color: str) -> str:
+    """Return the colour of a name: as the line, with more contrast to a white page."""
+    return mix(color, "#000000", 0.3)

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ LARGEST = 8_000_000  # bytes of an included file
 LONG = 40  # rows of a table that is shown folded
 OUTLINE = ".section.json"
 LAST = 100  # the place of files without an outline
+NARROW = "_narrow"  # the end of the name of a picture for a phone
 KINDS = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
@@ -139,9 +140,9 @@ def read_folders(folders: Sequence[Path]) -> list[Section]:
     """Read the tables (*.json) and pictures (*.png, *.svg) of folders.
 
     An outline lists the files of a section in their order. All other tables and pictures of a folder are one more
-    section. A table has the keys title, columns, rows and optionally note; a list of objects is a table, too. Files of
-    another form are ignored, since folders also hold records. Raises InputError for an unreadable folder, and for a
-    folder without tables and pictures.
+    section, but for NAME.svg and NAME_narrow.png beside NAME.png. A table has the keys title, columns, rows and
+    optionally note; a list of objects is a table, too. Files of another form are ignored, since folders also hold
+    records. Raises InputError for an unreadable folder, and for a folder without tables and pictures.
     """
     placed: list[tuple[int, Section]] = []
     for folder in folders:
@@ -158,6 +159,7 @@ def read_folders(folders: Sequence[Path]) -> list[Section]:
 
 def _read_sections(folder: Path) -> list[tuple[int, Section]]:
     files = {path.name: path for path in sorted(folder.iterdir()) if _is_taken(path)}
+    files = {name: path for name, path in files.items() if not _is_variant(path, files)}
     sections: list[tuple[int, Section]] = []
     for outline in _read_outlines(files):
         held = [(files.pop(caption.file), caption) for caption in outline.items if caption.file in files]
@@ -173,6 +175,13 @@ def _read_sections(folder: Path) -> list[tuple[int, Section]]:
 
 def _is_taken(path: Path) -> bool:
     return path.suffix in (*KINDS, ".json") and path.is_file() and path.stat().st_size <= LARGEST
+
+
+def _is_variant(path: Path, names: Container[str]) -> bool:
+    """Return whether a picture is NAME.svg or NAME_narrow.png beside NAME.png, which shows the same."""
+    if path.suffix == ".svg":
+        return f"{path.stem}.png" in names
+    return path.stem.endswith(NARROW) and f"{path.stem.removesuffix(NARROW)}.png" in names
 
 
 def _read_outlines(files: dict[str, Path]) -> list[Outline]:

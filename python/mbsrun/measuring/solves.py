@@ -8,16 +8,19 @@ on the fastest of these grids. Inputs are constant over an interval, so a finer 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.errors import MbsError
+from mbsgen.documents import read_document
+from mbsgen.errors import Fault, InputError, MbsError
 from mbsgen.manifest import Manifest
 from mbsrun.closure import Closure, has_loops
-from mbsrun.external import Mechanism
+from mbsrun.external import Mechanism, load
 from mbsrun.measuring.mechanisms import list_ranges
 from mbsrun.measuring.points import SolvePoint
 from mbsrun.measuring.store import Store
@@ -28,6 +31,7 @@ from mbsrun.ocp.resimulation import resimulate
 from mbsrun.ocp.schemes import Family
 from mbsrun.ocp.solution import Failure
 from mbsrun.ocp.solve import solve
+from mbsrun.ocp.statement import read_problem
 from mbsrun.quaternions import neutral
 
 Array = NDArray[np.float64]
@@ -45,9 +49,12 @@ class SolveScope:
     intervals: tuple[int, ...] = (5, 10, 20, 40, 80)
     representations: tuple[Representation, ...] = tuple(Representation)
     repeats: int = 3  # of the representations' comparison
+    is_whole: bool = False  # solve on finer grids than the accuracy needs, too
+    seconds: float = math.inf  # no solve begins later
 
 
 QUICK = SolveScope((Family.RADAU,), (3,), (5, 10), (Representation.IMPL, Representation.EXP2_O), 1)
+FRONTS = SolveScope(is_whole=True, seconds=30.0)
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,28 @@ def state_reach(mechanism: Mechanism) -> Case:
     return Case(problem, mechanism)
 
 
+def find_problems(model: Path) -> list[Path]:
+    """List the problem files beside a model that name it, without phases."""
+    found = []
+    for path in sorted(model.parent.glob("*.ocp.yaml")):
+        try:
+            data = read_document(path).data
+        except InputError:
+            continue
+        if isinstance(data, dict) and data.get("model") == model.name and "phases" not in data:
+            found.append(path)
+    return found
+
+
+def read_case(mechanism: Mechanism, file: Path) -> Case:
+    """Read a problem to measure on. Raises InputError for a file with faults, or for a problem of another model."""
+    found, plant = read_problem(file, load)
+    if plant.manifest.model_hash != mechanism.manifest.model_hash:
+        fault = f"its model is {plant.manifest.model}, not {mechanism.manifest.model} as given"
+        raise InputError([Fault(str(file), 0, "model", fault, "give the problem's model")])
+    return Case(found, mechanism)
+
+
 def can_reach(manifest: Manifest) -> bool:
     """Return whether a joint of one coordinate is actuated: reaches do not turn quaternions."""
     return any(manifest.coordinates[i].name in manifest.positions for i in manifest.actuated)
@@ -100,16 +129,18 @@ def measure_solves(
     """Solve on grids, then in all representations; earlier solves are read from the store."""
     points: list[SolvePoint] = []
     kinds = [(family, degree) for family in scope.families for degree in scope.degrees]
-    total = len(kinds) + len(scope.representations)
+    total, begin = len(kinds) + len(scope.representations), time.monotonic()
     first = scope.representations[0]
     for done, (family, degree) in enumerate(kinds):
         for intervals in scope.intervals:
+            if time.monotonic() - begin > scope.seconds:
+                break
             report(f"{family.value}, degree {degree}, {intervals} intervals", done, total)
             problem = replace(
                 case.problem, family=family, degree=degree, intervals=intervals, mesh=None, representation=first
             )
             points.append(measure_solve(case, problem, 1, store))
-            if points[-1].defect is not None and points[-1].defect <= accuracy:
+            if not scope.is_whole and points[-1].defect is not None and points[-1].defect <= accuracy:
                 break
     good = [p for p in points if p.seconds and p.defect is not None and p.defect <= accuracy]
     if not good:

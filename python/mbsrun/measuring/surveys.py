@@ -14,11 +14,12 @@ from mbsrun.measuring.store import Store
 Report = Callable[[str, int, int], None]  # takes the current step, the number of finished steps and of all
 
 
-def survey_simulation(course: motions.Course, out: Path, accuracy: float, quick: bool, report: Report) -> Advice:
-    """Measure all methods of simulation on a motion."""
+def survey_simulation(
+    course: motions.Course, out: Path, accuracy: float, scope: motions.MotionScope, report: Report
+) -> Advice:
+    """Measure methods of simulation on a motion."""
     report("reference", 0, 1)
     standard = motions.find_standard(course)
-    scope = motions.QUICK if quick else motions.MotionScope()
     store = Store(out / "simulation.jsonl", MotionPoint)
     points = motions.measure_motions(course, standard, scope, store, report)
     write_points(points, out, "simulation")
@@ -26,10 +27,9 @@ def survey_simulation(course: motions.Course, out: Path, accuracy: float, quick:
 
 
 def survey_optimisation(
-    case: solves.Case, title: str, out: Path, accuracy: float, quick: bool, report: Report
+    case: solves.Case, title: str, out: Path, accuracy: float, scope: solves.SolveScope, report: Report
 ) -> Advice:
     """Measure collocation of a problem on several grids; `title` names the problem."""
-    scope = solves.QUICK if quick else solves.SolveScope()
     store = Store(out / "problem.jsonl", SolvePoint)
     points = solves.measure_solves(case, accuracy, scope, store, report)
     write_points(points, out, "problem")

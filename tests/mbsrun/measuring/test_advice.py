@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
 from pathlib import Path
 
@@ -152,24 +153,38 @@ def test_charts_are_written_with_their_numbers(rod: Path, monkeypatch: pytest.Mo
     assert find_kind(Path("chart/simulation.pdf")) == "pdf"
 
 
-def test_the_picture_of_fronts_shows_every_need_and_the_advice(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A front for each formulation, all steps of differences in one; the advised option is listed on a front or not."""
+def test_the_chart_of_fronts_fills_all_layers_of_any_model(rod: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels, a motion, a solve and reductions are measured; a command repeats a dot of the motion."""
+
+    def kernel(name: str, time: float, error: float, finding: str = "") -> Option:
+        choices = (("kernel", name), ("precision", "float64"), ("flags", ""))
+        return Option("torques for a motion", choices, Cost(time, time, 0.1, 3), "ns", error, finding)
+
     options = (
-        *(option(f"impl, central differences, {step}", time, error) for step, time, error in STEPS),
-        option("impl", 3.0, 1e-12),
-        option("impl", 4.0, 1e-3),  # slower and less accurate
-        option("exp1", 0.5, 1e-12, "failed in one state of 256"),
+        *(kernel(f"impl, central differences, {step}", time, error) for step, time, error in STEPS),
+        kernel("impl", 3.0, 1e-12),
+        kernel("impl", 4.0, 1e-3),  # slower and less accurate
+        kernel("exp1", 0.5, 1e-12, "failed in one state of 256"),
     )
     control = Advice("rod", "control", 1e-6, "", options, ())
     monkeypatch.setattr("mbsrun.measuring.surveys.survey_control", lambda *_: control)
     assert run(monkeypatch, "chart", "fronts", str(rod), "--quick", "-o", "chart") in (0, None)
     with Path("chart/fronts.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [(row["formulation"], row["time"], row["advised"]) for row in rows if row["task"] == "control"] == [
-        ("impl, central differences", "1.0", ""),
-        ("impl, central differences", "1.05", "yes"),
-        ("impl", "3.0", ""),
+    shown = [(row["method"], row["front"], row["advised"]) for row in rows if row["task"] == "control"]
+    assert shown == [
+        ("central differences of IMPL", "yes", ""),
+        ("central differences of IMPL", "yes", "yes"),
+        ("IMPL", "yes", ""),
+        ("IMPL", "", ""),
+        ("EXP1", "", ""),
     ]
-    assert {row["formulation"] for row in rows if row["task"] == "simulate"} == {"impl", "exp2"}
-    assert {row["formulation"] for row in rows if row["task"] == "optimise"} >= {"IMPL"}
-    assert Path("chart/fronts.png").stat().st_size > 1000
+    assert {row["task"] for row in rows} == {"control", "simulate", "optimise", "reduce"}
+    assert all(row["command"] for row in rows)
+    page = Path("chart/fronts.html").read_text(encoding="utf-8")
+    assert page.count("<section>") == len({(row["task"], row["need"]) for row in rows})
+    told = next(row for row in rows if row["task"] == "simulate")
+    assert "chart/motion.yaml" in told["command"]
+    assert run(monkeypatch, *told["command"].split()[1:], "-o", "again") in (0, None)
+    settings = json.loads(Path("again/simulation.json").read_text(encoding="utf-8"))["settings"]
+    assert settings["method"] == told["method"].split()[0]

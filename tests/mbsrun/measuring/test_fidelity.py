@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mbsrun.measuring.captions import OUTLINES, write_captions
+from mbsrun.measuring.charts import draw_fidelity
 from mbsrun.measuring.fidelity import (
     TOLERANCES,
     WHOLE,
@@ -19,7 +20,6 @@ from mbsrun.measuring.fidelity import (
     measure_fidelity,
     take_whole,
 )
-from mbsrun.measuring.pictures import draw_fidelity
 from mbsrun.measuring.points import write_points
 from mbsrun.measuring.sections import read_folders
 
@@ -63,7 +63,7 @@ def test_each_thing_left_out_costs_what_it_did(cart: Path, tmp_path: Path) -> No
     assert (light.flops, light.error, light.ns) == (None, None, None)
     assert all(p.ns is not None and p.ns_whole == points[WHOLE].ns for p in points.values() if not p.finding)
     write_points([*points.values()], tmp_path / "out", "fidelity")
-    (path,) = draw_fidelity([*points.values()], tmp_path / "out")
+    path, *_ = draw_fidelity([*points.values()], tmp_path / "out")
     assert path.stat().st_size > 10_000
     write_captions("fidelity", "cart", tmp_path / "out")
     (section,) = read_folders([tmp_path / "out"])

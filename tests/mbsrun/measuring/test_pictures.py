@@ -1,66 +1,68 @@
-"""Charts: each label is beside its mark, and covers neither marks nor other labels; colours stay apart."""
+"""Charts: names stand beside the ends of their lines and cover nothing; colours stay apart, also on dark pages."""
 
 from __future__ import annotations
 
+import json
+import re
+from html import unescape
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from PIL import Image
 
 from mbsgen.style import PALETTE
-from mbsrun.measuring.pictures import MARK, arrange_labels, save_picture
+from mbsrun.measuring.explorer import render_explorer
+from mbsrun.measuring.fronts import Dot, Panel
+from mbsrun.measuring.pictures import MARK, PAGE, PHONE, draw_panels, lay_out, save_picture
 
-NEAREST = 40  # pixels between a mark and its label, at most
-
-
-def draw(places: list[tuple[float, float]], labels: list[str]) -> tuple[Figure, Axes]:
-    """Draw marks, the first ones with labels."""
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.subplots()
-    axes.set_xlim(0, 10)
-    axes.set_ylim(0, 10)
-    for x, y in places:
-        axes.plot(x, y, marker="o", markersize=4, linestyle="")
-    for place, label in zip(places, labels, strict=False):
-        axes.annotate(label, place, (0, 0), textcoords="offset points", fontsize=6)
-    return figure, axes
+METHODS = ("rk4", "dop853", "euler", "gauss", "radau-iia", "generalized-alpha", "variational", "lsoda", "bdf")
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_labels_cover_nothing(seed: int) -> None:
-    """Of forty marks, two of them in corners, most labels of twelve find a place; none covers a mark or a label."""
-    rng = np.random.default_rng(seed)
-    places = [(0.1, 0.1), (9.9, 9.9), *((float(x), float(y)) for x, y in rng.uniform(0.1, 9.9, (38, 2)))]
-    figure, axes = draw(places, [f"joint {k} locked, {3 * k}%" for k in range(12)])
-    arrange_labels(figure)
-    notes = [text for text in axes.texts if isinstance(text, Annotation)]
-    boxes = [note.get_window_extent() for note in notes]
-    marks = axes.transData.transform(places)
-    half = MARK * figure.dpi / 144
-    assert len(notes) > 9
-    for k, (note, box) in enumerate(zip(notes, boxes, strict=True)):
-        assert not any(box.overlaps(other) for other in boxes[:k])
-        assert not [(x, y) for x, y in marks if box.x0 - half < x < box.x1 + half and box.y0 - half < y < box.y1 + half]
-        x, y = axes.transData.transform(note.xy)
-        assert max(box.x0 - x, x - box.x1, box.y0 - y, y - box.y1) < NEAREST
-        assert axes.get_window_extent().count_contains(box.corners()) == 4
+def draw(seed: int) -> Panel:
+    """Draw eighteen methods of orders 1 to 9, and mark one setting."""
+    rng, dots = np.random.default_rng(seed), []
+    for order, method in enumerate(METHODS, 1):
+        for formulation in ("EXP2", "IMPL"):
+            start = 10 ** rng.uniform(-4, -2)
+            for k in range(5):
+                error = min(5.0, 10 ** rng.uniform(-1, 1) * 2.0 ** (-order * k))
+                dots.append(Dot(f"{method} on {formulation}", f"step {k}", start * 2**k, error, "", f"repeat {k}"))
+    choice = min((d for d in dots if d.place[1] < 1e-6), key=lambda d: d.place)
+    return Panel("Which method?", tuple(dots), "time", "largest error", "s", 1e-6, choice, floor=1e-13)
 
 
-def test_a_label_without_a_place_is_left_out() -> None:
-    """Marks everywhere leave room for no label."""
-    grid = [(float(x), float(y)) for x in np.linspace(0, 10, 60) for y in np.linspace(0, 10, 60)]
-    figure, axes = draw(grid, ["q1 locked"])
-    arrange_labels(figure)
-    assert not axes.texts
+@pytest.mark.parametrize("size", [PAGE, PHONE], ids=["page", "phone"])
+@pytest.mark.parametrize("seed", range(4))
+def test_names_cover_nothing(seed: int, size: tuple[float, int]) -> None:
+    """Most of seven names find a place; no text covers a dot, or another text, or leaves the picture."""
+    figure = lay_out("chart", [draw(seed), draw(seed + 10)], *size)
+    figure.draw_without_rendering()
+    whole = figure.bbox
+    texts = [text.get_window_extent() for text in figure.texts]
+    for axes in figure.axes:
+        names = [t for t in axes.texts if isinstance(t, Annotation) and t.get_gid() == "name"]
+        assert len(names) >= 6  # of nine: seven names, the direction, and the accuracy that is asked for
+        boxes = [name.get_window_extent() for name in names]
+        dots = [axes.transData.transform(x.get_xydata())[0] for x in axes.lines if x.get_marker() == "o"]
+        half = MARK / 2 - 0.5
+        for k, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in [*boxes[:k], *texts])
+            assert whole.x0 <= box.x0 < box.x1 <= whole.x1
+        for name, box in zip(names, boxes, strict=True):
+            if "better" not in name.get_text() and "asked" not in name.get_text():
+                hit = [(x, y) for x, y in dots if box.x0 - half < x < box.x1 + half and box.y0 < y < box.y1]
+                assert not hit
+    assert all(whole.x0 <= box.x0 < box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in texts)
+    assert not any(a.overlaps(b) for k, a in enumerate(texts) for b in texts[:k])
 
 
 def test_colours_of_series_stay_apart_in_few_colours(tmp_path: Path) -> None:
     """A PNG has the colours of all series, to a few steps of 255, however small their marks are."""
-    figure, axes = draw([(float(k % 10), float(k // 10)) for k in range(100)], [f"joint {k} locked" for k in range(40)])
+    figure = Figure(figsize=(6, 4))
+    axes = figure.subplots()
     for k, color in enumerate(PALETTE):
         axes.plot(1.5 + k, 5.5, marker="o", markersize=4, color=color)
     save_picture(figure, tmp_path / "chart.png", dpi=90)
@@ -69,3 +71,26 @@ def test_colours_of_series_stay_apart_in_few_colours(tmp_path: Path) -> None:
     for color in PALETTE:
         expected = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
         assert np.abs(found - expected).max(axis=1).min() <= 10
+
+
+def test_a_picture_has_an_svg_with_dark_colours_and_a_narrow_one(tmp_path: Path) -> None:
+    """Panels without any good setting are drawn, too."""
+    failed = Panel("Which?", (Dot("rk4", "step 1", None, None, "it stopped"),), "time", "error", asked=1e-6)
+    paths = draw_panels("chart", [draw(0), failed], tmp_path, "chart")
+    assert [path.name for path in paths] == ["chart.png", "chart.svg", "chart_narrow.png"]
+    svg = paths[1].read_text(encoding="utf-8")
+    assert "@media (prefers-color-scheme: dark)" in svg
+    again = draw_panels("chart", [draw(0), failed], tmp_path, "again")[1].read_text(encoding="utf-8")
+    assert again == svg
+
+
+def test_the_page_holds_every_setting_with_its_command() -> None:
+    """Names of files are text there, whatever they contain."""
+    panel = draw(1)
+    evil = Dot("<script>alert(1)</script>", "it's", 1.0, 1e-3, "", "mbsrun simulate 'a b.yaml'")
+    page = render_explorer("a <b> chart", [panel, Panel("Which?", (evil,), "time", "error")])
+    assert "<script>alert" not in page
+    assert not re.search(r'(src|href)="(?!#)', page)
+    told = [json.loads(unescape(x)) for x in re.findall(r'data-dot="([^"]*)"', page)]
+    assert len(told) == len(panel.dots) + 1
+    assert told[-1] == ["<script>alert(1)</script>, it's", "1 s, error 1e-3", "mbsrun simulate 'a b.yaml'"]
