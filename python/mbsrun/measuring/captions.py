@@ -10,8 +10,8 @@ from mbsrun.environment import describe_environment
 from mbsrun.measuring.sections import Caption, Outline, write_outline
 
 MARKS = (
-    "A dot is a setting, at the shortest of its times. A line joins the best settings of a method, whose name is at its "
-    "end; slower methods are grey. Lower and further left is better: the broad band is the front. Settings "
+    "A dot is a setting, at the shortest of its times. A line joins the best settings of a method, and its name is at "
+    "the end; slower methods are grey. Lower and further left is better: the broad band is the front. Settings "
     "that failed are in the table, with the reason."
 )
 TIMES = (

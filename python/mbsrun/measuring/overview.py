@@ -162,7 +162,7 @@ def _draw_kernel(kernel: str, points: Sequence[FidelityPoint], sources: Sources,
     time = None if whole.ns is None else whole.ns.shortest
     useful = [dot for dot in dots if dot.is_good and dot.place[1] <= accuracy and dot.place[0] * 1.1 < (time or 0.0)]
     choice = min(useful, key=lambda dot: dot.place, default=None)
-    question = f"What may be left out, for {name_kernel(kernel)}?"
+    question = f"Reductions, for {name_kernel(kernel)}: which parts may go?"
     error = "largest error in any state, by the largest result"
     panel = Panel(question, dots, CALL_TIME, error, "ns", accuracy, choice, whole=time)
     return Layer("reduce", kernel, panel)

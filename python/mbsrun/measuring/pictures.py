@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -87,11 +88,11 @@ def draw_alone(panel: Panel, prefix: str) -> str:
     return write_svg(lay_out("", [panel], *PHONE, prefix=prefix))
 
 
-def write_svg(figure: Figure) -> str:
-    """Return a figure as SVG that has colours of its own on a dark page."""
+def write_svg(figure: Figure, more: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return a figure as SVG with separate colours for a dark page; `more` gives further ones."""
     text = io.StringIO()
     save_svg(figure, text)
-    return _add_dark(text.getvalue())
+    return _add_dark(text.getvalue(), more)
 
 
 @styled
@@ -100,9 +101,9 @@ def save_svg(figure: Figure, file: io.StringIO) -> None:
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
 
 
-def _add_dark(svg: str) -> str:
+def _add_dark(svg: str, more: Mapping[str, str]) -> str:
     """Add rules for a dark page: each ink of the chart has its counterpart, and colours of methods are lightened."""
-    pairs = DARK | {color: mix(color, "#ffffff", 0.25) for color in PALETTE}
+    pairs = {**DARK, **more} | {color: mix(color, "#ffffff", 0.25) for color in PALETTE}
     pairs |= {_darken(color): mix(color, "#ffffff", 0.45) for color in PALETTE}
     rules = [
         f'[style*="{kind}: {light}"] {{ {kind}: {dark} !important }}'
@@ -332,7 +333,7 @@ def _set_ticks(axes: Axes, panel: Panel, width: float) -> None:
 
 
 def _choose_ticks(low: float, high: float, most: int) -> list[float]:
-    """Return round numbers within a range, at most so many: within decades, or every second, third, … power of ten."""
+    """Return round numbers within a range, at most `most`: within decades, or every second, third, … power of ten."""
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     for shares in FINEST:
         found = [s * 10.0**k for k in decades for s in shares if low <= s * 10.0**k <= high]

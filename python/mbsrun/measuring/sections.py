@@ -140,7 +140,7 @@ def read_folders(folders: Sequence[Path]) -> list[Section]:
     """Read the tables (*.json) and pictures (*.png, *.svg) of folders.
 
     An outline lists the files of a section in their order. All other tables and pictures of a folder are one more
-    section, but for NAME.svg and NAME_narrow.png beside NAME.png. A table has the keys title, columns, rows and
+    section, except for NAME.svg and NAME_narrow.png beside NAME.png. A table has the keys title, columns, rows and
     optionally note; a list of objects is a table, too. Files of another form are ignored, since folders also hold
     records. Raises InputError for an unreadable folder, and for a folder without tables and pictures.
     """
