@@ -108,7 +108,7 @@ class _Seats:
     """The seats of bodies and of placements on bodies, found by one reduction of the model."""
 
     def __init__(self, model: Model, texts: Texts) -> None:
-        ends = [end for x in model.forces for end in (x.first, x.second)]
+        ends = [end for x in model.forces for end in x.path]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
         ends += [LoopEnd(x.other.body, x.other.placement) for x in model.contacts if isinstance(x.other, Block)]
         ends += [LoopEnd(body.name) for body in model.bodies]
@@ -221,7 +221,15 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
         dissipation=0.0 if cable is None else _float(cable.dissipation, values),
         width=_float(WIDTH if cable is None else cable.width, values),
     )
-    return Element(name=element.name, cable=element.cable is not None, first=first, second=second, law=tension)
+    via = (seats.find(end.body, end.placement) for end in element.via)
+    return Element(
+        name=element.name,
+        cable=element.cable is not None,
+        first=first,
+        second=second,
+        law=None if element.via else tension,  # arrows are of straight lines
+        via=tuple(_point((seat.frame, seat.position)) for seat in via),
+    )
 
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:

@@ -51,7 +51,7 @@ from mbsgen.expressions import (
     substitute,
     write,
 )
-from mbsgen.manifest import Appearance, Element, Formula, Given, Point, Reading, Touch
+from mbsgen.manifest import Appearance, Element, Fibres, Formula, Given, Point, Reading, Touch
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.following import find_rules, list_joints
 from mbsgen.model.model import (
@@ -72,6 +72,7 @@ from mbsgen.model.model import (
     Visual,
     Wrench,
 )
+from mbsgen.model.muscles import COSINE, FIBRE, TENDON_RATE, Muscle
 from mbsgen.model.placements import centre_inertia
 from mbsgen.model.quantities import Quantity, list_quantities
 from mbsgen.model.symbols import symbolic, to_double
@@ -204,8 +205,13 @@ class _Writing:
                 yield Formula(place=(*place, i), text=text)
 
     def _add_element(self, k: int, found: Element, element: ForceElement) -> Element:
+        if element.muscle is not None:
+            with suppress(ExpressionError):
+                found = found.model_copy(update={"muscle": self._describe_muscle(element.muscle)})
+        if element.via:
+            return found
         try:
-            force = "" if element.force == ZERO else self._read(element.force, OWN)
+            force = "" if element.law == ZERO else self._read(element.law, OWN)
             laws: dict[str | int, Expression] = {
                 "stiffness": element.stiffness,
                 "rest": element.rest,
@@ -220,6 +226,13 @@ class _Writing:
             return found.model_copy(update={"law": None})
         self._formulas += formulas
         return found.model_copy(update={"force": force})
+
+    def _describe_muscle(self, muscle: Muscle) -> Fibres:
+        texts = {"activation": muscle.activation, "fibre": muscle.fibre_length, "cosine": muscle.cosine}
+        if muscle.tendon_force is not None:
+            texts |= {"tendon_force": muscle.tendon_force, "equilibrium": muscle.equilibrium}
+            texts |= {"settling": muscle.settling} if muscle.damping == ZERO else {}
+        return Fibres(**{key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in texts.items()})
 
     def _add_contact(self, k: int, found: Touch, contact: Contact) -> Touch:
         laws: dict[str | int, Expression] = {

@@ -216,6 +216,19 @@ class Grip(_Entry):
     speed: float  # [m/s]
 
 
+class Fibres(_Entry):
+    """Numbers of a muscle as expressions, over its length, rate and signals."""
+
+    activation: str
+    fibre: str  # length [m]
+    cosine: str  # of the angle between fibres and tendon
+    tendon_force: str = ""  # of an elastic tendon, over the strength
+    equilibrium: str = (
+        ""  # of an elastic tendon: 0 along a motion; fibre_length, fibre_cosine, tendon_force_rate are in it
+    )
+    settling: str = ""  # of an elastic tendon, unless fibres damp: tendon_force_rate [1/s], where equilibrium is 0
+
+
 class Element(_Entry):
     """A spring or a cable between two points."""
 
@@ -225,10 +238,12 @@ class Element(_Entry):
     second: Point
     law: Tension | None = None  # None: no text can hold its numbers
     force: str = ""  # further tension, over its length and rate, run-time parameters and numbers of the state
+    via: tuple[Point, ...] = ()  # between the ends
+    muscle: Fibres | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {k: x for k, x in write(self).items() if k != "force" or x}
+        return {k: x for k, x in write(self).items() if k not in ("force", "via", "muscle") or x}
 
 
 class Ball(_Entry):

@@ -421,7 +421,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
         elements=tree.elements,
-        lengths=tuple(x.length.name for x in tree.definitions if x.length is not None),
+        lengths=tuple(x.length.label for x in tree.definitions if x.length is not None),
         loops=loops,
         independent=tree.closure.independent if tree.closure else (),
         dependent=tree.closure.dependent if tree.closure else (),

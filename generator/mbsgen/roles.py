@@ -53,7 +53,16 @@ class Role(Enum):
 
 
 # Functions that are written only where they are named: few uses need them, and each use of them knows its name.
-ON_REQUEST = ("accelerations", "attitudes", "lengths", "tensions", "contact_forces", "reactions", "regressor")
+ON_REQUEST = (
+    "accelerations",
+    "attitudes",
+    "lengths",
+    "stretches",
+    "tensions",
+    "contact_forces",
+    "reactions",
+    "regressor",
+)
 
 # The numbers of a body by which forces are linear: mass [kg], first moment [kg m], and the tensor [kg m2] about the
 # origin of the body's frame, along its axes.

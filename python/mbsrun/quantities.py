@@ -42,8 +42,9 @@ SENSED: Mapping[str, Sensed] = {
     "omega": Sensed("motion", ("q", "qd"), "omega", "rad/s"),
     "attitude": Sensed("attitudes", ("q",), "attitude", ""),
     "length": Sensed("lengths", ("q",), "length", "m"),
+    "rate": Sensed("stretches", ("q", "qd"), "stretch", "m/s"),
 }
-RARE = ("omega", "attitude", "length")  # kinds that a list of all quantities leaves out
+RARE = ("omega", "attitude", "length", "rate")  # kinds that a list of all quantities leaves out
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
             known[f"v{axis}_{name}"] = Quantity("v", 3 * i + k)
             known[f"w{axis}_{name}"] = Quantity("omega", 3 * i + k)
             known |= {f"{axis}{part}_{name}": Quantity("attitude", 9 * i + 3 * k + j) for j, part in enumerate(_AXES)}
-    known |= {f"length_{x}": Quantity("length", i) for i, x in enumerate(spell(manifest.elements)) if x is not None}
+    for i, x in enumerate(spell(manifest.elements)):
+        known |= {} if x is None else {f"{kind}_{x}": Quantity(kind, i) for kind in ("length", "rate")}
     if added is not None:
         known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
         driven = spell([coordinates[i] for i in manifest.driven])

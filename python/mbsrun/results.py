@@ -7,6 +7,7 @@
     xx_SENSOR, xy_SENSOR, ..., zz_SENSOR             its axes: xy is the y component of its x axis
     roll_SENSOR, pitch_SENSOR, yaw_SENSOR            [rad] turns about x, then y, then z of the base, as in URDF
     length_FORCE, rate_FORCE, tension_FORCE          [m], [m/s], [N] of a spring, cable or muscle
+    fibre_MUSCLE, pennation_MUSCLE                   [m], [rad] length of its fibres, and their angle with the tendon
     arm_FORCE_JOINT                                  [m] its moment arm: the tension times it is the joint's force
     gap_CONTACT, normal_CONTACT, fx_CONTACT, ...     [m], [N] of a point of contact: distance, force off the other side
     lam_LOOP_EQUATION                                [N, N m] the forces that close loops
@@ -30,8 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.errors import MbsError
-from mbsgen.expressions import spell
-from mbsgen.manifest import Kernel, Manifest
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, names, parse, spell
+from mbsgen.manifest import Element, Fibres, Kernel, Manifest
 from mbsrun.quantities import RARE, SENSED, Quantity, find_unit, lay_out, list_multiplier_units
 
 Array = NDArray[np.float64]
@@ -76,9 +77,9 @@ def list_results(manifest: Manifest) -> Mapping[str, Result]:
     if not manifest.coordinates:
         return {}
     found: dict[str, Result] = {}
-    for group, names in _list_names(manifest):
-        units = names.values()
-        spelled = spell(list(names))
+    for group, columns in _list_names(manifest):
+        units = columns.values()
+        spelled = spell(list(columns))
         found |= {
             name: Result(group, i, unit)
             for i, (name, unit) in enumerate(zip(spelled, units, strict=True))
@@ -99,8 +100,10 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     for group, letter, unit in (("acceleration", "a", "m/s^2"), ("alpha", "wd", "rad/s^2")):
         yield group, {f"{letter}{axis}_{name}": unit for name in sensors for axis in AXES}
     yield "turns", {f"{turn}_{name}": "rad" for name in sensors for turn in ("roll", "pitch", "yaw")}
-    for group, unit in (("rate", "m/s"), ("tension", "N")):
-        yield group, {f"{group}_{name}": unit for name in manifest.elements}
+    yield "tension", {f"tension_{name}": "N" for name in manifest.elements}
+    muscles = [element.name for element, _ in list_muscles(manifest)]
+    yield "fibre", {f"fibre_{name}": "m" for name in muscles}
+    yield "pennation", {f"pennation_{name}": "rad" for name in muscles}
     arms = {f"arm_{force}_{c.name}": "m" if c.unit == "rad" else "" for force in manifest.elements for c in joints}
     yield "arm", arms
     for group, unit in (("gap", "m"), ("normal", "N")):
@@ -112,6 +115,15 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     yield "reaction", {f"reaction_{name}": "N" for name in axles}
     yield "reaction_force", {f"reaction_{axis}_{name}": "N" for name in axles for axis in AXES}
     yield "reaction_moment", {f"reaction_m{axis}_{name}": "N m" for name in axles for axis in AXES}
+
+
+def list_muscles(manifest: Manifest) -> Iterator[tuple[Element, Fibres]]:
+    """Yield the muscles whose fibres follow from lengths, rates and signals alone."""
+    known = {"length", "rate", *manifest.signals}
+    for element in () if manifest.appearance is None else manifest.appearance.elements:
+        own = element.muscle
+        if own is not None and names(parse(own.fibre)) | names(parse(own.cosine)) <= known:
+            yield element, own
 
 
 class Numbers:
@@ -250,16 +262,45 @@ def _find_turns(numbers: Numbers) -> Array:
     return np.stack(found, axis=2).reshape(len(R), -1)
 
 
-def _find_rate(numbers: Numbers) -> Array:
-    return np.asarray(np.einsum("kij,kj->ki", _slope(numbers), numbers.rates))
-
-
 def _find_arms(numbers: Numbers) -> Array:
     """Find the moment arms: less the derivatives of lengths by the velocities' coordinates."""
     slopes = _slope(numbers)
     if numbers.manifest.configuration:
         slopes = np.einsum("kij,kjl->kil", slopes, numbers.call("jac_rates", "jac_rate_qd"))
     return 0.0 - slopes.reshape(len(slopes), -1)  # no -0.0
+
+
+def _find_fibres(numbers: Numbers) -> Array:
+    return _compute_fibres(numbers, lambda muscle: muscle.fibre)
+
+
+def _find_pennations(numbers: Numbers) -> Array:
+    return np.arccos(_compute_fibres(numbers, lambda muscle: muscle.cosine))
+
+
+def _compute_fibres(numbers: Numbers, choose: Callable[[Fibres], str]) -> Array:
+    """Compute an expression of each muscle at all times; nan where it has no value."""
+    manifest = numbers.manifest
+    lengths, rates = numbers.whole("length"), numbers.whole("rate")
+    signals = numbers.whole("w")[:, -len(manifest.signals) :].T if manifest.signals else ()
+    columns = []
+    for element, muscle in list_muscles(manifest):
+        k = manifest.elements.index(element.name)
+        own = {"length": lengths[:, k], "rate": rates[:, k], **dict(zip(manifest.signals, signals, strict=True))}
+        columns.append(
+            [
+                _evaluate(parse(choose(muscle)), {key: float(x[i]) for key, x in own.items()})
+                for i in range(len(lengths))
+            ]
+        )
+    return np.array(columns).T.reshape(len(lengths), -1)
+
+
+def _evaluate(expression: Expression, known: Mapping[str, float]) -> float:
+    try:
+        return evaluate(expression, known, FLOATS)
+    except ExpressionError:
+        return np.nan
 
 
 def _slope(numbers: Numbers) -> Array:
@@ -281,8 +322,9 @@ _GROUPS: Mapping[str, Callable[[Numbers], Array]] = {
     "acceleration": _vectors("accelerations", "acceleration"),
     "alpha": _vectors("accelerations", "alpha"),
     "turns": _find_turns,
-    "rate": _find_rate,
     "tension": _column("tensions", "tension"),
+    "fibre": _find_fibres,
+    "pennation": _find_pennations,
     "arm": _find_arms,
     "gap": _column("distances", "distance"),
     "normal": _column("contact_forces", "normal"),

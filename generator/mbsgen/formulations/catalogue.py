@@ -209,6 +209,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         order=2,
         needs=(ELEMENTS,),
     ),
+    "stretches": Entry(
+        _plainly(elements.build_rates),
+        "rates of the lengths of springs and cables",
+        results=(ports.STRETCH,),
+        order=2,
+        needs=(ELEMENTS,),
+    ),
     "tensions": Entry(
         _plainly(elements.build_tensions),
         "tensions of springs and cables",

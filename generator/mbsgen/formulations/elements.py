@@ -1,9 +1,11 @@
-"""Forces between bodies by themselves: Tree -> Tapes of `lengths`, `tensions` and `contact_forces`.
+"""Forces between bodies by themselves: Tree -> Tapes of `lengths`, `stretches`, `tensions` and `contact_forces`.
 
 `mbsgen.model.elements` states their laws as definitions of the tree; these functions give what the definitions of one
 force name: with d from the first end to the second, and F on the first one,
 
-    length = |d|,    tension = F.d / |d|
+    length = |d|,    rate = d.d' / |d|,    tension = F.d / |d|
+
+Elements through further points define their length, rate and tension themselves.
 
 The derivatives of a length by the coordinates are, with the other sign, the moment arms of the tension.
 """
@@ -18,8 +20,10 @@ from sympy import Expr
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import Chain, write_chain
+from mbsgen.formulations.points import Points
 from mbsgen.formulations.states import declare_state
-from mbsgen.model.tree import Tree
+from mbsgen.model.elements import list_end_symbols
+from mbsgen.model.tree import Reading, Tree
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import Tape
 
@@ -36,13 +40,20 @@ def build_lengths(tree: Tree) -> Tape:
     return builder.build("lengths")
 
 
+def build_rates(tree: Tree) -> Tape:
+    """Write `stretches`: inputs q, qd [, p]; output stretch, the rates of the lengths [m/s]."""
+    builder = Builder()
+    chain = write_chain(tree, builder, declare_state(tree, builder, accelerations=False, forces=False, wrenches=False))
+    chain.guard_lengths(set(tree.elements))
+    builder.output_dense(ports.STRETCH, [[_measure_rate(chain, name)] for name in tree.elements])
+    return builder.build("stretches")
+
+
 def build_tensions(tree: Tree) -> Tape:
     """Write `tensions`: inputs q, qd [, w] [, p]; output tension, shape (springs and cables,) [N]."""
     chain = _write_chain(tree)
     chain.guard_lengths(set(tree.elements))
-    pulls = [_read_vector(chain, name, "F").dot(_read_vector(chain, name, "d")) for name in tree.elements]
-    tensions = [[pull / _measure(chain, name)] for name, pull in zip(tree.elements, pulls, strict=True)]
-    chain.builder.output_dense(ports.TENSION, tensions)
+    chain.builder.output_dense(ports.TENSION, [[_pull(chain, name)] for name in tree.elements])
     return chain.builder.build("tensions")
 
 
@@ -69,6 +80,27 @@ def _measure(chain: Chain, name: str) -> Scalar:
         return chain.force(known["length"])
     d = _read_vector(chain, name, "d")
     return chain.builder.sqrt(d.dot(d) + chain.builder.number(LEAST))
+
+
+def _measure_rate(chain: Chain, name: str) -> Scalar:
+    """Return the rate of a length: as it is defined, or of a spring that may have none."""
+    known = _define(chain, name)
+    if "rate" in known:
+        return chain.force(known["rate"])
+    points = Points(chain.links, chain.state.qd, chain.still)
+    a, b = (
+        points.read(Reading.VELOCITY, x.body, chain.vector(x.point))
+        for x in chain.tree.probes
+        if x.symbols[0] in list_end_symbols(name)
+    )
+    return _read_vector(chain, name, "d").dot(b - a) / _measure(chain, name)
+
+
+def _pull(chain: Chain, name: str) -> Scalar:
+    known = _define(chain, name)
+    if "tension" in known:
+        return chain.force(known["tension"])
+    return _read_vector(chain, name, "F").dot(_read_vector(chain, name, "d")) / _measure(chain, name)
 
 
 def _read_vector(chain: Chain, name: str, key: str) -> Vector[Scalar]:

@@ -154,6 +154,7 @@ ROTATIONS = Port("R", Role.RESULT, cols=Axis.FRAMES, meaning="axes of the frames
 LENGTH = Port(
     "length", Role.RESULT, Axis.ELEMENTS, unit="m", meaning="distances between the ends of springs and cables"
 )
+STRETCH = Port("stretch", Role.RESULT, Axis.ELEMENTS, unit="m/s", meaning="rates of the lengths of springs and cables")
 TENSION = Port(
     "tension", Role.RESULT, Axis.ELEMENTS, unit="N", meaning="tensions of springs and cables, which pull their ends"
 )

@@ -50,6 +50,7 @@ from mbsgen.model.model import (
     Model,
     Other,
     Parameter,
+    PathPoint,
     Placement,
     Plane,
     Rotation,
@@ -250,7 +251,7 @@ def spring(
 ) -> ForceElement:
     """Make a spring and damper between two points; `force` is further tension, over length, rate and the state."""
     k, l, d = map(number, (stiffness, rest, damping))
-    return ForceElement(name, first, second, k, l, d, force=number(force))
+    return ForceElement(name, _pass(first), _pass(second), k, l, d, force=number(force))
 
 
 def cable(
@@ -266,7 +267,11 @@ def cable(
 ) -> ForceElement:
     """Make a cable between two points, which cannot push."""
     slack = Cable(WIDTH if width is None else number(width), number(dissipation))
-    return ForceElement(name, first, second, number(stiffness), number(rest), ZERO, slack, number(force))
+    return ForceElement(name, _pass(first), _pass(second), number(stiffness), number(rest), ZERO, slack, number(force))
+
+
+def _pass(end: LoopEnd) -> PathPoint:
+    return PathPoint(end.body, end.placement)
 
 
 def plane(body: str = BASE, *, position: Vector = _ORIGIN, normal: Direction = "z") -> Plane:

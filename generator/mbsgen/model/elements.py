@@ -5,6 +5,9 @@ the opposite. A spring and damper has
 
     T = stiffness (length - rest) + damping rate + force.
 
+Through further points of bodies, or moving ones, its length is the sum of the distances from each point to the next,
+and T pulls along each of these lines. A muscle has the tension of `mbsgen.model.muscles`.
+
 Its direction d/length does not exist where the points meet: kernels then fail, with a status of the element. A spring
 of length 0 at rest, without anything else, has the force stiffness d, which needs no direction.
 
@@ -46,13 +49,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
-from sympy import Expr, Symbol, sqrt
+from sympy import DiracDelta, Expr, Mul, Symbol, sign, sqrt
 
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
-from mbsgen.model.tree import ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
+from mbsgen.model.symbols import total
+from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -93,6 +98,29 @@ class Anchor:
 
 
 @dataclass(frozen=True)
+class Spot:
+    """A point of the line of a force element."""
+
+    anchor: Anchor
+    axes: tuple[Vector, ...] = ()  # of its shift, in the frame of that body
+    shift: tuple[Expr, ...] = _NOTHING
+    coordinates: tuple[tuple[Symbol, Symbol, str], ...] = ()  # that the shift reads, their rates and joints
+    presence: tuple[Expr, Expr, Expr] | None = None  # a coordinate, and the bounds between which the line passes it
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A point of a line in the base frame."""
+
+    anchor: Anchor
+    place: Vector
+    velocity: Vector
+    arm: Vector  # from the anchor
+    moves: tuple[tuple[str, Vector], ...]  # joints, and the derivatives of the place in the body by their coordinates
+    presence: Expr  # 1 or 0
+
+
+@dataclass(frozen=True)
 class Side:
     """The side of a contact that is touched: a point of a plane, or the centre of a sphere or a box."""
 
@@ -120,13 +148,18 @@ class Loads:
         self.definitions: list[Definition] = []
         self.wrenches: list[Wrench] = []
         self.distances: list[Distance] = []
+        self.pushes: list[tuple[str, Expr]] = []  # forces in joints, by their names
 
-    def add_element(self, element: ForceElement, first: Anchor, second: Anchor) -> None:
-        """Add the wrenches of a force element, at its ends that can move."""
+    def add_element(self, element: ForceElement, path: Sequence[Spot]) -> None:
+        """Add the wrenches of a force element, at its points that can move."""
         name = element.name
+        if not element.is_straight:
+            self._add_path(element, path)
+            return
+        first, second = (spot.anchor for spot in path)
         a, b = (self._probe(name, k, Reading.POSITION, end) for k, end in (("a", first), ("b", second)))
         d = self._define_vector(name, "d", _subtract(b, a))
-        if (element.rest, element.damping, element.cable, element.force) == (model.ZERO, model.ZERO, None, model.ZERO):
+        if (element.rest, element.damping, element.cable, element.law) == (model.ZERO, model.ZERO, None, model.ZERO):
             pull = self._read(element.stiffness, {})  # a spring of length 0 at rest has no division by its length
         else:
             v, w = (self._probe(name, k, Reading.VELOCITY, end) for k, end in (("a", first), ("b", second)))
@@ -138,10 +171,72 @@ class Loads:
         self._act(name, first, F, _NOTHING)
         self._act(name, second, _scale(-1, F), _NOTHING)
 
+    def _add_path(self, element: ForceElement, path: Sequence[Spot]) -> None:
+        """Add the wrenches of a force element through several points, or moving ones.
+
+        The part from one point to another counts where both are there, and none between them: its weight is 1, else 0.
+        """
+        name = element.name
+        seen = [self._see(name, k, spot) for k, spot in enumerate(path, 1)]
+        shares, rates, parts = [], [], list[tuple[_Seen, _Seen, Vector, Expr]]()
+        for i, k in combinations(range(len(path)), 2):
+            if any(spot.presence is None for spot in path[i + 1 : k]):
+                continue
+            a, b = seen[i], seen[k]
+            weight = Mul(a.presence, b.presence, *(1 - x.presence for x in seen[i + 1 : k]))
+            if a.anchor.body == b.anchor.body and not (a.moves or b.moves):  # no force between them matters
+                d = _subtract(b.anchor.point, a.anchor.point)
+                shares.append(weight * sqrt(_dot(d, d)))
+                continue
+            number = len(parts) + 1
+            d = self._define_vector(name, f"d{number}", _subtract(b.place, a.place))
+            scale = Length(name, _dot(a.place, a.place) + _dot(b.place, b.place), number)
+            size = self._define(name, f"part{number}", sqrt(self._define(name, f"square{number}", _dot(d, d), scale)))
+            weight = weight if weight.is_number else self._define(name, f"weight{number}", weight)
+            shares.append(weight * size)
+            rates.append(weight * _dot(d, _subtract(b.velocity, a.velocity)) / size)
+            parts.append((a, b, d, weight / size))
+        length = self._define(name, "length", total(shares))
+        rate = self._define(name, "rate", total(rates))
+        tension = self._define(name, "tension", self._tension(element, length, rate))
+        for number, (a, b, d, share) in enumerate(parts, 1):
+            F = self._define_vector(name, f"F{number}", _scale(tension * share, d))
+            self._pull(name, a, F)
+            self._pull(name, b, _scale(-1, F))
+
+    def _see(self, name: str, k: int, spot: Spot) -> _Seen:
+        """Define the place and the velocity of a point of a line, in the base frame, and whether it is there."""
+        anchor, presence = spot.anchor, ONE
+        if spot.presence is not None:
+            q, lower, upper = spot.presence
+            presence = self._define(name, f"there{k}", (1 + sign(q - lower)) * (1 + sign(upper - q)) / 4)
+        p, v = (self._probe(name, f"p{k}", reading, anchor) for reading in (Reading.POSITION, Reading.VELOCITY))
+        if not any(x.free_symbols for x in spot.shift) and spot.shift == _NOTHING:
+            return _Seen(anchor, p, v, _NOTHING, (), presence)
+        axes = [
+            self._probe(name, f"{x}{k}", Reading.DIRECTION, Anchor(anchor.body, a))
+            for x, a in zip("xyz", spot.axes, strict=True)
+        ]
+        arm = self._define_vector(name, f"arm{k}", _combine(spot.shift, axes))
+        spin = self._probe(name, f"w{k}", Reading.SPIN, anchor)
+        velocity, moves = _add(v, _cross(spin, arm)), []
+        for j, (coordinate, rate, joint) in enumerate(spot.coordinates):
+            slopes = [_differentiate(x, coordinate) for x in spot.shift]
+            if any(slopes):
+                way = self._define_vector(name, f"way{k}_{j}", _combine(slopes, axes))
+                velocity = _add(velocity, _scale(rate, way))
+                moves.append((joint, way))
+        velocity = self._define_vector(name, f"v{k}", velocity)
+        return _Seen(anchor, self._define_vector(name, f"at{k}", _add(p, arm)), velocity, arm, tuple(moves), presence)
+
+    def _pull(self, name: str, seen: _Seen, F: Vector) -> None:
+        self._act(name, seen.anchor, F, _NOTHING if seen.arm == _NOTHING else _cross(seen.arm, F))
+        self.pushes += [(joint, _dot(F, way)) for joint, way in seen.moves]
+
     def _tension(self, element: ForceElement, length: Expr, rate: Expr) -> Expr:
         own = {LENGTH: length, LENGTH_RATE: rate}
         own |= {key: self._read(getattr(element, key), {}) for key in ("stiffness", "rest", "damping")}
-        own["force"] = self._read(element.force, own)
+        own["force"] = self._read(element.law, own)
         if element.cable is None:
             return self._read(_SPRING, own)
         own |= {key: self._read(getattr(element.cable, key), {}) for key in ("width", "dissipation")}
@@ -229,7 +324,7 @@ class Loads:
         return self._define(name, "N", self._read(_NORMAL, own))
 
     def _probe(self, name: str, key: str, reading: Reading, anchor: Anchor) -> Vector:
-        x, y, z = (Symbol(f"force[{name}] {key} {reading.value}.{axis}", real=True) for axis in "xyz")
+        x, y, z = (_symbolize(name, key, reading, axis) for axis in "xyz")
         self.probes.append(Probe((x, y, z), reading, anchor.body, anchor.point))
         return x, y, z
 
@@ -247,12 +342,31 @@ class Loads:
             self.wrenches.append(Wrench(name, anchor.body, anchor.point, True, force, moment))
 
 
+def list_end_symbols(name: str) -> tuple[Symbol, Symbol]:
+    """Return the symbols of the first entries of the positions of both ends of a force element."""
+    return _symbolize(name, "a", Reading.POSITION, "x"), _symbolize(name, "b", Reading.POSITION, "x")
+
+
+def _symbolize(name: str, key: str, reading: Reading, axis: str) -> Symbol:
+    return Symbol(f"force[{name}] {key} {reading.value}.{axis}", real=True)
+
+
 def _add(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _subtract(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _differentiate(x: Expr, symbol: Symbol) -> Expr:
+    """Differentiate a number; at a jump, which no number of a file has, its slope is taken as that beside it."""
+    return x.diff(symbol).replace(DiracDelta, lambda *_: ZERO)
+
+
+def _combine(factors: Sequence[Expr], vectors: Sequence[Vector]) -> Vector:
+    x, y, z = (total(f * v[c] for f, v in zip(factors, vectors, strict=True)) for c in range(3))
+    return x, y, z
 
 
 def _scale(factor: Expr | int, a: Vector) -> Vector:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
 from sympy import Expr, Symbol
 
-from mbsgen.documents import Finding, Place, abbreviate
+from mbsgen.documents import Finding, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, names, write
 from mbsgen.model.elements import POWERS
 from mbsgen.model.model import (
@@ -19,10 +20,12 @@ from mbsgen.model.model import (
     Contact,
     ForceElement,
     Model,
+    PathPoint,
     Plane,
     Triple,
     Wrench,
 )
+from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import list_quantities
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.valuation import Valuation
@@ -79,10 +82,21 @@ def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation, state: Sta
 
 
 def _check_element(place: Place, element: ForceElement, valuation: Valuation, state: State) -> Iterator[Finding]:
+    points = [
+        (("from",), element.first),
+        *((("via", k), x) for k, x in enumerate(element.via)),
+        (("to",), element.second),
+    ]
+    for keys, point in points:
+        yield from _check_point((*place, *keys), point, valuation, state)
     for key, end in (("from", element.first), ("to", element.second)):
-        valuation.placement((*place, key), end.placement)
+        if end.presence is not None:
+            yield Finding((*place, key, "while"), "an end that is not always there", "give such a point under via")
     own: State = {LENGTH: Symbol(LENGTH, real=True), LENGTH_RATE: Symbol(LENGTH_RATE, real=True)}
     yield from check_law((*place, "force"), element.force, valuation, {**state, **own})
+    if element.muscle is not None:
+        yield from _check_muscle(place, element, element.muscle, valuation, {**state, **own})
+        return
     given = {"stiffness": element.stiffness, "rest": element.rest, "damping": element.damping}
     if element.cable is not None:
         given["dissipation"] = element.cable.dissipation
@@ -101,6 +115,50 @@ def _check_element(place: Place, element: ForceElement, valuation: Valuation, st
         )
     elif (element.stiffness, element.damping, element.force) == (ZERO, ZERO, ZERO):
         yield Finding(place, "a force element without force", "give a stiffness, a damping or a force")
+
+
+def _check_point(place: Place, point: PathPoint, valuation: Valuation, state: State) -> Iterator[Finding]:
+    """Find what is wrong with a point of a line."""
+    valuation.placement(place, point.placement)
+    coordinates = {name: x for name, x in state.items() if name.startswith("q_")}
+    remedy = "use q_NAME of joints, and parameters"
+    for k, component in enumerate(point.shift):
+        for name in sorted(names(component) & (state.keys() - coordinates.keys()) - valuation.names):
+            yield Finding((*place, "shift", k), f"a point that moves with {name}", remedy)
+            return
+        yield from check_law((*place, "shift", k), component, valuation, coordinates)
+    if (own := point.presence) is not None:
+        if own.number not in coordinates:
+            meant = nearest(own.number, [*coordinates])
+            remedy = f"did you mean {meant}?" if meant else "give q_NAME of a joint without quaternion"
+            yield Finding((*place, "while", "number"), f"there is no coordinate {abbreviate(own.number)}", remedy)
+        bounds = [valuation.number((*place, "while", "range", k), x) for k, x in enumerate((own.lower, own.upper))]
+        if bounds[0] >= bounds[1]:
+            yield Finding((*place, "while", "range"), f"a range from {bounds[0]:g} to {bounds[1]:g}", "swap them")
+
+
+def _check_muscle(
+    place: Place, element: ForceElement, muscle: Muscle, valuation: Valuation, state: State
+) -> Iterator[Finding]:
+    """Find what is wrong with the numbers of a muscle."""
+    for key, number in (("stiffness", element.stiffness), ("damping", element.damping), ("force", element.force)):
+        if number != ZERO:
+            yield Finding((*place, key), f"a muscle with a {key} of its own", "add a spring beside the muscle")
+    if element.cable is not None:
+        yield Finding((*place, "type"), "a cable that is a muscle", "give type: muscle")
+    place = (*place, "muscle")
+    yield from check_law((*place, "activation"), muscle.activation, valuation, state)
+    if muscle.tendon_force is not None:
+        yield from check_law((*place, "elastic", "force"), muscle.tendon_force, valuation, state)
+        yield from _check_positive((*place, "elastic", "strain"), muscle.tendon_strain, valuation)
+    for key in ("strength", "fibre", "speed", "width"):
+        yield from _check_positive((*place, key), muscle.numbers[key], valuation)
+    for key in ("tendon", "pennation", "damping", "passive"):
+        yield from _check_not_negative((*place, key), muscle.numbers[key], valuation)
+    if (angle := valuation.number((*place, "pennation"), muscle.pennation)) >= math.pi / 2:
+        yield Finding(
+            (*place, "pennation"), f"an angle of {angle:g} rad", "give less than a quarter turn; 15 deg has a unit"
+        )
 
 
 def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
@@ -163,7 +221,11 @@ def check_bodies(model: Model) -> Iterator[Finding]:
         if carriers.get(wrench.body) == BASE:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
-    pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces)]
+    pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces) if x.is_straight]
+    for i, x in enumerate(model.forces):
+        if not x.is_straight and len({carriers.get(end.body, end.body) for end in x.path}) == 1:
+            finding = "its points do not move relative to each other"
+            yield Finding(("forces", i), finding, "name bodies that move relative to each other, or take it away")
     pairs += [(("contacts", i), x.body, x.other.body) for i, x in enumerate(model.contacts)]
     for place, first, second in pairs:
         if first in carriers and carriers[first] == carriers.get(second):  # a body that is missing has a finding

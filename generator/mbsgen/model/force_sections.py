@@ -22,19 +22,91 @@ from mbsgen.model.model import (
     ForceElement,
     Grip,
     Other,
+    PathPoint,
     Plane,
+    Presence,
     Sphere,
 )
+from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
 
 
+class PresenceSection(Section):
+    """The range of a coordinate in which a line passes a point."""
+
+    number: str = Field(examples=["q_knee"], description="q_NAME of a joint")
+    range: tuple[NumberField, NumberField] = Field(examples=[[-0.5, 0.2]], description="rad or m")
+
+
+class PathPointSection(LoopEndSection):
+    """A point that the line of a force passes."""
+
+    shift: TripleField = Field(
+        ORIGIN, examples=[["0.01*q_knee", 0.0, 0.0]], description="along its axes, over q_NAME of joints, m"
+    )
+    presence: PresenceSection | None = Field(
+        None, alias="while", examples=[{"number": "q_knee", "range": [-0.5, 0.2]}], description="else always"
+    )
+
+    @property
+    def point(self) -> PathPoint:
+        """The same as a part of a Model."""
+        own = self.presence
+        presence = None if own is None else Presence(own.number, *own.range)
+        return PathPoint(self.body, self.placement, self.shift, presence)
+
+
+class TendonSection(Section):
+    """An elastic tendon, in series with the fibres of a muscle."""
+
+    force: NumberField = Field(examples=["soleus_tendon"], description="over the strength: a signal, as a rule")
+    strain: NumberField = Field(STRAIN, examples=[0.049], description="at which it pulls with the strength")
+
+
+class MuscleSection(Section):
+    """A muscle of Hill's type, with the curves of De Groote and others (2016)."""
+
+    strength: NumberField = Field(examples=[450.0], description="largest isometric force, N")
+    fibre: NumberField = Field(examples=[0.11], description="length at which fibres are strongest, m")
+    tendon: NumberField = Field(examples=[0.06], description="length of the slack tendon, m")
+    activation: NumberField = Field(examples=["deltoid"], description="a signal, as a rule")
+    pennation: NumberField = Field(ZERO, examples=["15 deg"], description="of fibres of that length, rad")
+    speed: NumberField = Field(SPEED, examples=[10.0], description="at which they shorten without force, lengths/s")
+    damping: NumberField = Field(ZERO, examples=[0.01], description="of fibres: force over strength at that speed")
+    passive: NumberField = Field(
+        PASSIVE, examples=[0.6], description="strain of passive fibres that pull with the strength; 0: none pull"
+    )
+    width: NumberField = Field(ONE, examples=[1.5], description="by which the curve of active force is stretched")
+    elastic: TendonSection | None = Field(None, examples=[None], description="else the tendon is rigid")
+
+    def make(self) -> Muscle:
+        """Make the part of a Model."""
+        return Muscle(
+            self.strength,
+            self.fibre,
+            self.tendon,
+            self.activation,
+            self.pennation,
+            self.speed,
+            self.damping,
+            self.passive,
+            self.width,
+            None if self.elastic is None else self.elastic.force,
+            STRAIN if self.elastic is None else self.elastic.strain,
+        )
+
+
 class ForceSection(Section):
-    """A force between two frames, along the line through their origins: a spring and damper, or a cable."""
+    """A force along the line through frames: a spring and damper, a cable, or a muscle."""
 
     name: str = Field(examples=["strut"])
-    type: Literal["spring", "cable"] = Field("spring", examples=["spring"], description="a cable cannot push")
-    first: LoopEndSection = Field(alias="from", examples=[{"body": BASE}])
-    second: LoopEndSection = Field(alias="to", examples=[{"body": BASE}])
+    type: Literal["spring", "cable", "muscle"] = Field(
+        "spring", examples=["spring"], description="a cable cannot push; a muscle has its numbers under muscle"
+    )
+    first: PathPointSection = Field(alias="from", examples=[{"body": BASE}])
+    second: PathPointSection = Field(alias="to", examples=[{"body": BASE}])
+    via: tuple[PathPointSection, ...] = Field((), examples=[[]], description="points that the line passes, in order")
+    muscle: MuscleSection | None = Field(None, examples=[None], description="of a muscle")
     stiffness: NumberField = Field(ZERO, examples=[100.0], description="N/m")
     rest: NumberField = Field(ZERO, examples=[0.3], description="length at which it is slack, m")
     damping: NumberField = Field(ZERO, examples=[2.0], description="of a spring: N s/m")
@@ -51,8 +123,12 @@ class ForceSection(Section):
     def make(self) -> ForceElement:
         """Make the part of a Model."""
         cable = Cable(self.width, self.dissipation) if self.type == "cable" else None
-        ends = self.first.end, self.second.end
-        return ForceElement(self.name, *ends, self.stiffness, self.rest, self.damping, cable, self.force)
+        ends = self.first.point, self.second.point
+        via = tuple(section.point for section in self.via)
+        muscle = None if self.muscle is None else self.muscle.make()
+        if self.type == "muscle" and muscle is None:
+            muscle = Muscle(ZERO, ZERO, ZERO, ZERO)  # its checks name what is missing
+        return ForceElement(self.name, *ends, self.stiffness, self.rest, self.damping, cable, self.force, via, muscle)
 
 
 class PlaneSection(Section):

@@ -13,11 +13,13 @@ from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
 from mbsgen.manifest import Shape
+from mbsgen.model.muscles import LENGTH as LENGTH
+from mbsgen.model.muscles import LENGTH_RATE as LENGTH_RATE
+from mbsgen.model.muscles import Muscle
 from mbsgen.model.tree import Cut, Kind, Motion
 
 BASE = "base"  # the name of the fixed base
 COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
-LENGTH, LENGTH_RATE = "length", "rate"  # a force element's own, in the expression of its force
 
 Triple = tuple[Expression, Expression, Expression]
 
@@ -287,6 +289,23 @@ class LoopEnd:
 
 
 @dataclass(frozen=True)
+class Presence:
+    """The range of a number of the state in which a line passes a point."""
+
+    number: str  # q_NAME of a joint
+    lower: Expression
+    upper: Expression
+
+
+@dataclass(frozen=True)
+class PathPoint(LoopEnd):
+    """A point that the line of a force element passes."""
+
+    shift: Triple = ORIGIN  # along the axes of the placement, over q_NAME of joints [m]
+    presence: Presence | None = None  # None: the line always passes it
+
+
+@dataclass(frozen=True)
 class Loop:
     """A joint that closes a loop of bodies, between frames on two of them; see `tree.Cut`."""
 
@@ -310,16 +329,33 @@ class Cable:
 
 @dataclass(frozen=True)
 class ForceElement:
-    """A force between two frames, along the line through their origins; a positive tension pulls them together."""
+    """A force along the line through the origins of frames; a positive tension pulls them together."""
 
     name: str
-    first: LoopEnd
-    second: LoopEnd
+    first: PathPoint
+    second: PathPoint
     stiffness: Expression = ZERO  # [N/m]
     rest: Expression = ZERO  # the length of the slack spring [m]
     damping: Expression = ZERO  # [N s/m]
     cable: Cable | None = None
     force: Expression = ZERO  # further tension [N], over parameters, LENGTH, LENGTH_RATE and numbers of the state
+    via: tuple[PathPoint, ...] = ()  # points that the line passes, from the first end to the second
+    muscle: Muscle | None = None  # it has the tension; else None
+
+    @property
+    def law(self) -> Expression:
+        """Return the tension beside springs and dampers."""
+        return self.force if self.muscle is None else self.muscle.tension
+
+    @property
+    def path(self) -> tuple[PathPoint, ...]:
+        """Return all points of the line, in order."""
+        return (self.first, *self.via, self.second)
+
+    @property
+    def is_straight(self) -> bool:
+        """Return whether the line is the one through two points that are fixed on their bodies."""
+        return not self.via and all(x.shift == ORIGIN for x in (self.first, self.second))
 
 
 @dataclass(frozen=True)

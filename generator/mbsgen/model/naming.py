@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 
 from mbsgen.documents import Finding, Place, abbreviate, lies_under
-from mbsgen.expressions import is_free_name
+from mbsgen.expressions import is_free_name, names
 from mbsgen.manifest import TIME
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import BASE, COORDINATE, FREE, LENGTH, LENGTH_RATE, RATE, Model
@@ -54,8 +54,8 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     for place, name in bodies:
         if _normalise(name) == BASE:
             yield Finding(place, f"name {abbreviate(name)} is the name of the fixed base", "give the body another name")
-    for names in (between + bodies, joints, frames, wrenches, forces, loops):
-        yield from _check_alike(names, _normalise)
+    for alike in (between + bodies, joints, frames, wrenches, forces, loops):
+        yield from _check_alike(alike, _normalise)
     signals = trusted([(("signals", i), name) for i, name in enumerate(model.signals)])
     yield from _check_signals(signals, model)
     yield from _check_alike(parameters + signals, str)  # m and M are different letters of a formula
@@ -98,7 +98,8 @@ def _check_parameter(place: Place, name: str) -> Iterator[Finding]:
 
 def _check_signals(signals: Sequence[Named], model: Model) -> Iterator[Finding]:
     meant = list_quantities(replace(model, signals=()))
-    read, taken = find_read_signals(model), {p.name for p in model.parameters}
+    driven = [names(x.muscle.activation) for x in model.forces if x.muscle is not None]
+    read, taken = frozenset(find_read_signals(model)).union(*driven), {p.name for p in model.parameters}
     for place, name in signals:
         yield from _check_parameter(place, name)
         if name in (COORDINATE, RATE, LENGTH, LENGTH_RATE, TIME):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from sympy import Symbol
 
-from mbsgen.expressions import Expression, names, spell
+from mbsgen.expressions import Expression, Name, names, spell
 from mbsgen.manifest import TIME
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import Model
@@ -79,7 +79,11 @@ def list_laws(model: Model) -> Iterator[Expression]:
         yield from (joint.law.force for joint in body.joints)
     for wrench in model.wrenches:
         yield from (component for vector in (wrench.force, wrench.moment) for component in vector or ())
-    yield from (element.force for element in model.forces)
+    for element in model.forces:
+        yield element.law
+        for point in element.path:
+            yield from point.shift
+            yield from () if point.presence is None else (Name(point.presence.number),)
 
 
 def find_read_frames(model: Model) -> frozenset[str]:

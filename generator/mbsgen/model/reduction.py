@@ -16,10 +16,10 @@ from itertools import product
 
 from sympy import Expr, Symbol
 
-from mbsgen.expressions import Algebra, Expression, evaluate, names
+from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Loads, Side
+from mbsgen.model.elements import Anchor, Loads, Side, Spot
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -46,6 +46,7 @@ from mbsgen.model.tree import (
     Tree,
     Vector,
     coordinate_symbol,
+    rate_symbol,
 )
 
 
@@ -79,7 +80,7 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         name=description.name,
         gravity=reader.vector(description.gravity),
         parameters=parameters,
-        bodies=_bind(bodies, couplings),
+        bodies=_push(_bind(bodies, couplings), loads.pushes),
         sensors=tuple(_make_sensor(x, seats[x.body], reader) for x in description.frames if x.is_sensor),
         wrenches=(*(_make_wrench(x, seats[x.body], reader) for x in description.wrenches), *loads.wrenches),
         probes=(*_probe_frames(description, seats, reader), *loads.probes),
@@ -99,6 +100,19 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
             sorted((numbers[name], reader.estimate(x)) for name, x in description.assembly if name not in sums.rules)
         ),
         loop_tolerance=_find_tolerance(description, reader) if description.loops or description.constraints else 0.0,
+    )
+
+
+def _push(bodies: Sequence[tree.Body], pushes: Sequence[tuple[str, Expr]]) -> tuple[tree.Body, ...]:
+    """Add forces in joints that moving points of lines feel."""
+    found = {body.joint.name: body.joint.law for body in bodies}
+    for name, push in pushes:
+        found[name] += push
+    return tuple(
+        body
+        if found[body.joint.name] == body.joint.law
+        else replace(body, joint=replace(body.joint, law=found[body.joint.name]))
+        for body in bodies
     )
 
 
@@ -515,7 +529,9 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         return Anchor(at.number, at.position)
 
     for element in description.forces:
-        loads.add_element(element, *(anchor(end.body, end.placement) for end in (element.first, element.second)))
+        loads.add_element(
+            element, [_make_spot(point, seats[point.body], reader, description) for point in element.path]
+        )
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
@@ -526,6 +542,21 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         side = Side(Anchor(seat.number, seat.position), axes)
         loads.add_contact(contact, points, side, reader.constant(contact.exponent))
     return loads
+
+
+def _make_spot(point: model.PathPoint, seat: _Seat, reader: _Reader, description: model.Model) -> Spot:
+    at = seat.carry(point.placement, reader)
+    anchor = Anchor(at.number, at.position)
+    presence = None
+    if (own := point.presence) is not None:
+        presence = reader.force(Name(own.number), {}), reader.number(own.lower), reader.number(own.upper)
+    if point.shift == model.ORIGIN:
+        return Spot(anchor, presence=presence)
+    known = list_quantities(description)
+    read = [known[name] for name in sorted(frozenset[str]().union(*map(names, point.shift)) & known.keys())]
+    coordinates = tuple((x.symbol, rate_symbol(x.joint), x.joint) for x in read if x.joint is not None)
+    shift = tuple(reader.force(x, {}) for x in point.shift)
+    return Spot(anchor, _transpose(at.axes), shift, coordinates, presence)
 
 
 def _list_points(contact: model.Contact, reader: _Reader) -> Iterator[tuple[str, Vector]]:

@@ -23,6 +23,7 @@ from mbsgen.model.joints import describe_joint
 from mbsgen.model.joints.dh import place_joint, place_tail
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
+    ZERO,
     Block,
     Body,
     Cable,
@@ -40,6 +41,7 @@ from mbsgen.model.model import (
     Model,
     Other,
     Parameter,
+    PathPoint,
     Placement,
     Plane,
     Row,
@@ -48,6 +50,7 @@ from mbsgen.model.model import (
     Triple,
     Wrench,
 )
+from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import list_quantities
 from mbsgen.model.symbols import symbolic, to_double
 from mbsgen.model.tree import Cut, Kind
@@ -249,8 +252,7 @@ class _Release:
     def _element(self, element: ForceElement) -> ForceElement:
         path = f"forces.{element.name}"
         first, second = (
-            replace(end, placement=self._placement(f"{path}.{key}", end.placement))
-            for key, end in (("from", element.first), ("to", element.second))
+            self._point(f"{path}.{key}", x) for key, x in (("from", element.first), ("to", element.second))
         )
         cable = element.cable and Cable(
             self._number(f"{path}.width", element.cable.width),
@@ -265,6 +267,21 @@ class _Release:
             self._number(f"{path}.damping", element.damping) if cable is None else element.damping,
             cable,
             replace_counted(element.force, f"{path}.force", self._number),
+            tuple(self._point(f"{path}.via.{k}", point) for k, point in enumerate(element.via, 1)),
+            element.muscle and self._muscle(f"{path}.muscle", element.muscle),
+        )
+
+    def _point(self, path: str, point: PathPoint) -> PathPoint:
+        """Release the place of a point; numbers of a shift and of a range stay."""
+        return replace(point, placement=self._placement(path, point.placement))
+
+    def _muscle(self, path: str, muscle: Muscle) -> Muscle:
+        """Release the numbers of a muscle; activation and force of a tendon are given by a use."""
+        kept = {"pennation", "passive"} & {key for key, x in muscle.numbers.items() if x == ZERO}
+        if muscle.tendon_force is None:
+            kept.add("tendon_strain")
+        return replace(
+            muscle, **{key: self._number(f"{path}.{key}", x) for key, x in muscle.numbers.items() if key not in kept}
         )
 
     def _contact(self, contact: Contact) -> Contact:

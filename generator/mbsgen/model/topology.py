@@ -59,6 +59,8 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     carriers += [(("loops", i, key, "body"), end.body) for i, key, end in ends]
     spans = [(i, key, end) for i, x in enumerate(model.forces) for key, end in (("from", x.first), ("to", x.second))]
     carriers += [(("forces", i, key, "body"), end.body) for i, key, end in spans]
+    passed = [(i, k, end) for i, x in enumerate(model.forces) for k, end in enumerate(x.via)]
+    carriers += [(("forces", i, "via", k, "body"), end.body) for i, k, end in passed]
     carriers += [(("contacts", i, "body"), contact.body) for i, contact in enumerate(model.contacts)]
     carriers += [(("contacts", i, x.key, "body"), x.other.body) for i, x in enumerate(model.contacts)]
     for place, name in [*parents, *carriers]:

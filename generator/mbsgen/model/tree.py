@@ -227,6 +227,12 @@ class Length:
 
     name: str  # of the force element or the contact
     scale: Expr  # the squares of the places of both ends [m2]
+    part: int = 0  # of a force element through several points: of this pair of points, from 1
+
+    @property
+    def label(self) -> str:
+        """The name in a file of code."""
+        return f"{self.name}.{self.part}" if self.part else self.name
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ from mbsgen.model.model import (
     Model,
     Other,
     Parameter,
+    PathPoint,
     Placement,
     Sphere,
     Stops,
@@ -46,6 +47,7 @@ from mbsgen.model.model import (
     Visual,
     Wrench,
 )
+from mbsgen.model.muscles import Muscle
 from mbsgen.model.tree import Kind
 
 MAX_WIDTH = 110  # of a line that holds a mapping or a list as a whole
@@ -242,13 +244,33 @@ def _write_element(element: ForceElement) -> Mapped:
     content: Mapped = {"name": _quote(element.name)}
     if element.cable is not None:
         content["type"] = "cable"
-    content |= {"from": _write_end(element.first), "to": _write_end(element.second)}
+    if element.muscle is not None:
+        content["type"] = "muscle"
+    content |= {"from": _write_point(element.first), "to": _write_point(element.second)}
+    if element.via:
+        content["via"] = [_write_point(point) for point in element.via]
+    if element.muscle is not None:
+        content["muscle"] = _write_muscle(element.muscle)
     content |= _write_numbers(element, ("stiffness", "rest", "damping"))
     if element.cable is not None:
         content |= _write_numbers(element.cable, ("dissipation",))
         if element.cable.width != WIDTH:
             content["width"] = _write_number(element.cable.width)
     return content | _write_numbers(element, ("force",))
+
+
+def _write_muscle(muscle: Muscle) -> Mapped:
+    usual = Muscle(ZERO, ZERO, ZERO, ZERO)
+    content: Mapped = {
+        key: _write_number(getattr(muscle, key)) for key in ("strength", "fibre", "tendon", "activation")
+    }
+    for key in ("pennation", "speed", "damping", "passive", "width"):
+        if muscle.numbers[key] != usual.numbers[key]:
+            content[key] = _write_number(muscle.numbers[key])
+    if muscle.tendon_force is not None:
+        strain = {"strain": _write_number(muscle.tendon_strain)} if muscle.tendon_strain != usual.tendon_strain else {}
+        content["elastic"] = {"force": _write_number(muscle.tendon_force), **strain}
+    return content
 
 
 def _write_contact(contact: Contact) -> Mapped:
@@ -303,6 +325,16 @@ def _write_loop(loop: Loop) -> Mapped:
 
 def _write_end(end: LoopEnd) -> Mapped:
     return {"body": _quote(end.body), **_write_placement(end.placement)}
+
+
+def _write_point(point: PathPoint) -> Mapped:
+    content = _write_end(point)
+    if point.shift != ORIGIN:
+        content["shift"] = _write_triple(point.shift)
+    if (own := point.presence) is not None:
+        bounds = [_write_number(x) for x in (own.lower, own.upper)]
+        content["while"] = {"number": _quote(own.number), "range": bounds}
+    return content
 
 
 def _write_constraint(constraint: Constraint) -> Mapped:

@@ -52,7 +52,7 @@ def list_groups(tree: Tree) -> tuple[Group, ...]:
         _group(
             "length",
             f"Forces between points: a function that finds no direction of entry k returns {FIRST_LENGTH} + k",
-            (x.length.name for x in tree.definitions if x.length is not None),
+            (x.length.label for x in tree.definitions if x.length is not None),
         ),
         _group("w", _describe_open(tree), _list_components(tree)),
         _group("p", "Entries of p: run-time parameters", _list_parameters(tree, Kind.RUNTIME)),

@@ -18,6 +18,7 @@ from sympy import Expr, Symbol
 from mbsgen.formulations import ports, textbook
 from mbsgen.formulations.chain import assign_symbols, joint_forces, write_chain
 from mbsgen.formulations.states import declare_state
+from mbsgen.model.elements import list_end_symbols
 from mbsgen.model.tree import (
     Coupling,
     Kind,
@@ -317,6 +318,15 @@ class Truth:
                 return apply(self.poses[probe.body].R, point)
         return self.speeds[probe.body][1]
 
+    def move_ends(self, name: str) -> tuple[Vector, Vector]:
+        """Return the velocities of both ends of a force element."""
+        first, second = (
+            self.moving_point(x.body, self.mechanism.vector(f"probe_{k}"))
+            for k, x in enumerate(self.tree.probes)
+            if x.symbols[0] in list_end_symbols(name)
+        )
+        return first, second
+
     def read(self, components: Sequence[Expr]) -> Vector:
         """Return the components of a force or moment."""
         return [self._value(x, self.readings) for x in components]
@@ -576,11 +586,22 @@ def _attitudes(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
 
 def _elements(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare with the force F on the first end, and with d to the second one."""
-    lengths, tensions = [], []
+    lengths, tensions, rates = [], [], []
     for name in truth.tree.elements:
+        known = {x.key: x.symbol for x in truth.tree.definitions if x.owner == name}
+        if "tension" in known:  # through further points
+            length, rate, tension = truth.read([known[key] for key in ("length", "rate", "tension")])
+            lengths.append(length)
+            rates.append(rate)
+            tensions.append(tension)
+            continue
+        a, b = truth.move_ends(name)
         d, F = (truth.read(truth.find(name, *(f"{key}.{axis}" for axis in "xyz"))) for key in "dF")
         lengths.append(dot(d, d).sqrt())
         tensions.append(dot(F, d) / lengths[-1])
+        rates.append(dot([y - x for x, y in zip(a, b, strict=True)], d) / lengths[-1])
+    if "stretch" in results:
+        yield Comparison("stretch", results["stretch"], rates, truth.swing)
     for name, expected in (("length", lengths), ("tension", tensions)):
         if name in results:
             yield Comparison(name, results[name], expected, truth.reach)
@@ -799,6 +820,7 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.ATTITUDE: _attitudes,
     ports.LENGTH: _elements,
     ports.TENSION: _elements,
+    ports.STRETCH: _elements,
     ports.NORMAL_FORCE: _contact_forces,
     ports.CONTACT_FORCE: _contact_forces,
     ports.REACTION_FORCE: _reactions,

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,9 @@ def make_actor(
         solids += _draw_joints(manifest, size, look) if not drawn else ()
         solids += dict.fromkeys(_draw_contacts(appearance, size))  # a sphere may have many contacts
         kinds = {True: Course.CABLE, False: Course.SPRING}
-        lines += [Line(kinds[x.cable], (x.first, x.second)) for x in appearance.elements]
+        lines += [
+            Line(kinds[x.cable], ends) for x in appearance.elements for ends in pairwise((x.first, *x.via, x.second))
+        ]
     return Actor(name, look.edges, skeleton.frames, tuple(solids), tuple(lines), find_floating(manifest), size)
 
 

@@ -43,8 +43,12 @@ def pull(i: int, length: ca.SX, rate: ca.SX, act: ca.SX) -> ca.SX:
     """Return the tension of a muscle, by the published curves."""
     x = (length - TENDONS[i]) / FIBRES[i]
     v = rate / FIBRES[i] / 10
-    shapes = ((0.815067, 1.055034, 0.162385, 0.063303), (0.433005, 0.716775, -0.029947, 0.200357), (0.1, 1, 8**-0.5, 0))
+    shapes = (
+        (0.8150671134243542, 1.055033428970575, 0.162384573599574, 0.063303448465465),
+        (0.433004984392647, 0.716775413397760, -0.029947116970696, 0.200356847296188),
+        (0.1, 1, 8**-0.5, 0),
+    )
     active = sum(a * ca.exp(-((x - b) ** 2) / (2 * (c + d * x) ** 2)) for a, b, c, d in shapes)
-    by_rate = -0.321135 * ca.asinh(-8.149 * v - 0.374) + 0.882533
+    by_rate = -0.3211346127989808 * ca.asinh(-8.149 * v - 0.374) + 0.8825327733249912
     passive = (ca.exp(4 * (x - 1) / 0.6) - ca.exp(4 * (0.2 - 1) / 0.6)) / (ca.exp(4) - ca.exp(4 * (0.2 - 1) / 0.6))
     return STRENGTHS[i] * (act * active * by_rate + passive)
