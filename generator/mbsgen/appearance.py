@@ -108,7 +108,7 @@ class _Seats:
     """The seats of bodies and of placements on bodies, found by one reduction of the model."""
 
     def __init__(self, model: Model, texts: Texts) -> None:
-        ends = [end for x in model.forces for end in x.path]
+        ends: list[LoopEnd] = [end for x in model.forces for end in x.path]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
         ends += [LoopEnd(x.other.body, x.other.placement) for x in model.contacts if isinstance(x.other, Block)]
         ends += [LoopEnd(body.name) for body in model.bodies]

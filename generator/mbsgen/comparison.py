@@ -180,11 +180,12 @@ def _compute(tree: Tree, states: Sequence[tuple[Array, Array, Array]]) -> list[d
     results: list[dict[str, Array]] = []
     for q, qd, qdd in states:
         given = {"q": q, "qd": qd, "qdd": qdd, "u": rest}
-        results.append({name: value for tape in tapes for name, value in _evaluate(tape, given).items()})
+        results.append({name: value for tape in tapes for name, value in evaluate_tape(tape, given).items()})
     return results
 
 
-def _evaluate(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
+def evaluate_tape(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Evaluate a tape at the values of its inputs."""
     values = evaluate(tape, {i.name: list(given[i.name]) for i in tape.inputs})
     found = {}
     for o in tape.outputs:
@@ -198,7 +199,7 @@ def _evaluate(tape: Tape, given: Mapping[str, Array]) -> dict[str, Array]:
 def _compare_closed(tree: Tree, peer: _Peer) -> tuple[dict[str, float], float]:
     """Compare forces of loops and accelerations at closed states; return also the digits that solving loses."""
     bare, states = _strip(tree), draw_states(tree)
-    found, expected, lost = compute_ours(bare, states, _evaluate), [], 0.0
+    found, expected, lost = compute_ours(bare, states, evaluate_tape), [], 0.0
     for q, qd in states:
         open_tree = peer.compute(q, qd, np.zeros_like(qd))
         joints = Joints(peer.pin, peer.model, peer.data, peer.order, peer.G, peer.free)

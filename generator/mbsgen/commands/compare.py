@@ -15,19 +15,44 @@ from mbsgen.importing import Choices
 
 @click.command("compare", cls=ModelCommand)
 @MODEL
-@click.option("--with", "peer", type=click.Choice(["pinocchio"]), required=True, help="The program to compare with.")
+@click.option(
+    "--with", "peer", type=click.Choice(["pinocchio", "opensim"]), required=True, help="The program to compare with."
+)
 @importing
 def compare_command(model: Path, peer: str, choices: Choices) -> None:
-    """Compare MODEL, a URDF file, with another program.
+    """Compare MODEL, a file of URDF or OpenSim, with another program.
 
     Prints the largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at
     random states, relative to the largest entry, and their known causes. Of closed loops, it compares forces and
     accelerations at closed states. Exit code 1: an unexplained difference.
     """
+    if peer == "opensim":
+        _compare_with_opensim(model, choices)
+    else:
+        _compare_with_pinocchio(model, choices)
+
+
+def _compare_with_opensim(model: Path, choices: Choices) -> None:
+    from mbsgen.osim_comparison import TOLERANCE, compare_with_opensim
+
+    if model.suffix.lower() != ".osim":
+        raise click.UsageError(f"{model}: files of OpenSim are compared with opensim")
+    found = compare_with_opensim(model, choices)
+    for name, miss in found.misses.items():
+        click.echo(f"{name:10}{miss:.1e}")
+    click.echo(f"{len(found.lines)} muscles and springs along paths" if found.lines else "no muscles")
+    for name in found.absent:
+        click.echo(f"{name}: not in the model")
+    if not found.agrees:
+        click.echo(f"the models differ by more than {TOLERANCE:g}", err=True)
+        sys.exit(DIFFERENT)
+
+
+def _compare_with_pinocchio(model: Path, choices: Choices) -> None:
     from mbsgen.comparison import RESULTS, TOLERANCE, compare_with_pinocchio
 
     if model.suffix.lower() != ".urdf":
-        raise click.UsageError(f"{model}: files of URDF are compared, since {peer} reads these")
+        raise click.UsageError(f"{model}: files of URDF are compared, since pinocchio reads these")
     found = compare_with_pinocchio(model, choices)
     for title, misses in (("as imported", found.imported), ("without damping, friction and rotors", found.bare)):
         click.echo(f"{title:38}" + "".join(f"{name} {misses[name]:.1e}   " for name in RESULTS).rstrip())

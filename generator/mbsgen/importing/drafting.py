@@ -37,6 +37,7 @@ from mbsgen.model.model import (
     DryFriction,
     Fixed,
     Follow,
+    ForceElement,
     Frame,
     Friction,
     Joint,
@@ -44,10 +45,12 @@ from mbsgen.model.model import (
     Loop,
     LoopEnd,
     Model,
+    PathPoint,
     Stops,
     Triple,
     Visual,
 )
+from mbsgen.model.muscles import Muscle
 from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.orientations import turn
 from mbsgen.model.topology import find_carriers
@@ -85,11 +88,25 @@ class Choices:
 
 
 @dataclass(frozen=True)
+class FileCoordinate:
+    """A coordinate of the file: ratio times the coordinate of a joint of the model, plus offset."""
+
+    name: str
+    joint: str  # "": it stands still, at the offset
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Imported:
     """A model of a file in another format, and the notices about it."""
 
     model: Model
     notices: tuple[Notice, ...]  # changes and omissions; effects on the motion first
+    visible: tuple[str, ...] = ()  # names in the file of possible sensors
+    labels: Mapping[str, str] = field(default_factory=dict)  # of sensors and forces: names in the file
+    coordinates: tuple[FileCoordinate, ...] = ()  # of a file whose joints have several
+    balls: tuple[tuple[str, str, str], ...] = ()  # coordinates whose speeds in the file are angular velocities
 
 
 class MasslessError(Exception):
@@ -215,6 +232,9 @@ class Draft:
     _drags: dict[tuple[str, int], float] = field(default_factory=dict)  # of balls: body, place of the first turn
     _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
+    _forces: list[tuple[ForceElement, Element]] = field(default_factory=list)
+    _signals: list[str] = field(default_factory=list)
+    _labels: dict[str, str] = field(default_factory=dict)  # name in the model -> in the file, of sensors and forces
     _equations: list[Equation] = field(default_factory=list)  # of the model
     _locked: set[str] = field(default_factory=set)
     _sensors: set[str] = field(default_factory=set)
@@ -263,7 +283,29 @@ class Draft:
         self._visible.append(name)
         if name in self.choices.sensors and name not in self._sensors:
             self._sensors.add(name)
-            self.frames.append(Frame(self._choose_name("frame", name, source), body, self.writer.placement(pose)))
+            own = self._choose_name("frame", name, source)
+            self._labels[own] = name
+            self.frames.append(Frame(own, body, self.writer.placement(pose)))
+
+    def add_force(
+        self,
+        name: str,
+        path: Sequence[PathPoint],
+        force: Expression,
+        muscle: Muscle | None,
+        signals: Sequence[str],
+        source: Element,
+    ) -> None:
+        """Add a force along a line, and the signals that it reads."""
+        own = self._choose_name("force", name, source)
+        self._labels[own] = name
+        first, *via, last = path
+        self._forces.append((ForceElement(own, first, last, force=force, via=tuple(via), muscle=muscle), source))
+        self._signals += signals
+
+    def find_joint(self, name: str) -> str:
+        """Return the name in the model of a joint of the file."""
+        return self._called.get(name, name)
 
     def warn_of_limits(self) -> None:
         """Warn of the joints that the file stops at the ends of their ranges: without stops, no simulation does."""
@@ -288,14 +330,29 @@ class Draft:
             gravity=write_triple(self.choices.gravity or gravity),
             bodies=tuple(self.bodies),
             frames=tuple(self.frames),
+            forces=tuple(element for element, _ in self._forces),
+            signals=tuple(dict.fromkeys(self._signals)),
             allow_unphysical=not allowed,
         )
-        model = self._damp_balls(self._close(model))
+        model = self._damp_balls(self._close(self._drop_idle(model)))
         self._check_model(model, root)
         self._tell_fixed(model)
         self._tell_angles()
         ordered = sorted(self.findings.notices, key=lambda n: (not n.alters, n.line == 0, n.file, n.line, n.path))
-        return Imported(model, tuple(dict.fromkeys(ordered)))
+        return Imported(model, tuple(dict.fromkeys(ordered)), tuple(dict.fromkeys(self._visible)), self._labels)
+
+    def _drop_idle(self, model: Model) -> Model:
+        """Leave out forces between points that do not move relative to each other."""
+        carriers, kept = find_carriers(model), []
+        for element, source in self._forces:
+            if len({carriers.get(point.body, point.body) for point in element.path}) > 1:
+                kept.append((element, source))
+            else:
+                self.findings.tell(source, "its points do not move relative to each other: left out")
+        self._forces = kept
+        read = frozenset[str]().union(*(x.reads for x, _ in kept))
+        signals = tuple(name for name in model.signals if name in read)
+        return replace(model, forces=tuple(element for element, _ in kept), signals=signals)
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
@@ -587,6 +644,8 @@ class Draft:
                 return self._sources[model.bodies[i].name]
             case ("loops", int(i), *_):
                 return self.closing.closures[i].source
+            case ("forces", int(i), *_):
+                return self._forces[i][1]
             case ("constraints", int(i), *_):
                 return self._equations[i].source
         return None

@@ -14,15 +14,17 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.expressions import parse, substitute
+from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute
 from mbsgen.importing.closing import Closure, Curve, Equation, Spot, Term, X
-from mbsgen.importing.drafting import Choices, Draft, Imported, Move, list_moves, move_freely
+from mbsgen.importing.drafting import Choices, Draft, FileCoordinate, Imported, Move, list_moves, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.osim_forces import READ, Forces, is_on
@@ -38,11 +40,13 @@ from mbsgen.importing.osim_joints import (
     list_axes,
     list_coordinates,
 )
+from mbsgen.importing.osim_muscles import MUSCLES, PATHS, Line, Paths, Point
 from mbsgen.importing.osim_vocabulary import VOCABULARY
 from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
 from mbsgen.importing.vocabulary import survey
-from mbsgen.model.model import BASE
+from mbsgen.model.model import BASE, PathPoint, Presence
+from mbsgen.model.model import ORIGIN as MODEL_ORIGIN
 from mbsgen.model.tree import Cut
 
 GRAVITY = (0.0, -9.80665, 0.0)  # the default of OpenSim
@@ -126,6 +130,7 @@ class _File:
         self._replaced: dict[str, tuple[str, float, float]] = {}  # coordinates by others, ratios and offsets
         self._held: dict[str, float] = {}
         self._forces = Forces(findings)
+        self._lines: list[Line] = []  # muscles and springs along paths
         self._own: dict[str, str] = {GROUND: BASE}  # bodies of the model, by name in the file
         self._inner: dict[str, Pose] = {GROUND: ORIGIN}  # poses of the file's frames of bodies in the model's
 
@@ -138,6 +143,9 @@ class _File:
         for element in self._list("ForceSet"):
             if element.tag in READ:
                 self._forces.read(element, self._coordinates)
+        paths = Paths(self._frames, self._findings, self._coordinates, self._ranges, self._is_nested)
+        found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
+        self._lines = [line for line in found if line is not None]
         couplers = [x for x in self._list("ConstraintSet") if x.tag == "CoordinateCouplerConstraint" and self._acts(x)]
         rules = {id(x): rule for x in couplers if (rule := self._read_coupler(x)) is not None}
         self._resolve(joints, [rules[id(x)] for x in couplers if id(x) in rules])
@@ -165,10 +173,26 @@ class _File:
             self._close(element, first, second)
         for marker, mount in markers:
             self._add_marker(marker, mount)
+        for line in self._lines:
+            self._add_line(line)
+        self._tell_muscles()
         if self._findings.faults:
             raise self._findings.refuse()
         name = self._model.attributes.get("name", "").removesuffix(".osim")
-        return self._draft.finish(name or "model", gravity, self._root)
+        imported = self._draft.finish(name or "model", gravity, self._root)
+        balls = [joint.coordinates[:3] for joint in joints if joint.element.tag in ("BallJoint", "FreeJoint")]
+        turns = tuple((a, b, c) for a, b, c in balls)
+        return replace(imported, coordinates=tuple(self._list_coordinates()), balls=turns)
+
+    def _list_coordinates(self) -> Iterator[FileCoordinate]:
+        """Yield the coordinates of the file by the joints of the model, without those of joints that close loops."""
+        for name in self._coordinates:
+            amount = self._replace(Sum(slopes={name: 1.0})).rescale(self._sizes)
+            if not amount.coordinates:
+                yield FileCoordinate(name, "", 0.0, amount.constant)
+            elif amount.line is not None and amount.line[0] in self._leaders:
+                other, slope = amount.line
+                yield FileCoordinate(name, self._draft.find_joint(other), slope, amount.constant)
 
     def _read_gravity(self) -> tuple[float, ...]:
         child = self._model.first("gravity")
@@ -454,7 +478,7 @@ class _File:
             element,
             name=coordinate,
             pose=axis.at(constant),
-            actuated=coordinate in efforts if efforts else not is_base,
+            actuated=coordinate in efforts if efforts or self._lines else not is_base,
             lower=None if lower is None else lower * size,
             upper=None if upper is None else upper * size,
             law=self._forces.make_law(coordinate, size, in_degrees=coordinate in self._angles),
@@ -532,6 +556,72 @@ class _File:
         at = Pose(np.eye(3), np.array(self._frames.read_vector(marker, "location")), ())
         pose = self._inner[mount.body] @ mount.pose @ at
         self._draft.add_frame(marker.attributes.get("name", ""), self._own[mount.body], pose, marker)
+
+    # --- muscles and springs along paths -----------------------------------------------------------------------------
+
+    def _add_line(self, line: Line) -> None:
+        path = [point for x in line.points if (point := self._make_point(line, x)) is not None]
+        self._draft.add_force(line.name, path, line.force, line.muscle, line.signals, line.element)
+
+    def _make_point(self, line: Line, point: Point) -> PathPoint | None:
+        """Make a point of the model; None for one that the path never passes."""
+        here = self._inner[point.mount.body] @ point.mount.pose
+        body = self._own[point.mount.body]
+        shift, presence = MODEL_ORIGIN, None
+        if point.shift:
+            x, y, z = (self._write_amount(line, amount) for amount in point.shift)
+            shift = (x, y, z)
+        else:
+            here = here @ Pose(np.eye(3), np.array(point.location), ())
+            here = Pose(np.eye(3), here.position, ())
+        if point.presence is not None:
+            name, lower, upper = point.presence
+            amount = self._replace(Sum(slopes={name: 1.0})).rescale(self._sizes)
+            if amount.line is None:
+                if not lower <= amount.constant <= upper:
+                    return None
+            else:
+                other, slope = amount.line
+                bounds = sorted((bound - amount.constant) / slope for bound in (lower, upper))
+                presence = Presence(self._name_coordinate(line, other), *map(Number, bounds))
+        return PathPoint(body, self._draft.writer.placement(here), shift, presence)
+
+    def _write_amount(self, line: Line, amount: Sum) -> Expression:
+        """Write an amount over coordinates of the model."""
+        amount = self._replace(amount).rescale(self._sizes)
+        total: Expression = Number(amount.constant)
+        for name, slope in amount.slopes.items():
+            total = Operation("+", total, Operation("*", Number(slope), Name(self._name_coordinate(line, name))))
+        for name, curve in amount.curves:
+            own = {X: Name(self._name_coordinate(line, name))}
+            total = Operation("+", total, substitute(curve, own))
+        return total
+
+    def _name_coordinate(self, line: Line, coordinate: str) -> str:
+        """Return the name of a coordinate in forces; a fault where it is no joint."""
+        if coordinate not in self._leaders:
+            self._findings.fault(
+                line.element, f"{abbreviate(coordinate)} is the coordinate of no joint here", "remove it"
+            )
+            return "q_"
+        return f"q_{re.sub(r'[^A-Za-z0-9_]', '_', self._draft.find_joint(coordinate))}"
+
+    @property
+    def _sizes(self) -> dict[str, float]:
+        return {name: leader.size for name, leader in self._leaders.items()}
+
+    def _tell_muscles(self) -> None:
+        """Add what is different of muscles of other kinds."""
+        kinds = Counter(line.element.tag for line in self._lines if line.muscle is not None)
+        if kinds:
+            self._findings.sum_up(
+                "the activation of a muscle is the signal of its name, and the force in an elastic "
+                "tendon, over the strength, the signal NAME_tendon"
+            )
+        for tag, count in kinds.items():
+            if tag != MUSCLES[0]:
+                text = f"{count} of the kind {tag} have the curves of {MUSCLES[0]}, with the numbers that Moco gives it"
+                self._findings.sum_up(text, alters=True)
 
     # --- loops and couplings -----------------------------------------------------------------------------------------
 

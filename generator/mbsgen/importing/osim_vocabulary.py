@@ -8,6 +8,7 @@ from __future__ import annotations
 from mbsgen.importing.osim_forces import ACTUATORS, LIMIT, SPRING
 from mbsgen.importing.osim_functions import FUNCTIONS
 from mbsgen.importing.osim_joints import JOINTS
+from mbsgen.importing.osim_muscles import PATHS, POINTS
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place
 
 _SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance WrapObjectSet wrap_objects display"
@@ -15,14 +16,13 @@ _VECTORS = "location=value orientation=value"
 _BOTH = " ".join(f"{name}_body_{k}=value" for name in ("location", "orientation") for k in (1, 2))
 _FUNCTIONS = " ".join(f"{name}=function" for name in FUNCTIONS)
 _MUSCLES = (
-    "Thelen2003Muscle Thelen2003Muscle_Deprecated Schutte1993Muscle_Deprecated Delp1990Muscle_Deprecated "
-    "Millard2012EquilibriumMuscle Millard2012AccelerationMuscle DeGrooteFregly2016Muscle RigidTendonMuscle "
+    "Thelen2003Muscle_Deprecated Schutte1993Muscle_Deprecated Delp1990Muscle_Deprecated Millard2012AccelerationMuscle "
     "McKibbenActuator PathActuator"
 )
 _CONTACTS = "HuntCrossleyForce ElasticFoundationForce SmoothSphereHalfSpaceForce MeyerFregly2016Force"
 _SPRINGS = (
     "BushingForce FunctionBasedBushingForce ExpressionBasedBushingForce PointToPointSpring Ligament "
-    "Blankevoort1991Ligament PathSpring ExpressionBasedPointToPointForce ExpressionBasedCoordinateForce "
+    "Blankevoort1991Ligament ExpressionBasedPointToPointForce ExpressionBasedCoordinateForce "
     "TwoFrameLinker CoordinateLinearStop"
 )
 _ACTUATORS = (
@@ -95,7 +95,9 @@ PLACES: dict[str, Place] = {
     ),
     "forces": place(read="@name objects=forces_in", idle="groups"),
     "forces_in": place(
-        read=" ".join(f"{name}*=actuator" for name in ACTUATORS) + f" {SPRING}*=spring {LIMIT}*=limit",
+        read=" ".join(f"{name}*=actuator" for name in ACTUATORS)
+        + f" {SPRING}*=spring {LIMIT}*=limit "
+        + " ".join(f"{name}*=line" for name in PATHS),
         warned=_out(_MUSCLES, "muscles are not part of the model: its force is left out")
         | _out(_CONTACTS, "this contact is not part of the model; describe it under contacts")
         | _out(_SPRINGS, "this force is not part of the model; describe it under forces or wrenches")
@@ -115,6 +117,38 @@ PLACES: dict[str, Place] = {
         "lower_stiffness=value lower_limit=value damping=value transition=value",
         idle="compute_dissipation_energy",
     ),
+    "line": place(
+        read="@name appliesForce=value isDisabled=value GeometryPath=path path=paths max_isometric_force=value "
+        "optimal_fiber_length=value tendon_slack_length=value pennation_angle_at_optimal=value fiber_damping=value "
+        "max_contraction_velocity=value ignore_tendon_compliance=value ignore_passive_fiber_force=value "
+        "active_force_width_scale=value passive_fiber_strain_at_one_norm_force=value FmaxTendonStrain=value "
+        "tendon_strain_at_one_norm_force=value FmaxMuscleStrain=value FiberForceLengthCurve=curve "
+        "TendonForceLengthCurve=curve resting_length=value stiffness=value dissipation=value",
+        idle="min_control max_control optimal_force default_activation default_fiber_length KshapeActive KshapePassive "
+        "default_normalized_tendon_force activation_time_constant deactivation_time_constant Af Flen "
+        "ignore_activation_dynamics tendon_compliance_dynamics_mode activation_dynamics_smoothing minimum_activation "
+        "fv_linear_extrap_threshold maximum_pennation_angle ActiveForceLengthCurve ForceVelocityCurve "
+        "active_force_length_curve passive_force_length_curve force_velocity_curve",
+    ),
+    "curve": place(
+        read="@name strain_at_one_norm_force=value",
+        idle="strain_at_zero_force stiffness_at_low_force stiffness_at_one_norm_force curviness norm_force_at_toe_end",
+    ),
+    "paths": place(read="GeometryPath=path"),
+    "path": place(
+        read="@name PathPointSet=pathpoints PathWrapSet=wraps", idle="VisibleObject Appearance display default_color"
+    ),
+    "pathpoints": place(read="@name objects=points_in", idle="groups"),
+    "points_in": place(read=" ".join(f"{name}*=point" for name in POINTS)),
+    "point": place(
+        read="@name location=value socket_parent_frame=value body=value range=value coordinate=value "
+        "socket_coordinate=value "
+        + " ".join(f"{x}_location=functions {x}_coordinate=value socket_{x}_coordinate=value" for x in "xyz"),
+        idle="VisibleObject Appearance",
+    ),
+    "wraps": place(read="@name objects=wraps_in", idle="groups"),
+    "wraps_in": place(read="PathWrap*=wrap"),
+    "wrap": place(read="@name wrap_object=value method=value range=value"),
     "markers": place(read="@name objects=markers_in", idle="groups"),
     "markers_in": place(read="Marker*=marker"),
     "marker": place(read="@name socket_parent_frame=value body=value location=value", idle="fixed"),

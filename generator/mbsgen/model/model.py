@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation
+from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation, names
 from mbsgen.manifest import Shape
 from mbsgen.model.muscles import LENGTH as LENGTH
 from mbsgen.model.muscles import LENGTH_RATE as LENGTH_RATE
@@ -346,6 +346,12 @@ class ForceElement:
     def law(self) -> Expression:
         """Return the tension beside springs and dampers."""
         return self.force if self.muscle is None else self.muscle.tension
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Return the names in its law and of its muscle's signals."""
+        own = names(self.law)
+        return own if self.muscle is None else own | names(self.muscle.activation)
 
     @property
     def path(self) -> tuple[PathPoint, ...]:

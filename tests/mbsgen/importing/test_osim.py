@@ -220,8 +220,8 @@ def test_ranges_are_bounds(tmp_path: Path) -> None:
 def test_what_is_left_out_is_named_with_its_line(tmp_path: Path) -> None:
     """Muscles, contacts, unknown forces, controllers, prescribed motions: a warning each."""
     names = (
-        "Thelen2003Muscle",
-        "DeGrooteFregly2016Muscle",
+        "Schutte1993Muscle_Deprecated",
+        "Millard2012AccelerationMuscle",
         "HuntCrossleyForce",
         "BushingForce",
         "TorqueActuator",
@@ -234,7 +234,7 @@ def test_what_is_left_out_is_named_with_its_line(tmp_path: Path) -> None:
     constraint = '<PointOnLineConstraint name="p"><x>1</x></PointOnLineConstraint>'
     text = write_model([link], forces=forces, constraints=constraint, more=controllers)
     warnings = show(read(tmp_path, text), alters=True)
-    first = text.splitlines().index(next(line for line in text.splitlines() if "Thelen" in line)) + 1
+    first = text.splitlines().index(next(line for line in text.splitlines() if "Schutte" in line)) + 1
     for k, name in enumerate(names):
         assert (
             f"leg.osim:{first + k}: OpenSimDocument/Model[leg]/ForceSet[forceset]/objects/{name}[x{k}]: warning"

@@ -1,0 +1,84 @@
+"""Muscles and springs along paths in OpenSim's files, in the forms of versions 3 and 4, with numbers of our own."""
+
+from __future__ import annotations
+
+from tests.mbsgen.importing.osim_files import LEG, LINE, SPLINE, write_model
+
+Place = tuple[str, str]  # a body, and a location
+
+
+def _frame(body: str, version: int) -> str:
+    if version < 40000:
+        return f"<body>{body}</body>"
+    path = "/ground" if body == "ground" else f"/bodyset/{body}"
+    return f"<socket_parent_frame>{path}</socket_parent_frame>"
+
+
+def fixed(name: str, body: str, location: str, version: int = 40000) -> str:
+    return f'<PathPoint name="{name}">{_frame(body, version)}<location>{location}</location></PathPoint>'
+
+
+def conditional(name: str, body: str, location: str, coordinate: str, bounds: str, version: int = 40000) -> str:
+    tag = "coordinate" if version < 40000 else "socket_coordinate"
+    path = coordinate if version < 40000 else f"/jointset/to_{body}/{coordinate}"
+    return (
+        f'<ConditionalPathPoint name="{name}">{_frame(body, version)}<location>{location}</location>'
+        f"<{tag}>{path}</{tag}><range>{bounds}</range></ConditionalPathPoint>"
+    )
+
+
+def moving(name: str, body: str, coordinate: str, functions: tuple[str, str, str], version: int = 40000) -> str:
+    socket = "" if version < 40000 else "socket_"
+    path = coordinate if version < 40000 else f"/jointset/to_{body}/{coordinate}"
+    places = "".join(
+        f"<{x}_location>{f}</{x}_location><{socket}{x}_coordinate>{path}</{socket}{x}_coordinate>"
+        for x, f in zip("xyz", functions, strict=True)
+    )
+    return f'<MovingPathPoint name="{name}">{_frame(body, version)}{places}</MovingPathPoint>'
+
+
+def line(kind: str, name: str, points: str, more: str = "", wraps: str = "") -> str:
+    return (
+        f'<{kind} name="{name}"><GeometryPath><PathPointSet><objects>{points}</objects></PathPointSet>'
+        f"<PathWrapSet><objects>{wraps}</objects></PathWrapSet></GeometryPath>{more}</{kind}>"
+    )
+
+
+def numbers(**given: object) -> str:
+    return "".join(f"<{key}>{str(x).lower() if isinstance(x, bool) else x}</{key}>" for key, x in given.items())
+
+
+def write_forces(version: int = 40000) -> str:
+    """Write muscles of all kinds and a spring."""
+    z = "<Constant><value>0.02</value></Constant>"
+    via = fixed("a", "ground", "0.1 0.2 0.05", version), fixed("b", "femur", "0.05 -0.1 0.02", version)
+    knee = conditional("c", "tibia", "0.04 -0.02 0.01", "knee", "-0.3 0.4", version)
+    end = moving("d", "tibia", "knee", (SPLINE, LINE.replace("1 0<", "0.1 0.02<"), z), version)
+    foot = fixed("e", "foot", "0.03 -0.1 0.02", version)
+    own = numbers(max_isometric_force=900, optimal_fiber_length=0.2, tendon_slack_length=0.15)
+    degroote = numbers(
+        pennation_angle_at_optimal=0.2, fiber_damping=0.01, active_force_width_scale=1.5, max_contraction_velocity=12,
+        passive_fiber_strain_at_one_norm_force=0.7, tendon_strain_at_one_norm_force=0.05,
+        ignore_tendon_compliance=True, ignore_passive_fiber_force=True,
+    )  # fmt: skip
+    millard = numbers(fiber_damping=0.05, default_fiber_length=0.1) + (
+        "<FiberForceLengthCurve><strain_at_one_norm_force>0.65</strain_at_one_norm_force></FiberForceLengthCurve>"
+        "<TendonForceLengthCurve><strain_at_one_norm_force>0.04</strain_at_one_norm_force></TendonForceLengthCurve>"
+    )
+    thelen = numbers(FmaxMuscleStrain=0.5, FmaxTendonStrain=0.033)
+    springs = numbers(resting_length=0.3, stiffness=250, dissipation=0.1)
+    return "\n".join(
+        (
+            line("DeGrooteFregly2016Muscle", "long", "".join((*via, knee, foot)), own + degroote),
+            line("Millard2012EquilibriumMuscle", "two-joints", via[1] + knee + end, own + millard),
+            line("Thelen2003Muscle", "short.1", via[0] + end, own + thelen),
+            line("RigidTendonMuscle", "rigid", via[1] + knee + foot, own),
+            line("PathSpring", "strap", via[0] + foot, springs),
+        )
+    )
+
+
+CASES = {
+    "leg": write_model(LEG, forces=write_forces()),
+    "leg_3": write_model(LEG, version=30000, forces=write_forces(30000)),
+}
