@@ -36,7 +36,7 @@ MAX_NODES = 4000  # so 4000 characters always pass
 MAX_LENGTH = 12_000  # characters: room for the spaces and brackets with which expressions are written
 MAX_DEPTH = 40  # walks over an expression recurse; sums and products that are longer are halved, again and again
 MAX_POWER = 16  # of one **
-MAX_DEGREE = 64  # of the whole: powers of powers, and products, in the same name or number
+MAX_DEGREE = 128  # of the whole: powers of powers, and products, in the same name or number
 MAX_DIGITS = 64  # characters of one number
 
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
@@ -180,6 +180,23 @@ def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expr
             return replace(expression, base=substitute(base, values))
         case Call(_, arguments):
             return replace(expression, arguments=tuple(substitute(x, values) for x in arguments))
+    return expression
+
+
+def fold(expression: Expression) -> Expression:
+    """Compute the parts of an expression that have no names, in doubles. Raises ExpressionError without a value."""
+    if not names(expression):
+        value = evaluate(expression, {}, FLOATS)
+        return Negation(Number(-value)) if value < 0 else Number(value)
+    match expression:
+        case Negation(operand):
+            return Negation(fold(operand))
+        case Operation(_, left, right):
+            return replace(expression, left=fold(left), right=fold(right))
+        case Power(base):
+            return replace(expression, base=fold(base))
+        case Call(_, arguments):
+            return replace(expression, arguments=tuple(map(fold, arguments)))
     return expression
 
 

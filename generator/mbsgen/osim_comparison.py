@@ -5,7 +5,7 @@ the free joints their rates are differences in 60 digits. Coordinates of the fil
 of balls and free joints are angular velocities in the parent's frame. Both sides are projected on the free joints.
 Moment arms are, with the other sign, the rates of a length where one free joint moves at the speed 1.
 
-OpenSim runs in a process of its own, by the Python that MBSGEN_OPENSIM names, or by this one.
+OpenSim runs in another process, by the Python that MBSGEN_OPENSIM names, or by this one.
 """
 
 from __future__ import annotations

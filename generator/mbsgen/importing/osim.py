@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute
+from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute, write
 from mbsgen.importing.closing import Closure, Curve, Equation, Spot, Term, X
 from mbsgen.importing.drafting import Choices, Draft, FileCoordinate, Imported, Move, list_moves, move_freely
 from mbsgen.importing.findings import Findings
@@ -185,7 +185,7 @@ class _File:
         return replace(imported, coordinates=tuple(self._list_coordinates()), balls=turns)
 
     def _list_coordinates(self) -> Iterator[FileCoordinate]:
-        """Yield the coordinates of the file by the joints of the model, without those of joints that close loops."""
+        """Yield the coordinates of the file by the joints of the model; joints that close loops have none."""
         for name in self._coordinates:
             amount = self._replace(Sum(slopes={name: 1.0})).rescale(self._sizes)
             if not amount.coordinates:
@@ -595,7 +595,7 @@ class _File:
         for name, curve in amount.curves:
             own = {X: Name(self._name_coordinate(line, name))}
             total = Operation("+", total, substitute(curve, own))
-        return total
+        return parse(write(total))
 
     def _name_coordinate(self, line: Line, coordinate: str) -> str:
         """Return the name of a coordinate in forces; a fault where it is no joint."""

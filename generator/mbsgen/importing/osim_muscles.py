@@ -183,7 +183,9 @@ class Paths:
             text = text if bound is None else f"{function}({text}, {write_number(bound)})"
         if text == X:
             return amount
-        curves = [(name, Operation("*", Number(slope), parse(text))) for slope in amount.slopes.values()]
+        curves: list[tuple[str, Expression]] = [
+            (name, Operation("*", Number(slope), parse(text))) for slope in amount.slopes.values()
+        ]
         curves += [(name, substitute(curve, {X: parse(text)})) for _, curve in amount.curves]
         return Sum(amount.constant, curves=tuple(curves))
 
@@ -218,9 +220,9 @@ class Paths:
             numbers["passive"] = 0.0
         signal = spell_signal(name)
         is_rigid = _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
-        own = {key: Number(x) for key, x in numbers.items()}
+        values = {key: Number(x) for key, x in numbers.items()}
         tendon = None if is_rigid else Name(f"{signal}_tendon")
-        return Muscle(activation=Name(signal), tendon_force=tendon, **own)
+        return Muscle(activation=Name(signal), tendon_force=tendon, **values)
 
     def _check(self, element: Element, tag: str, value: float, *, may_vanish: bool) -> None:
         child = element.first(tag) or element

@@ -143,7 +143,7 @@ def _check_muscle(
     """Find what is wrong with the numbers of a muscle."""
     for key, number in (("stiffness", element.stiffness), ("damping", element.damping), ("force", element.force)):
         if number != ZERO:
-            yield Finding((*place, key), f"a muscle with a {key} of its own", "add a spring beside the muscle")
+            yield Finding((*place, key), f"a {key} beside the law of a muscle", "add a spring beside the muscle")
     if element.cable is not None:
         yield Finding((*place, "type"), "a cable that is a muscle", "give type: muscle")
     place = (*place, "muscle")

@@ -39,7 +39,8 @@ _PASSIVE = parse("(exp(4*(n - 1)/passive) - exp(-3.2/passive))/(exp(4) - exp(-3.
 _TENDON = parse("tendon*(1 + log((tendon_force + 0.2)/0.2)*tendon_strain/log(6))")
 _TENDON_RATE = parse("tendon*tendon_force_rate*tendon_strain/(log(6)*(tendon_force + 0.2))")
 _FIBRE = parse("sqrt(along**2 + (fibre*sin(pennation))**2)")
-_PULL = parse("activation*active*faster + slack + damping*y")
+_PULL = parse("activation*active*faster + slack")
+_DAMPING = parse("damping*y")
 _HYPERBOLIC = parse("(k - 0.8825327733249912)/0.3211346127989808")
 _SOLVED = parse("((exp(-h) - exp(h))/2 + 0.374)/(-8.149)")  # y, as f_v(y) = k
 
@@ -62,7 +63,7 @@ class Muscle:
 
     @property
     def numbers(self) -> Mapping[str, Expression]:
-        """Return all numbers by their names, except for those that a use gives."""
+        """Return the numbers of the model by their names."""
         given = {x.name: getattr(self, x.name) for x in fields(self)}
         return {key: x for key, x in given.items() if key not in GIVEN}
 
@@ -127,9 +128,12 @@ class Muscle:
         rate: Expression = Name(LENGTH_RATE)
         if self.tendon_force is not None:
             rate = Operation("-", rate, self._read(_TENDON_RATE))
-        y = self._read(parse("rate*cosine/(speed*fibre)"), rate=rate, cosine=Name(COSINE))
+        turned = "rate/(speed*fibre)" if self.pennation == ZERO else "rate*cosine/(speed*fibre)"
+        y = self._read(parse(turned), rate=rate, cosine=Name(COSINE))
         faster = self._read(_SPEED, z=substitute(parse("-8.149*y - 0.374"), {"y": y}))
-        force = self._read(_PULL, active=self._active, faster=faster, slack=self._slack, y=y)
+        force = self._read(_PULL, active=self._active, faster=faster, slack=self._slack)
+        if self.damping != ZERO:
+            force = Operation("+", force, self._read(_DAMPING, y=y))
         return force if self.pennation == ZERO else Operation("*", force, Name(COSINE))
 
     def _read(self, expression: Expression, **more: Expression) -> Expression:
