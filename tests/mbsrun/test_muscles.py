@@ -127,7 +127,7 @@ FAULTS = {
     "angle": ("10 deg", "10", "pennation: an angle of 10 rad; give less than a quarter turn; 15 deg has a unit"),
     "activation": ("activation: rectus", "activation: rektus", "rektus"),
     "spring": ("type: muscle\n    from: {body: base, position: [0.02", "type: muscle\n    stiffness: 3\n    from: "
-               "{body: base, position: [0.02", "stiffness: a stiffness beside the law of a muscle; add a spring beside"),
+               "{body: base, position: [0.02", "stiffness: a stiffness beside the law of a muscle"),
     "bare": ("    muscle: {strength: 1169", "    # {strength: 1169", "strength: found 0; give more than 0"),
     "body": ("via: [{body: thigh", "via: [{body: tigh", 'there is no body "tigh"; did you mean "thigh"?'),
     "unknown": ("tendon: 0.37,", "tendom: 0.37,", "tendom"),

@@ -220,7 +220,7 @@ class Paths:
             numbers["passive"] = 0.0
         signal = spell_signal(name)
         is_rigid = _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
-        values = {key: Number(x) for key, x in numbers.items()}
+        values = {key: Number(x) for key, x in numbers.items() if not (is_rigid and key == "tendon_strain")}
         tendon = None if is_rigid else Name(f"{signal}_tendon")
         return Muscle(activation=Name(signal), tendon_force=tendon, **values)
 
