@@ -42,6 +42,7 @@ typedef struct {
     casadi_real gap;   /* the largest |h| before the last closing */
     casadi_real volume; /* the logarithm of the dependent joints' determinant */
     casadi_real *first, *tried;         /* nq + n: the rates at the start of a step, the end of a shorter one */
+    casadi_real *hold;                  /* n: the forces that hold joints, of a mechanism with loops */
     casadi_real *start, *end, *between; /* guards and then their rates, in a step */
     casadi_real lowest, fraction; /* of the guards at the stages of a step, and where in it */
     int is_watching;   /* stages note the lowest guard */
@@ -77,7 +78,7 @@ static int fail(mbs_run *r, int status, const casadi_real *equations)
 casadi_int mbs_explicit_reals(const mbs_explicit *p, casadi_int stages)
 {
     const casadi_int size = p->nq + p->n;
-    const casadi_int guards = p->modes ? 2 * size + 6 * p->modes->guards : 0;
+    const casadi_int guards = p->modes ? 2 * size + 6 * p->modes->guards + p->n : 0;
     return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1) + guards;
 }
 
@@ -99,6 +100,7 @@ static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_rea
     r.least.A = r.B, r.least.e = p->e, r.least.n = 0, r.least.rank = 0;
     r.first = r.k + (p->nq + p->n) * how->stages, r.tried = r.first + p->nq + p->n, r.start = r.tried + p->nq + p->n;
     r.end = r.start + (p->modes ? 2 * p->modes->guards : 0), r.between = r.end + (r.end - r.start);
+    r.hold = r.between + (r.end - r.start);
     r.lowest = r.fraction = 0, r.is_watching = 0;
     for (i = 0, k = 0; i < p->n; ++i)
         if (k < p->d && p->driven[k] == i)
@@ -510,11 +512,33 @@ static void combine(const mbs_run *r, casadi_int count, const casadi_real *weigh
         y[c] = x ? x[c] + h * y[c] : h * y[c];
 }
 
+/* Take the forces of loops out of the residual r, which then holds the forces on held joints: J^T lam, with the lam that
+ * leave nothing on free joints but their friction. */
+static int subtract_loops(mbs_run *r)
+{
+    const mbs_explicit *p = r->p;
+    casadi_int i, k;
+    const int status = differentiate(r);
+    if (status)
+        return status;
+    factorise_free(r, 0);
+    for (k = 0; k < r->free; ++k)
+        r->x[k] = p->r[r->moves[k]] - brake(p, r->moves[k]);
+    mbs_least_weigh(&r->least, r->x, r->g);
+    for (k = 0; k < p->n; ++k) {
+        r->hold[k] = p->r[k];
+        for (i = 0; i < p->e; ++i)
+            r->hold[k] -= r->J[i * p->n + k] * r->g[i];
+    }
+    return 0;
+}
+
 /* Write the guards at the plant's state, then their rates; the rates of forces are 0. `rate` holds the rates of the state. */
 static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
 {
     const mbs_explicit *p = r->p;
     const mbs_modes *m = p->modes;
+    const casadi_real *hold = p->e ? r->hold : p->r;
     casadi_int k;
     int status = 0, is_held = 0;
     for (k = 0; k < m->guards; ++k)
@@ -523,9 +547,11 @@ static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
         p->rest[k] = rate[p->nq + k];
     if (is_held && (status = call(p->residual)) != 0)
         return status;
+    if (is_held && p->e && (status = subtract_loops(r)) != 0)
+        return status;
     for (k = 0; k < m->guards; ++k) {
         const casadi_int i = m->joint[k];
-        const casadi_real x = m->kind[k] == MBS_PLACE ? p->q[m->place[k]] : m->kind[k] == MBS_SPEED ? p->qd[i] : p->r[i];
+        const casadi_real x = m->kind[k] == MBS_PLACE ? p->q[m->place[k]] : m->kind[k] == MBS_SPEED ? p->qd[i] : hold[i];
         const casadi_real slope = m->kind[k] == MBS_PLACE ? p->qd[i] : m->kind[k] == MBS_SPEED ? rate[p->nq + i] : 0;
         values[k] = m->side[k] * (x - m->level[k]);
         values[m->guards + k] = m->side[k] * slope;

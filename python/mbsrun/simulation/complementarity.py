@@ -19,14 +19,18 @@ Array = NDArray[np.float64]
 
 NOISE = 1e-12  # of the terms of a number: a smaller one is 0
 PATIENCE = 8  # exchanges of many entries at once that leave no fewer faulty ones
+PROXIMITY = 1e-9  # of a diagonal entry: what is added to a singular matrix
+PROXIMAL = 200  # steps of the proximal point method
+SETTLED = 1e-14  # of the terms of a number: a smaller change ends it
 LOW, WITHIN, HIGH = -1, 0, 1  # where an entry of x is
 
 
 class ComplementarityError(MbsError):
     """A problem without a solution, or with several: its matrix is not positive definite to rounding."""
 
-    def __init__(self) -> None:
-        super().__init__("the complementarity problem has no solution, or several: its matrix is singular to rounding")
+    def __init__(self, finding: str = "") -> None:
+        known = "the complementarity problem has no solution, or several: its matrix is singular to rounding"
+        super().__init__(finding or known)
 
 
 def solve_bounded(A: Array, b: Array, low: Array, high: Array) -> tuple[Array, Array, NDArray[np.int_]]:
@@ -50,6 +54,26 @@ def solve_bounded(A: Array, b: Array, low: Array, high: Array) -> tuple[Array, A
         if patience < 0:
             faulty = faulty[:1]
         place[faulty] = moves[faulty]
+    raise ComplementarityError
+
+
+def solve_redundant(
+    A: Array, b: Array, low: Array, high: Array, near: Array, sizes: Array
+) -> tuple[Array, Array, NDArray[np.int_]]:
+    """Solve the same for a singular A >= 0; of several solutions return one near `near`, (m,).
+
+    Each x minimises x^T A x/2 + b^T x + PROXIMITY/2 |x - last|^2, weighted by `sizes` (m,), as large as the diagonal
+    of A may be (Rockafellar, "Monotone operators and the proximal point algorithm", SIAM J. Control Optim. 14 (1976)).
+    Raises ComplementarityError where no x is a solution.
+    """
+    x, weight = np.clip(near, low, high), PROXIMITY * sizes
+    for _ in range(PROXIMAL):
+        last = x
+        x, _, place = solve_bounded(A + np.diag(weight), b - weight * last, low, high)
+        noise = SETTLED * (np.abs(A) @ np.abs(x) + np.abs(b))
+        if (weight * np.abs(x - last) <= noise).all():
+            y = A @ x + b
+            return x, np.where(place == WITHIN, 0.0, y), place
     raise ComplementarityError
 
 

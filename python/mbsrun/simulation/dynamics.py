@@ -215,25 +215,31 @@ class Dynamics(Equations):
 
     def solve(self, M: Array, right: Array) -> Array:
         """Solve M x = right, M (..., n, n). Raises SingularError."""
-        try:
-            L = np.linalg.cholesky(M)
-        except np.linalg.LinAlgError:
-            raise SingularError(self.find_pivot(M)) from None
-        pivots = np.diagonal(L, axis1=-2, axis2=-1) ** 2
-        if (pivots <= self.size * LOST * np.finfo(float).eps * np.diagonal(M, axis1=-2, axis2=-1)).any():
-            raise SingularError(self.find_pivot(M))
+        self.factorise(M, np.arange(self.size))
         return np.asarray(np.linalg.solve(M, right[..., None])[..., 0])
 
-    def find_pivot(self, M: Array) -> str:
+    def factorise(self, M: Array, chosen: NDArray[np.intp]) -> Array:
+        """Return the Cholesky factor of M (..., n, n) for the chosen joints, (..., f, f). Raises SingularError."""
+        block = M[..., chosen[:, None], chosen]
+        try:
+            L = np.linalg.cholesky(block)
+        except np.linalg.LinAlgError:
+            raise SingularError(self.find_pivot(block, chosen)) from None
+        pivots = np.diagonal(L, axis1=-2, axis2=-1) ** 2
+        if (pivots <= self.size * LOST * np.finfo(float).eps * np.diagonal(block, axis1=-2, axis2=-1)).any():
+            raise SingularError(self.find_pivot(block, chosen))
+        return np.asarray(L)
+
+    def find_pivot(self, M: Array, chosen: NDArray[np.intp] | None = None) -> str:
         """Name the joint whose pivot is lost first: the leading block up to it has no Cholesky factor, or a bad one."""
-        n = self.size
-        for matrix in M.reshape(-1, n, n):
-            for j in range(n):
+        chosen = np.arange(self.size) if chosen is None else chosen
+        for matrix in M.reshape(-1, len(chosen), len(chosen)):
+            for j, joint in enumerate(chosen):
                 block = matrix[: j + 1, : j + 1]
                 pivot = block[j, j] - block[j, :j] @ np.linalg.lstsq(block[:j, :j], block[:j, j], rcond=None)[0]
-                if not pivot > n * LOST * np.finfo(float).eps * block[j, j]:
-                    return self.kernels.manifest.coordinates[j].name
-        return self.kernels.manifest.coordinates[-1].name
+                if not pivot > self.size * LOST * np.finfo(float).eps * block[j, j]:
+                    return self.kernels.manifest.coordinates[joint].name
+        return self.kernels.manifest.coordinates[chosen[-1]].name
 
 
 def find_mass_matrix(kernel: Kernel) -> Argument:

@@ -130,11 +130,7 @@ def march(
     count = 0 if plant.manner.estimates else count_steps(piece, settings.step)
     time, first = piece.start, 0
     while time < piece.end:
-        steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else FREE_STEPS)
-        allowance.spend()
-        times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
-        length = (piece.end - piece.start) / count if count else None
-        done, halt, states = plant.run(piece, state, times, steps, length)
+        done, halt, times, states = plant.advance(piece, state, time, first, count, allowance)
         if done:
             allowance.note(done - 1)
             time, state, first = float(times[done]), states[done], first + done
@@ -359,6 +355,20 @@ class Plant:
         effort.gap = max(effort.gap, outcome.gap)
         self.is_event = outcome.status == EVENT
         return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
+
+    def advance(
+        self, piece: Piece, state: Array, time: float, first: int, count: int, allowance: Allowance
+    ) -> tuple[int, BaseException | None, Array, Array]:
+        """Take some steps from a time: by a tolerance, or of the piece's `count` equal ones from number `first` on.
+
+        Returns how many, why they end early, and times and states by rows. Raises LimitError.
+        """
+        steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else FREE_STEPS)
+        allowance.spend()
+        times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
+        length = (piece.end - piece.start) / count if count else None
+        done, halt, states = self.run(piece, state, times, steps, length)
+        return done, halt, times, states
 
     def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
         """Return the motion within steps that begin at `times` (k,) and `states` (k, nq + n)."""

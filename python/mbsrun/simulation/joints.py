@@ -84,19 +84,29 @@ class Joints:
         slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
         return np.asarray(-2 * slowness**2 * qd * (self.rub(qd) - self.torque))
 
-    def brake(self, modes: NDArray[np.int_]) -> Brakes:
-        """Return held joints, and the friction of others, for the C functions."""
+    def brake(self, modes: NDArray[np.int_], forces: Array, locking: NDArray[np.intp]) -> Brakes:
+        """Return held joints, and the friction of others, for the C functions.
+
+        `locking` joints hold all joints at rest; others at rest are braked by their constant `forces` (n,).
+        """
         slowness = np.divide(1.0, self.stribeck, out=np.zeros_like(self.stribeck), where=self.stribeck > 0)
         fall = np.where(self.stribeck > 0, self.static - self.torque, 0.0)
         sign = np.where(np.abs(modes) == 1, modes, 0).astype(np.float64)
-        return Brakes([int(mode in HELD) for mode in modes], sign, self.torque, fall, slowness)
+        held = np.isin(np.arange(len(modes)), locking)
+        rests = np.isin(modes, HELD) & ~held
+        torque = np.where(rests, -forces, self.torque)
+        return Brakes(
+            held.astype(int).tolist(), np.where(rests, 1.0, sign), torque, np.where(rests, 0.0, fall), slowness
+        )
 
-    def guard(self, modes: NDArray[np.int_], forces: Array) -> list[Guard]:
-        """List what must hold while the modes last; `forces` hold joints at rest."""
+    def guard(self, modes: NDArray[np.int_], forces: Array, locking: NDArray[np.intp]) -> list[Guard]:
+        """List what must hold while the modes last; `forces` hold joints at rest, of which `locking` ones vary."""
         found = []
         for i, mode in enumerate(modes):
             place = self.place[i]
             if mode in HELD:
+                if i not in locking:
+                    continue
                 most, slack = self.static[i], SLACK * max(self.static[i], np.abs(forces).max())
                 if mode != Mode.LOWER:
                     found.append(Guard(FORCE, i, place, -1.0, most + slack))
@@ -124,7 +134,7 @@ class Joints:
         """Return the places of the stops that are touched, else 0."""
         return np.where(sides > 0, self.lower, np.where(sides < 0, self.upper, 0.0))
 
-    def still(self, qd: Array) -> None:
-        """Set velocities to 0 that are rounding of rest."""
+    def still(self, qd: Array, fastest: float) -> None:
+        """Set velocities to 0 that are rounding of rest, where the fastest one was `fastest`."""
         switching = self.is_dry | np.isfinite(self.lower) | np.isfinite(self.upper)
-        qd[switching & (np.abs(qd) <= STILL * np.abs(qd).max(initial=0.0))] = 0.0
+        qd[switching & (np.abs(qd) <= STILL * fastest)] = 0.0

@@ -158,9 +158,9 @@ def _refuse_switching(settings: Settings, manifest: Manifest) -> Iterator[tuple[
         known = ", ".join(name for name, x in METHODS.items() if x.stability is not None)
         finding = f"{settings.method} takes no rigid stops or dry friction, which joints have: {joints}"
         yield "method", finding, f"give one of {known}; or smooth friction by a speed, and give stops a stiffness"
-    if manifest.loops:
-        finding = f"a model with loops, and with rigid stops or dry friction of joints {joints}, is not simulated"
-        yield "loops", finding, "smooth the friction by a speed, and give stops a stiffness"
+    if manifest.loops and settings.loops is Keeping.BAUMGARTE:
+        finding = f"baumgarte lets loops open, where rigid stops or dry friction of joints {joints} hold them"
+        yield "loops", finding, "give projection, mass-projection or partitioning"
 
 
 def takes_too_many_steps(settings: Settings) -> bool:

@@ -262,7 +262,7 @@ class _Record:
             ),
             qdd=self.observer.find_accelerations(t, q, qd, inputs)
             if modes is None
-            else self.forces.find_accelerations(t, q, qd, inputs, modes),
+            else self.forces.find_all(t, q, qd, inputs, modes)[0],
             kernels=self.kernels,
         )
 
@@ -277,9 +277,10 @@ class _Record:
             np.abs(x).max(axis=1, initial=0.0) for x in (self.equations.gaps(q), self.equations.rates(q, qd))
         )
         most = [max(*x) for x in zip(self.gaps, self._measure_gaps(q, qd), strict=True)]
-        multipliers, driving = self.observer.forces(t, q, qd, inputs)
-        if modes is not None:
-            driving = self.forces.drive(t, q, qd, inputs, modes)
+        if modes is None:
+            multipliers, driving = self.observer.forces(t, q, qd, inputs)
+        else:
+            multipliers, driving = self.forces.find_all(t, q, qd, inputs, modes)[1:]
         return ClosureRecord(position, velocity, (most[0], most[1]), multipliers, driving)
 
     def _add_losses(self, chunk: Chunk, segment: Segment, chosen: NDArray[np.intp]) -> None:

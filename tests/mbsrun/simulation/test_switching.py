@@ -439,16 +439,6 @@ def test_an_optimal_control_problem_is_refused(run: Callable[..., tuple[object, 
     assert "model: an optimal control problem would miss dry friction of joints block" in message
 
 
-def test_a_model_with_loops_is_refused(make: Make) -> None:
-    text = (MODELS / "four_bar.yaml").read_text(encoding="utf-8")
-    text = text.replace("name: motor", "name: motor, friction: {torque: 0.1}", 1)
-    bar = make(text)
-    assert bar.manifest.switching == ("motor",)
-    start = list(bar.manifest.pose), [0.0] * len(bar.manifest.coordinates)
-    with pytest.raises(ValueError, match="a model with loops, and with rigid stops or dry friction of joints motor"):
-        simulate(bar, hold([0.0] * len(bar.manifest.inputs)), *start, Settings(1.0))
-
-
 def test_tables_hold_modes_losses_and_events(run: Callable[..., tuple[object, str]], tmp_path: Path) -> None:
     model, settings = (MODELS / "switching" / name for name in ("door.yaml", "door.settings.yaml"))
     assert run("simulate", str(model), "--settings", str(settings), "-o", str(tmp_path))[0] == 0
