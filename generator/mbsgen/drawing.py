@@ -131,7 +131,9 @@ def describe_joint(tree: Tree, number: int) -> str:
     kind = kind if joint.actuated else f"{kind}, passive"
     if joint.stops is not None:
         kind += ", compliant stops" if joint.stops.restitution is None else f", stops of {joint.stops.restitution:g}"
-    return kind if joint.dry is None else f"{kind}, dry friction"
+    if joint.dry is None:
+        return kind
+    return f"{kind}, one-way clutch" if joint.dry.one_way else f"{kind}, dry friction"
 
 
 def draw(tree: Tree, q: Sequence[float]) -> Figure:

@@ -109,6 +109,7 @@ class Friction(_Entry):
     torque: float  # against sliding
     static: float  # the most that holds the joint at rest
     stribeck: float | None  # speed over which the latter falls to the former; None: at once
+    one_way: Literal[-1, 0, 1] = 0  # of a clutch: the only way in which the joint moves; 0: both
 
 
 class Coordinate(_Entry):

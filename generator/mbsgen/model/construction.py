@@ -433,7 +433,7 @@ def _read_friction(
 ) -> tuple[Friction | None, DryFriction | None]:
     if not isinstance(friction, Mapping):
         return read_friction(number(friction[0]), number(friction[1]))
-    numbers = _read_keys(friction, ("torque", "speed", "static", "stribeck"))
+    numbers = _read_keys(friction, ("torque", "speed", "static", "stribeck", "one_way"))
     if "torque" not in numbers:
         raise WrongValueError("friction without a torque", 'give one: {"torque": 0.5}')
     return read_friction(**numbers)

@@ -124,6 +124,7 @@ class DryFriction:
     torque: Expression  # against sliding; of a prismatic joint, the force [N m or N]
     static: Expression | None = None  # the most that holds a joint at rest; None: the same
     stribeck: Expression | None = None  # speed over which `static` falls to `torque` [rad/s or m/s]; None: at once
+    one_way: Expression | None = None  # of a clutch: 1 or -1, the only way in which the joint moves
 
 
 @dataclass(frozen=True)

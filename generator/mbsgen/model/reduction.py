@@ -452,7 +452,8 @@ def _make_dry(dry: model.DryFriction | None, reader: _Reader) -> tree.DryFrictio
         return None
     torque = reader.constant(dry.torque)
     static = torque if dry.static is None else reader.constant(dry.static)
-    return tree.DryFriction(torque, static, reader.limit(dry.stribeck))
+    way = 0 if dry.one_way is None else round(reader.constant(dry.one_way))
+    return tree.DryFriction(torque, static, reader.limit(dry.stribeck), way)
 
 
 def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Sensor:

@@ -204,7 +204,7 @@ class _Release:
         if dry is None:
             return None
         torque = Number(self._valuation.number((), dry.torque))
-        return DryFriction(torque, self._keep(dry.static), self._keep(dry.stribeck))
+        return DryFriction(torque, *map(self._keep, (dry.static, dry.stribeck, dry.one_way)))
 
     def _stops(self, stops: Stops | None, joint: str) -> Stops | None:
         """Release compliant stops; a restitution stays."""

@@ -216,6 +216,9 @@ class FrictionSection(Section):
         examples=[0.02],
         description="speed over which static falls to torque, rad/s or m/s; by default at once",
     )
+    one_way: OptionalNumberField = Field(
+        None, examples=[None], description="of a one-way clutch: 1 or -1, the only way in which the joint moves"
+    )
 
 
 class StopsSection(Section):
@@ -237,11 +240,12 @@ def read_friction(
     speed: Expression | None = None,
     static: Expression | None = None,
     stribeck: Expression | None = None,
+    one_way: Expression | None = None,
 ) -> tuple[Friction | None, DryFriction | None]:
     """Return friction that is smoothed, or dry; of numbers that contradict each other both, which a check refuses."""
     smooth = None if speed is None else Friction(torque, speed)
-    is_dry = smooth is None or static is not None or stribeck is not None
-    return smooth, DryFriction(torque, static, stribeck) if is_dry else None
+    is_dry = smooth is None or any(x is not None for x in (static, stribeck, one_way))
+    return smooth, DryFriction(torque, static, stribeck, one_way) if is_dry else None
 
 
 class FollowSection(Section):

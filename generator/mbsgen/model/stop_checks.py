@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.model.following import list_joints
-from mbsgen.model.model import ZERO, DryFriction, Joint, Law, Model, Stops
+from mbsgen.model.model import ZERO, DryFriction, Joint, Model, Stops
 from mbsgen.model.valuation import Valuation
 
 
@@ -18,7 +18,7 @@ def check_stops(model: Model, valuation: Valuation) -> Iterator[Finding]:
         if joint.stops is not None:
             yield from _check_stops((*place, "stops"), joint, joint.stops, valuation)
         if joint.dry is not None:
-            yield from _check_dry((*place, "friction"), joint.law, joint.dry, valuation)
+            yield from _check_dry((*place, "friction"), joint, joint.dry, valuation)
         keys = [key for key, is_own in (("friction", joint.dry), ("stops", _is_rigid(joint.stops))) if is_own]
         for key in keys:
             what = "dry friction" if key == "friction" else "rigid stops"
@@ -64,10 +64,10 @@ def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation)
             yield Finding((*place, "dissipation"), f"found {value:g}", "give 0 or more")
 
 
-def _check_dry(place: Place, law: Law, dry: DryFriction, valuation: Valuation) -> Iterator[Finding]:
-    if law.friction is not None:
-        finding = "smoothed friction (speed) that is dry too (static, stribeck)"
-        yield Finding(place, finding, "leave out speed, or static and stribeck")
+def _check_dry(place: Place, joint: Joint, dry: DryFriction, valuation: Valuation) -> Iterator[Finding]:
+    if joint.law.friction is not None:
+        finding = "smoothed friction (speed) that is dry too (static, stribeck, one_way)"
+        yield Finding(place, finding, "leave out speed, or static, stribeck and one_way")
         return
     torque = valuation.constant((*place, "torque"), dry.torque)
     static = torque if dry.static is None else valuation.constant((*place, "static"), dry.static)
@@ -81,3 +81,10 @@ def _check_dry(place: Place, law: Law, dry: DryFriction, valuation: Valuation) -
         yield Finding((*place, "stribeck"), f"a speed of {stribeck:g}", "give more than 0")
     if dry.stribeck is not None and dry.static is None:
         yield Finding((*place, "stribeck"), "a stribeck speed without static", "give static too")
+    if dry.one_way is not None:
+        way = valuation.constant((*place, "one_way"), dry.one_way)
+        if way not in (-1, 1):
+            yield Finding((*place, "one_way"), f"found {way:g}", "give 1, where the joint moves forward alone, or -1")
+        if _is_rigid(joint.stops):
+            finding = "a one-way clutch in a joint with rigid stops"
+            yield Finding((*place, "one_way"), finding, "give one of them, or give the stops a stiffness")

@@ -65,6 +65,7 @@ class DryFriction:
     torque: float  # against sliding
     static: float  # the most that holds a joint at rest
     stribeck: float | None  # speed over which the latter falls to the former; None: at once
+    one_way: int = 0  # of a clutch: 1 or -1, the only way in which the joint moves
 
 
 @dataclass(frozen=True)

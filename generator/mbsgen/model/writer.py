@@ -170,7 +170,7 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
             content[key] = _write_number(bound)
     content |= _write_law(joint.law)
     if joint.dry is not None:
-        content["friction"] = _write_given(joint.dry, ("torque", "static", "stribeck"))
+        content["friction"] = _write_given(joint.dry, ("torque", "static", "stribeck", "one_way"))
     if joint.stops is not None:
         content["stops"] = _write_given(joint.stops, ("restitution", "stiffness", "dissipation"))
     if joint.armature != ZERO:

@@ -36,6 +36,7 @@ class Joints:
     torque: Array
     static: Array
     stribeck: Array  # 0: none
+    one_way: NDArray[np.int_]  # 1, -1: the only way in which a clutch lets the joint move
     is_driven: NDArray[np.bool_]
     driven: list[int] = field(default_factory=list)
 
@@ -55,6 +56,7 @@ class Joints:
             np.array([0.0 if x is None else x.torque for x in dry]),
             np.array([0.0 if x is None else x.static for x in dry]),
             np.array([0.0 if x is None or x.stribeck is None else x.stribeck for x in dry]),
+            np.array([0 if x is None else x.one_way for x in dry], dtype=np.int_),
             np.isin(np.arange(len(joints)), manifest.driven),
             list(manifest.driven),
         )
@@ -108,9 +110,9 @@ class Joints:
                 if i not in locking:
                     continue
                 most, slack = self.static[i], SLACK * max(self.static[i], np.abs(forces).max())
-                if mode != Mode.LOWER:
+                if mode != Mode.LOWER and self.one_way[i] <= 0:
                     found.append(Guard(FORCE, i, place, -1.0, most + slack))
-                if mode != Mode.UPPER:
+                if mode != Mode.UPPER and self.one_way[i] >= 0:
                     found.append(Guard(FORCE, i, place, 1.0, -most - slack))
                 continue
             if abs(mode) == 1:
@@ -130,9 +132,14 @@ class Joints:
                     sides[i], q[k] = side, stop
         return sides
 
+    def press(self, sides: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Return the same for clutches too, which let a joint move away from where it is in one way alone."""
+        return np.where(self.one_way != 0, self.one_way, sides)
+
     def find_stops(self, sides: NDArray[np.int_]) -> Array:
         """Return the places of the stops that are touched, else 0."""
-        return np.where(sides > 0, self.lower, np.where(sides < 0, self.upper, 0.0))
+        stops = np.where(sides > 0, self.lower, np.where(sides < 0, self.upper, 0.0))
+        return np.where(np.isfinite(stops), stops, 0.0)
 
     def still(self, qd: Array, fastest: float) -> None:
         """Set velocities to 0 that are rounding of rest, where the fastest one was `fastest`."""

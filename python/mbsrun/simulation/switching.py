@@ -212,13 +212,14 @@ class _Course:
         inertia = self.forces.weigh(q, qd, piece.at(time, q, qd))
         for k in range(MOST):
             joints.still(qd, self.fastest)
-            closing = sides * qd < 0
+            pressed = joints.press(sides)
+            closing = pressed * qd < 0
             if not closing.any():
                 break
             if k < MANY or (joints.restitution[closing] == 1).any():
-                impact = self.hit(time, piece, q, qd, inertia, np.where(sides * qd > 0, 0, sides))
+                impact = self.hit(time, piece, q, qd, inertia, np.where(pressed * qd > 0, 0, pressed))
             else:  # of impacts that alternate without end, each with less speed
-                impact = self.strike(time, qd, inertia, sides, np.zeros_like(qd))
+                impact = self.strike(time, qd, inertia, pressed, np.zeros_like(qd))
             qd, self.loss, self.driven = impact.qd, self.loss + impact.loss, self.driven + impact.driven
             events += impact.events
             self.jumps = (*self.jumps, impact.jump)
@@ -364,8 +365,9 @@ class _Course:
         starts = np.array([i in released for i in still])
         level[starts] = joints.starting[still[starts]]
         while True:
-            low = np.where(sides[still] < 0, -np.inf, -level)
-            high = np.where(sides[still] > 0, np.inf, level)
+            pressed = joints.press(sides)[still]
+            low = np.where(pressed < 0, -np.inf, -level)
+            high = np.where(pressed > 0, np.inf, level)
             lam, qdd, place = self.weigh(inertia, still, A, free, low, high, self.held[still])
             noise = SLACK * (np.abs(A) @ np.abs(lam) + np.abs(free))
             place = np.where((np.abs(qdd) <= noise) & ~starts, WITHIN, place)

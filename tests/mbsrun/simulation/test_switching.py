@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from mbsgen.errors import InputError
 from mbsgen.expressions import parse
 from mbsrun import Mechanism, cli, load
 from mbsrun.models import INTEGRATED, Extent
@@ -527,3 +528,36 @@ def test_a_motion_without_events_has_the_derivative_of_its_steps(make: Make) -> 
     settings = Settings(2.0, **TIGHT)
     found = differentiate(rod, hold([]), [1.0], [0.5], settings)
     assert found.slopes == pytest.approx(difference(rod, hold([]), np.array([1.0, 0.5]), settings), abs=1e-8)
+
+
+def test_a_one_way_clutch_holds_one_way_and_lets_go_the_other(make: Make) -> None:
+    """Under -sin t - c it is held until sin t = -c, moves by cos t - cos t1 - c (t - t1), and is held at speed 0."""
+    c, block = 0.2, slide(make, "friction: {torque: 0, one_way: 1}", mass=1.0)
+    motion = simulate(block, express([parse("-sin(t) - 0.2")], ["u"], {}), [0.0], [0.0], Settings(8.0, **TIGHT))
+    starts = np.pi + np.arcsin(c)
+    ends = brentq(lambda t: np.cos(t) - np.cos(starts) - c * (t - starts), 5.0, 8.0, xtol=1e-15)
+    assert times(motion, Kind.SLIP) == pytest.approx([starts], abs=1e-12)
+    assert times(motion, Kind.STICK) == pytest.approx([ends], abs=1e-12)
+    assert motion.qd.min() == 0
+    assert motion.q[-1] == pytest.approx(
+        np.sin(ends) - np.sin(starts) - (ends - starts) * np.cos(starts) - c * (ends - starts) ** 2 / 2, abs=1e-12
+    )
+    motion = simulate(block, hold([1.0]), [0.0], [-2.0], Settings(1.0))
+    assert (motion.events[0].kind, motion.events[0].after) == (Kind.IMPACT, 0)
+    assert motion.energy is not None
+    assert motion.energy.impacts is not None
+    assert motion.energy.impacts[0] == pytest.approx(2.0)
+    assert motion.q[-1] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("friction: {torque: 1, one_way: 2}", "found 2; give 1, where the joint moves forward alone, or -1"),
+        ("friction: {torque: 1, one_way: 1, speed: 0.1}", "smoothed friction .speed. that is dry too"),
+        ("friction: {torque: 1, one_way: 1}, limits: [0, 1], stops: {restitution: 0}", "a one-way clutch in a joint"),
+    ],
+)
+def test_clutches_that_contradict_themselves_are_refused(options: str, message: str, make: Make) -> None:
+    with pytest.raises(InputError, match=message):
+        slide(make, options)
