@@ -208,6 +208,7 @@ def test_friction_of_a_driven_mechanism_turns_with_its_joints(tmp_path: Path) ->
     """A driven crank leaves no freedom: the rocker's friction changes its sign at both dead points, and is paid for."""
     file = tmp_path / "driven.yaml"
     text = (MODELS / "four_bar.yaml").read_text(encoding="utf-8").replace("independent: [motor]", "driven: [motor]")
+    text = text.replace("{name: motor,", "{name: motor, actuated: false,", 1)
     file.write_text(text, encoding="utf-8")
     bar = equip(load(file, extent=Extent(LOOPS, 1)), swing=rub(0.5))
     start, speed = bar.manifest.pose[0], 20.0
