@@ -232,14 +232,14 @@ class Dynamics(Equations):
 
     def find_pivot(self, M: Array, chosen: NDArray[np.intp] | None = None) -> str:
         """Name the joint whose pivot is lost first: the leading block up to it has no Cholesky factor, or a bad one."""
-        chosen = np.arange(self.size) if chosen is None else chosen
-        for matrix in M.reshape(-1, len(chosen), len(chosen)):
-            for j, joint in enumerate(chosen):
+        numbers = [*range(self.size)] if chosen is None else [*map(int, chosen)]
+        for matrix in M.reshape(-1, len(numbers), len(numbers)):
+            for j, joint in enumerate(numbers):
                 block = matrix[: j + 1, : j + 1]
                 pivot = block[j, j] - block[j, :j] @ np.linalg.lstsq(block[:j, :j], block[:j, j], rcond=None)[0]
                 if not pivot > self.size * LOST * np.finfo(float).eps * block[j, j]:
                     return self.kernels.manifest.coordinates[joint].name
-        return self.kernels.manifest.coordinates[chosen[-1]].name
+        return self.kernels.manifest.coordinates[numbers[-1]].name
 
 
 def find_mass_matrix(kernel: Kernel) -> Argument:

@@ -60,10 +60,10 @@ class Inertia:
         if not len(self.J) or not chosen.size:
             return True
         columns = self.scale(chosen)
-        return columns.shape[0] >= chosen.size and np.linalg.svd(columns, compute_uv=False)[-1] > LOCKED
+        return columns.shape[0] >= chosen.size and bool(np.linalg.svd(columns, compute_uv=False)[-1] > LOCKED)
 
     def choose(self, chosen: NDArray[np.intp], slack: Array) -> NDArray[np.intp]:
-        """Choose joints that lock all the chosen ones, each with a force of its own; those with most slack first."""
+        """Choose joints that lock all the chosen ones by one distribution of forces; the joints with most slack first."""
         if self.are_independent(chosen):
             return chosen
         most = len(self.moving) - len(self.J)
@@ -92,13 +92,13 @@ class Forces:
         """Compute the inertia at a pose. Raises KernelError and SingularError."""
         M, moving = self.dynamics.mass_matrix(q, qd, v), self.moving
         J = self.closure.jacobian(q)
-        free = np.linalg.inv(self.dynamics.factorise(M, moving))
+        free = np.asarray(np.linalg.inv(self.dynamics.factorise(M, moving)), dtype=np.float64)
         if not len(J):
             return Inertia(M, J, moving, free, free, np.zeros((len(moving), 0)))
         U, sizes, V = np.linalg.svd(J[:, moving] @ free.T)
         rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
-        pull = free.T @ (V[:rank].T / sizes[:rank]) @ U[:, :rank].T
-        return Inertia(M, J, moving, free, V[rank:] @ free, pull)
+        pull = np.asarray(free.T @ (V[:rank].T / sizes[:rank]) @ U[:, :rank].T)
+        return Inertia(M, J, moving, free, np.asarray(V[rank:] @ free), pull)
 
     def accelerate(
         self, time: float, q: Array, qd: Array, v: Array, inertia: Inertia, modes: NDArray[np.int_], forces: Array
@@ -124,7 +124,7 @@ class Forces:
         They are not counted as effort, and NaN where they fail.
         """
         sizes = qd.shape[1], len(self.closure.manifest.owners), len(self.joints.driven)
-        found = tuple(np.full((len(t), size), np.nan) for size in sizes)
+        qdds, lams, taus = (np.full((len(t), size), np.nan) for size in sizes)
         for k, row in enumerate(modes):
             try:
                 inertia = self.weigh(q[k], qd[k], v[k])
@@ -136,9 +136,8 @@ class Forces:
                 continue
             rest -= forces + self.rub(qd[k], row)
             lam = np.linalg.lstsq(inertia.J[:, self.moving].T, rest[self.moving], rcond=RANK)[0]
-            for array, values in zip(found, (qdd, lam, (rest - inertia.J.T @ lam)[self.joints.driven]), strict=True):
-                array[k] = values
-        return found
+            qdds[k], lams[k], taus[k] = qdd, lam, (rest - inertia.J.T @ lam)[self.joints.driven]
+        return qdds, lams, taus
 
     def find_work(
         self, inertia: Inertia, before: Array, after: Array, joints: NDArray[np.intp], impulses: Array

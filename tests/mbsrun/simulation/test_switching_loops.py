@@ -41,7 +41,7 @@ def five_bar() -> Mechanism:
 
 
 def equip(kernels: Mechanism, **joints: Part | tuple[Part, ...]) -> Mechanism:
-    """Give joints rigid stops and dry friction, of which the kernels know nothing."""
+    """Return a mechanism with rigid stops and dry friction, of which the kernels know nothing."""
     found, equipped = [], copy.copy(kernels)
     for coordinate in kernels.manifest.coordinates:
         given = joints.get(coordinate.name, ())
