@@ -63,7 +63,7 @@ class Inertia:
         return columns.shape[0] >= chosen.size and bool(np.linalg.svd(columns, compute_uv=False)[-1] > LOCKED)
 
     def choose(self, chosen: NDArray[np.intp], slack: Array) -> NDArray[np.intp]:
-        """Choose joints that lock all the chosen ones by one distribution of forces; the joints with most slack first."""
+        """Choose joints that lock all the chosen ones by one distribution of forces; most slack goes first."""
         if self.are_independent(chosen):
             return chosen
         most = len(self.moving) - len(self.J)
