@@ -34,7 +34,11 @@ FEWER = {
     "cmake -S": "cmake -DCMAKE_BUILD_TYPE=Debug -S",
 }
 TOOLS = {"docs/microcontroller.md": tuple(bare.PACKAGES), "docs/rust.md": ("cargo",)}  # skipped without them
-LIBRARIES = {"docs/learning.md": ("jax", "torch"), "docs/tutorials/learn.md": ("jax",)}  # skipped without them
+LIBRARIES = {
+    "docs/coming_from.md": ("mujoco", "pinocchio"),
+    "docs/learning.md": ("jax", "torch"),
+    "docs/tutorials/learn.md": ("jax",),
+}  # skipped without them
 SHELL = ("bash", "-euo", "pipefail", "-c")
 SEPARATE = "README.md"  # its commands are started as a user starts them, each in a new process
 

@@ -220,7 +220,8 @@ MBSRUN = Package(
         "lab.interpretation",
         "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.limits lab.locks "
         "lab.loops lab.modelling lab.orientations",
-        "lab.cases lab.maps",
+        "lab.cases lab.maps lab.stability",
+        "lab.stability_map",
         "lab",
         "commands.console",
         "commands.searching commands.failures commands.columns commands.derived",

@@ -45,7 +45,7 @@ STYLE = """\
 
 TUTORIALS = "tutorials"  # their folder
 GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
-    {"Overview": ["readme.md"]},
+    {"Overview": ["readme.md", "coming_from.md"]},
     {
         "Model": [
             "kernels.md",
@@ -93,7 +93,6 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "reproduction.md",
             "study.md",
             "study/README.md",
-            "study/slice/README.md",
             "laboratory/verdicts.md",
         ],
     },

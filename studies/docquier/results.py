@@ -100,8 +100,11 @@ class Results:
         }
 
     def is_measured(self, weights: Weights | None, *names: str) -> bool:
-        """Return whether a set has a solution in each of some representations, at any place."""
-        return weights is not None and all(any(a.cost is not None for a in self.pick(weights, n)) for n in names)
+        """Return whether a set has solutions in each of some representations, for half of the targets or more."""
+        if weights is None:
+            return False
+        solved = [sum(a.cost is not None for a in self.pick(weights, name)) for name in names]
+        return bool(min(solved, default=0)) and 2 * min(solved) >= len(self.study.targets.places)
 
     def values(self, weights: Weights, representation: str, figure: str) -> Array:
         """Return a figure of all solved attempts of the paper's protocol."""

@@ -248,6 +248,7 @@
     ...controllers.map((each) => [each.name, each.kind === "regulator" ? () => regulate(each) : () => predict(each)]),
   ];
   drives.forEach(([name], i) => byId("drive").append(new Option(name, String(i))));
+  if (controllers.length) byId("drive").value = String(drives.length - controllers.length);
 
   function regulate({ pose, inputs, joints, gains }) {
     const q = model.get("coordinate"), v = model.get("velocity");
@@ -277,6 +278,7 @@
     due = seconds;
     if (told && told.kind === "controller" && !loaded.has(told)) loaded.set(told, await loadController(told));
   });
+  byId("drive").dispatchEvent(new Event("change")); // a page with a controller starts with it
 
   // --- simulation ---------------------------------------------------------------------------------------------------
 

@@ -17,10 +17,16 @@ from mbsrun.lab.case import Case, Finding, Verdict, judge
 from mbsrun.lab.cases import CASES
 from mbsrun.lab.maps import draw_maps, measure_maps
 from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
+from mbsrun.lab.stability import STEPS, describe_stability, measure_stability
+from mbsrun.lab.stability_map import draw_stability
 
 NOT_MET = 1
+MODELS = (".yaml", ".yml", ".json", ".urdf", ".xml", ".sdf", ".osim")
 
 LAB_HELP = """Run the laboratory: CASES in which methods lose digits, diverge or mislead, each with its criterion.
+
+Given a model file in place of CASES, it maps the stability of this model: near its worst pose, at ratios of masses, and
+at steps of a motion, each formulation has some right digits, or a status.
 
 Without CASES it runs all of them; `--list` prints them. The output folder keeps every finding at once, so an
 interrupted run continues; another version of the program, or another compiler, measures anew.
@@ -33,16 +39,21 @@ The output folder gets
   laboratory.section.json       captions, with which `mbsrun study --with FOLDER` includes all of it
   findings.jsonl, losses.jsonl  all findings
 
+For a model file it gets
+  stability.png, .svg           the map; stability_narrow.png is for a phone
+  stability.csv, .json          every number
+  *.jsonl                       all measurements
+
 \b
 Exit codes
-  0   all criteria are met
-  1   some criteria are not met, or a case did not end
-  2   a case does not exist
+  0   all criteria are met; of a model, no kernel loses all but two digits without a status
+  1   some criteria are not met, a case did not end, or a kernel loses digits without a status
+  2   a case does not exist, or the model cannot be accepted
 """
 
 
 @click.command("lab", help=LAB_HELP)
-@click.argument("names", metavar="[CASES]...", nargs=-1)
+@click.argument("names", metavar="[CASES | MODEL]...", nargs=-1)
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), default="laboratory")
 @click.option("--list", "listed", is_flag=True, help="Print the cases and their criteria, and run nothing.")
 @click.option("--quick", is_flag=True, help="Leave long trials out: chains of 20 and more, swing-ups.")
@@ -53,6 +64,8 @@ def lab_command(
     context: click.Context, /, names: tuple[str, ...], out: Path, listed: bool, quick: bool, maps: bool | None
 ) -> None:
     """Run the cases, write the findings, and print the verdicts."""
+    if names and _is_model(names[0]):
+        context.exit(_map_stability(names, out, quick=quick))
     cases = _choose(names)
     if listed:
         _print_cases(cases)
@@ -68,12 +81,31 @@ def lab_command(
     context.exit(0 if all(finding.is_met for finding in findings) else NOT_MET)
 
 
+def _is_model(name: str) -> bool:
+    return Path(name).suffix in MODELS or Path(name).exists()
+
+
+def _map_stability(names: Sequence[str], out: Path, *, quick: bool) -> int:
+    """Measure the stability of one model, draw the map, print the findings; return the exit code."""
+    if len(names) > 1:
+        raise click.UsageError(f"found {' '.join(names)}; give one model file, or names of cases")
+    model = Path(names[0])
+    with show_progress() as report:
+        spots = measure_stability(model, out, report, quick=quick)
+    written = draw_stability(model.stem, spots, out)
+    for sentence in describe_stability(spots):
+        click.echo(sentence)
+    click.echo(f"wrote {', '.join(map(str, written))}", err=True)
+    return NOT_MET if any(spot.is_silent and spot.sweep != STEPS for spot in spots) else 0
+
+
 def _choose(names: Sequence[str]) -> list[Case]:
     known = {case.id: case for case in CASES}
     wanted = [name.upper() for name in names]
     strange = [name for name in wanted if name not in known]
     if strange:
-        raise click.UsageError(f"there is no case {', '.join(strange)}; there are {', '.join(known)}")
+        told = f"there is no case {', '.join(strange)}; there are {', '.join(known)}, or give a model file"
+        raise click.UsageError(told)
     return [case for case in CASES if not wanted or case.id in wanted]
 
 

@@ -210,9 +210,9 @@ def state_savings(dots: Sequence[Dot], whole: float, asked: float | None = None)
         none = f"no reduction with errors up to {write_error(limit)} saves a tenth of the time"
         best = min(useful, key=lambda d: d.place[1], default=None)
         return f"N{none[1:]}." if best is None else f"N{none[1:]}; {_write_saving(best, whole)}."
-    if exact is None or rough is exact:
-        return f"{_write_saving(rough, whole)}."
-    return f"{_write_saving(exact, whole)}; {_write_saving(rough, whole)}."
+    first = _write_saving(rough if exact is None else exact, whole)
+    first = first[:1].upper() + first[1:]
+    return f"{first}." if exact is None or rough is exact else f"{first}; {_write_saving(rough, whole)}."
 
 
 def _write_saving(dot: Dot, whole: float) -> str:

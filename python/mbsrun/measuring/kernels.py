@@ -148,9 +148,13 @@ def measure_task(subject: Subject, task: str, scope: KernelScope, store: Store[K
 class KernelTask:
     """One task of one mechanism: candidates, states and expected results."""
 
-    def __init__(self, subject: Subject, task: str, scope: KernelScope) -> None:
+    def __init__(
+        self, subject: Subject, task: str, scope: KernelScope, states: Mapping[str, Array] | None = None
+    ) -> None:
+        """Take a task; without states (K, size) by input, draw them."""
         self.subject, self.task, self.scope = subject, task, scope
-        self.states = add_hidden(subject, draw_states(subject.kernels, max(STATES, scope.judged)))
+        drawn = draw_states(subject.kernels, max(STATES, scope.judged)) if states is None else states
+        self.states = add_hidden(subject, drawn)
 
     @cached_property
     def moments(self) -> list[Moment]:
@@ -177,6 +181,14 @@ class KernelTask:
         }
         points = [replace(draft, ns=cost_of.get(id(draft))) for draft, _ in drafts]
         return [*points, *([self._time_reference()] if self.task in (RESIDUAL, ACCELERATIONS) else [])]
+
+    def judge_states(self, name: str) -> list[tuple[int, float | None]]:
+        """Evaluate a kernel in each of the first `judged` states: its status, and its error; None without a number."""
+        judged = {key: values[: self.scope.judged] for key, values in self.states.items()}
+        statuses, found = compile_kernel(self.subject, name, USUAL).evaluate(judged)
+        errors = [self._compare(k, x).error if x else None for k, x in enumerate(found)]
+        finite = [None if error is None or not np.isfinite(error) else error for error in errors]
+        return list(zip(statuses.tolist(), finite, strict=True))
 
     def _time_reference(self) -> KernelPoint:
         """Return the reference as a point: its time in Python, and no error."""

@@ -57,7 +57,7 @@ def test_savings_name_what_a_reader_acts_on() -> None:
     assert nothing.choose_lines() == ["no gravity", "locking q5"]
     rough = Panel("", (*dots, dot("no forces", 80.0, 1e-16)), "", "", "ns", 0.1, None, whole=100.0)
     assert rough.headline == (
-        "no forces saves 20% of the time without an error; locking q5 saves 29% of the time with errors of 0.04."
+        "No forces saves 20% of the time without an error; locking q5 saves 29% of the time with errors of 0.04."
     )
 
 
