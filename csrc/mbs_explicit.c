@@ -991,3 +991,81 @@ void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, casa
             outcome->status = finish(&r, t + h, h, y);
     }
 }
+
+/* --- series -------------------------------------------------------------------------------------------------------- */
+
+static void copy(casadi_int size, const casadi_real *from, casadi_real *to)
+{
+    casadi_int c;
+    for (c = 0; c < size; ++c)
+        to[c] = from[c];
+}
+
+/* Keep the states at the outputs up to the end of `steps` steps; return the number of outputs that are passed. */
+static casadi_int keep(const mbs_explicit *plant, const mbs_manner *manner, const mbs_series *series, casadi_int passed,
+                       casadi_int steps, const casadi_real *times, const casadi_real *states, casadi_real *kept,
+                       casadi_real *reals, casadi_int *integers, mbs_outcome *outcome)
+{
+    const casadi_int size = plant->nq + plant->n;
+    casadi_int k = 0;
+    for (; passed < series->outputs && series->times[passed] <= times[steps] + series->near; ++passed) {
+        const casadi_real wanted = series->times[passed];
+        casadi_real *to = kept + size * passed, length;
+        while (k < steps - 1 && times[k + 1] < wanted)
+            ++k;
+        length = wanted - times[k];
+        if (fabs(wanted - times[k + 1]) < series->near || length < series->near) {
+            copy(size, states + size * (length < series->near ? k : k + 1), to);
+            continue;
+        }
+        mbs_explicit_read(plant, manner, 1, times + k, &length, 0, 0, states + size * k, to, reals, integers, outcome);
+        if (outcome->status)
+            break;
+    }
+    return passed;
+}
+
+static int follow(const mbs_explicit *plant, const mbs_manner *manner, const mbs_series *series, casadi_real *kept,
+                  casadi_real *length, casadi_real *times, casadi_real *states, casadi_real *reals, casadi_int *integers)
+{
+    const casadi_int size = plant->nq + plant->n;
+    casadi_int passed = 0, left = series->most;
+    mbs_outcome outcome;
+    times[0] = series->begin;
+    copy(size, kept, states);
+    while (times[0] < series->end) {
+        const casadi_int steps = left < series->chunk ? left : series->chunk;
+        if (steps < 1)
+            return MBS_LONG;
+        mbs_explicit_run(plant, manner, series->end, length, steps, 0, 0, times, states, reals, integers, &outcome);
+        if (outcome.status)
+            return outcome.status;
+        left -= outcome.steps;
+        times[steps] = times[outcome.steps];
+        copy(size, states + size * outcome.steps, states + size * steps);
+        passed = keep(plant, manner, series, passed, outcome.steps, times, states, kept + size, reals, integers, &outcome);
+        if (outcome.status)
+            return outcome.status;
+        times[0] = times[steps];
+        copy(size, states + size * steps, states);
+    }
+    return 0;
+}
+
+void mbs_explicit_series(const mbs_explicit *plant, const mbs_manner *manner, const mbs_series *series, casadi_int first,
+                         casadi_int last, casadi_real *kept, casadi_real *lengths, casadi_real *times,
+                         casadi_real *states, casadi_real *reals, casadi_int *integers, int *status)
+{
+    const casadi_int size = (plant->nq + plant->n) * (1 + series->outputs);
+    const casadi_int room = mbs_explicit_reals(plant, manner->stages), whole = mbs_explicit_integers(plant);
+    casadi_int k, i;
+    for (k = first; k < last; ++k) {
+        for (i = 0; i < room; ++i) /* no digit depends on the motion before */
+            reals[i] = 0;
+        for (i = 0; i < whole; ++i)
+            integers[i] = 0;
+        for (i = 0; i < series->sets; ++i)
+            copy(series->set[i].numbers, series->set[i].first + k * series->set[i].step, series->set[i].to);
+        status[k] = follow(plant, manner, series, kept + size * k, lengths + k, times, states, reals, integers);
+    }
+}

@@ -40,6 +40,7 @@ extern "C" {
 #define MBS_SHORT (-3)     /* the step has become too short */
 #define MBS_OPEN (-4)      /* a loop cannot be closed */
 #define MBS_BRANCHED (-5)  /* closing a loop changes the velocities by more than a step may */
+#define MBS_LONG (-8)      /* a motion of a series takes more steps than it may */
 #define MBS_DEPENDENT (-6) /* equations of a loop contradict each other here: its Jacobian has lost its rank */
 
 /* A kernel with its lists of arguments; f is NULL where there is none. */
@@ -127,6 +128,31 @@ void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, casa
                        const casadi_real *lengths, const casadi_real *inputs, const casadi_real *courses,
                        const casadi_real *starts, casadi_real *ends, casadi_real *reals, casadi_int *integers,
                        mbs_outcome *outcome);
+
+/* Parameters as kernels read them: the numbers of motion k begin at first + k * step, and go to `to`. */
+typedef struct {
+    const casadi_real *first;
+    casadi_int step, numbers;
+    casadi_real *to;
+} mbs_parameters;
+
+/* Motions from `begin` to `end` that are kept at the same times, the last of which is `end`. */
+typedef struct {
+    casadi_real begin, end;
+    casadi_int sets; /* of parameters */
+    const mbs_parameters *set;
+    casadi_int outputs;
+    const casadi_real *times;
+    casadi_real near;       /* a step that ends so near to an output ends there */
+    casadi_int chunk, most; /* steps that are taken at a time, and at most */
+} mbs_series;
+
+/* Integrate motions `first` to `last` - 1 of a series by a tolerance, without events. Of each, `kept` holds 1 + outputs
+ * states, the first of which is its start, and `lengths` the first step to try, or 0, and then the next one. Room: chunk + 1
+ * times and states. A motion with another status than 0 is not complete. */
+void mbs_explicit_series(const mbs_explicit *plant, const mbs_manner *manner, const mbs_series *series, casadi_int first,
+                         casadi_int last, casadi_real *kept, casadi_real *lengths, casadi_real *times,
+                         casadi_real *states, casadi_real *reals, casadi_int *integers, int *status);
 
 #ifdef __cplusplus
 }

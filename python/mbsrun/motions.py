@@ -1,7 +1,8 @@
 """Simulations of many starts: arrays of states and parameters -> a motion for each, with a separate status.
 
-Explicit steps of a fixed length of trees run in lanes. Other explicit steps run in C, start by start, in threads; all
-other methods run start by start. Each motion is the one that `simulate` gives, to rounding where lanes compute it.
+Explicit steps of a fixed length of trees run in lanes, in threads. Adaptive explicit steps, of closed loops too, run in
+one loop in C over the starts, in threads. All else runs start by start. Each motion is the one that `simulate` gives:
+where lanes compute it, to rounding.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbsrun.binding import ArgumentError
 from mbsrun.closure import OpenError
 from mbsrun.external import Mechanism
+from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.rollouts import Course as Given
@@ -26,9 +28,10 @@ from mbsrun.simulation.course import Course, check_course, is_constrained, place
 from mbsrun.simulation.drive import Drive, DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.explicit import Plant
+from mbsrun.simulation.method import Family
 from mbsrun.simulation.methods import METHODS, complete_settings
 from mbsrun.simulation.motion import Halt, HaltError, Settings
-from mbsrun.simulation.outputs import Outputs, find_stride
+from mbsrun.simulation.outputs import SAME, Outputs, find_stride, list_times
 from mbsrun.simulation.simulate import check_inputs, check_settings, check_start
 from mbsrun.simulation.steps import count_steps, place_steps
 from mbsrun.simulation.tableaus import FIXED
@@ -38,6 +41,7 @@ Show = Callable[[int], None]
 
 STORED = 100  # states that are kept of each motion, about, unless another distance of outputs is asked for
 GROUP = 1024  # starts whose motions are made in lanes together
+MOST = 100_000  # steps of a motion in C alone; one that takes more is made again with its limit of seconds
 BLOCK = 4096  # steps with inputs that vary which are made at once
 _PLANT = "plant"  # what explicit methods keep from start to start
 
@@ -108,6 +112,8 @@ def simulate_many(
     followed = _Following(mechanism, drive, settings, course, starts)
     if followed.fits_lanes:
         return followed.gather(followed.make_abreast(threads, show))
+    if followed.fits_series:
+        return followed.gather(followed.make_series(threads, show))
     return followed.gather(followed.make_singly(range(len(starts)), threads, show))
 
 
@@ -126,7 +132,7 @@ class _Starts:
         """Return the parameters of a start."""
         return {name: float(column[k if column.size > 1 else 0]) for name, column in self.parameters.items()}
 
-    def choose(self, part: slice) -> _Starts:
+    def choose(self, part: slice | list[int]) -> _Starts:
         """Return some of the starts."""
         some = {name: x[part] if x.size > 1 else x for name, x in self.parameters.items()}
         return _Starts(self.q[part], self.qd[part], some)
@@ -218,7 +224,8 @@ class _Following:
             if self.is_closed:
                 check_course(kernels.manifest, course, q, qd)
                 check_closed(kernels, q, qd)
-        except (ValueError, OpenError) as error:
+            _ = kernels.filled  # parameters may have no setup
+        except (ValueError, OpenError, KernelError) as error:
             halt = Halt(0.0, None, str(error), "start elsewhere")
             return _Path(np.zeros(1), np.hstack((q, qd))[None], 0.0, np.hstack((q, qd)), halt)
         dynamics = Dynamics(kernels, self.settings.formulation, course)
@@ -257,6 +264,89 @@ class _Following:
                 states.append(np.hstack(last))
         return _Path(np.array(t), np.array(states), time, np.hstack(last), halt)
 
+    # --- in C, by a tolerance ---
+
+    @property
+    def fits_series(self) -> bool:
+        """Return whether adaptive steps call kernels alone."""
+        method, manifest = METHODS[self.settings.method], self.mechanism.manifest
+        is_explicit = method.stability is not None and method.family is Family.ADAPTIVE
+        is_smooth = not (manifest.switching or manifest.driven) and self.drive.control is None
+        return is_explicit and is_smooth and all(piece.is_constant for piece in self._list_pieces())
+
+    def _list_pieces(self) -> list[Piece]:
+        return list(
+            self.drive.play(self.mechanism, self.settings.duration, lambda: (self.starts.q[0], self.starts.qd[0]))
+        )
+
+    def make_series(self, threads: int, show: Show) -> Iterator[tuple[int, _Path]]:
+        """Make motions in C, start by start. One that ends early is made again by itself, for its time and reason."""
+        count = len(self.starts)
+        kept: list[dict[str, object]] = [{} for _ in range(threads)]
+        good = np.flatnonzero(self._find_good(self.starts))
+        first = int(good[0]) if good.size else 0
+        paths = [self.follow(first, own) for own in kept[: 1 if count < threads else threads]]  # makes the plants
+        plants = [own[_PLANT] for own in kept if isinstance(own.get(_PLANT), Plant)]
+        show(0)
+        if not plants:
+            yield from self.make_singly(range(count), 1, show)
+            return
+        yield first, paths[0]
+        for begin in range(0, count, GROUP):
+            chosen = [k for k in range(begin, min(begin + GROUP, count)) if k != first]
+            t, states, is_good = self._run_series(chosen, [x for x in plants if isinstance(x, Plant)])
+            for k, found, is_whole in zip(chosen, states, is_good, strict=True):
+                yield (k, _Path(t, found, float(t[-1]), found[-1], None) if is_whole else self.follow(k, kept[0]))
+            show(min(begin + GROUP, count))
+
+    def _run_series(self, chosen: Sequence[int], plants: Sequence[Plant]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Move starts through all pieces; return the times (K,), the states (N, K, nq + n), and which are good."""
+        starts = self.starts.choose(list(chosen))
+        states, t = [np.hstack((starts.q, starts.qd))[:, None]], [np.zeros(1)]
+        lengths, is_good = np.zeros(len(starts)), self._find_good(starts)
+        if self.is_closed:
+            is_good &= np.array([self._is_closed(k) for k in chosen], dtype=np.bool_)
+        given = {name: self._give(name, own, starts) for name, own in plants[0].memory.filled.items()}
+        for piece in self._list_pieces():
+            times = list_times(self.distance, piece.start, piece.end)
+            kept = np.full((len(starts), 1 + len(times), states[0].shape[2]), np.nan)
+            kept[:, 0], status = states[-1][:, -1], np.zeros(len(starts), dtype=np.int32)
+
+            def work(
+                k: int, piece: Piece = piece, times: Array = times, kept: Array = kept, status: Any = status
+            ) -> None:
+                ends = [len(status) * j // len(plants) for j in (k, k + 1)]
+                near, most = SAME * self.distance, self.settings.max_steps
+                plants[k].run_series(piece, times, near, given, kept, lengths, status, range(*ends), min(most, MOST))
+
+            with ThreadPoolExecutor(len(plants)) as pool:
+                list(pool.map(work, range(len(plants))))
+            is_good &= status == 0
+            states.append(kept[:, 1:])
+            t.append(times)
+        found = np.concatenate(states, axis=1)
+        return np.concatenate(t), found, is_good & np.isfinite(found).all(axis=(1, 2))
+
+    def _give(self, name: str, own: Mapping[str, Array], starts: _Starts) -> dict[str, Array]:
+        """Compute the inputs of a kernel that come from parameters: a row for each start, or one."""
+        if not own:
+            return {}
+        holder = self.mechanism.find_holder(name)
+        found = {
+            x.argument.name: x.values[:, 0, 0]
+            for x in read_parameters(holder, holder.describe(name), starts.parameters)
+        }
+        return {key: np.ascontiguousarray(rows) for key, rows in found.items() if key in own}
+
+    def _is_closed(self, number: int) -> bool:
+        """Return whether the loops are closed at a start."""
+        try:
+            kernels = self.mechanism.with_parameters(**self.starts.list_parameters(number))
+            check_closed(kernels, self.starts.q[number], self.starts.qd[number])
+        except (OpenError, KernelError):
+            return False
+        return True
+
     # --- abreast ---
 
     def make_abreast(self, threads: int, show: Show) -> Iterator[tuple[int, _Path]]:
@@ -272,8 +362,7 @@ class _Following:
     def _march(self, starts: _Starts, threads: int) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Move starts through all pieces; return the times (K,), the states (N, K, nq + n), and which are good."""
         states = [np.hstack((starts.q, starts.qd))[:, None]]
-        t, lengths = [np.zeros(1)], measure_lengths(starts.q, self.mechanism.manifest)
-        is_good = np.isfinite(states[0]).all(axis=(1, 2)) & (lengths != 0).all(axis=1)
+        t, is_good = [np.zeros(1)], self._find_good(starts)
         function = self.settings.formulation.evaluated.function
         fixed = read_parameters(self.mechanism, self.mechanism.describe(function), starts.parameters)
         for piece in self.drive.play(self.mechanism, self.settings.duration, lambda: (starts.q, starts.qd)):
@@ -303,6 +392,11 @@ class _Following:
         for argument in self.mechanism.describe(function).inputs:
             if argument.name in parts and argument.nnz:
                 yield Given(argument, np.ascontiguousarray(parts[argument.name]))
+
+    def _find_good(self, starts: _Starts) -> NDArray[np.bool_]:
+        """Return which starts are numbers, and quaternions, (N,)."""
+        lengths = measure_lengths(starts.q, self.mechanism.manifest)
+        return np.asarray(np.isfinite(np.hstack((starts.q, starts.qd))).all(axis=1) & (lengths != 0).all(axis=1))
 
     # --- together ---
 

@@ -21,6 +21,7 @@ from mbsgen.roles import QUICKEST, Role
 from mbsrun import many
 from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_library
 from mbsrun.external import Mechanism
+from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
 from mbsrun.simulation.tableaus import FIXED, Tableau
 
@@ -144,7 +145,7 @@ def _read_course(kernel: Kernel, name: str, array: ArrayLike, steps: int) -> Cou
     return Course(taken[name], np.ascontiguousarray(laid[:, :, None]))
 
 
-def read_parameters(mechanism: Mechanism, kernel: Kernel, changes: Mapping[str, ArrayLike]) -> list[Course]:
+def read_parameters(mechanism: Kernels, kernel: Kernel, changes: Mapping[str, ArrayLike]) -> list[Course]:
     """Compute the inputs that come from parameters, for each state where one differs."""
     known = dict(mechanism.parameters)
     unknown = [name for name in changes if name not in known]

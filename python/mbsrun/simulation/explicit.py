@@ -88,6 +88,19 @@ long long mbs_explicit_integers(const mbs_explicit *plant);
 void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, double end, double *h, long long steps,
                       const double *inputs, const double *courses, double *times, double *states, double *reals,
                       long long *integers, mbs_outcome *outcome);
+typedef struct { const double *first; long long step, numbers; double *to; } mbs_parameters;
+typedef struct {
+    double begin, end;
+    long long sets;
+    const mbs_parameters *set;
+    long long outputs;
+    const double *times;
+    double near;
+    long long chunk, most;
+} mbs_series;
+void mbs_explicit_series(const mbs_explicit *plant, const mbs_manner *manner, const mbs_series *series, long long first,
+                         long long last, double *kept, double *lengths, double *times, double *states, double *reals,
+                         long long *integers, int *status);
 void mbs_explicit_read(const mbs_explicit *plant, const mbs_manner *manner, long long count, const double *times,
                        const double *lengths, const double *inputs, const double *courses, const double *starts,
                        double *ends, double *reals, long long *integers, mbs_outcome *outcome);
@@ -369,6 +382,42 @@ class Plant:
         length = (piece.end - piece.start) / count if count else None
         done, halt, states = self.run(piece, state, times, steps, length)
         return done, halt, times, states
+
+    def run_series(
+        self,
+        piece: Piece,
+        times: Array,
+        near: float,
+        given: Mapping[str, Mapping[str, Array]],
+        kept: Array,
+        lengths: Array,
+        status: NDArray[np.int32],
+        part: range,
+        most: int,
+    ) -> None:
+        """Go through a piece with constant inputs by a tolerance, motion by motion, in C alone.
+
+        Writes the states at `times`, the last of which is the piece's end, behind the starts: `kept` (N, 1 + times,
+        nq + n). `given` are the inputs that parameters make, by kernel and by name: rows of all motions, or one row.
+        `lengths` (N,) are the first steps to try, or 0, and then the next ones. A status other than 0 is an
+        incomplete motion.
+        """
+        self.open(piece)
+        series, end = self.ffi.new("mbs_series *"), min(FREE_STEPS, most) + 1
+        pairs = [
+            (rows, self.memory.filled[kernel][name]) for kernel, own in given.items() for name, rows in own.items()
+        ]
+        sets = self.ffi.new("mbs_parameters[]", len(pairs) + 1)
+        for item, (rows, to) in zip(sets, pairs, strict=False):
+            item.first, item.to = self._point(rows), self._point(to)
+            item.step, item.numbers = (rows.shape[1] if len(rows) > 1 else 0), rows.shape[1]
+        series.begin, series.end, series.near = piece.start, piece.end, near
+        series.sets, series.set, series.outputs, series.times = len(pairs), sets, len(times), self._point(times)
+        series.chunk, series.most = FREE_STEPS, most
+        room = np.empty(end), np.empty((end, kept.shape[2]))
+        told = self.ffi.cast("int *", status.ctypes.data)
+        arrays = [self._point(x) for x in (kept, lengths, *room)]
+        self.lib.mbs_explicit_series(self.plant, self.manner, series, part.start, part.stop, *arrays, *self.room, told)
 
     def make_dense(self, piece: Piece, times: Array, states: Array) -> Callable[..., tuple[Array, Array]]:
         """Return the motion within steps that begin at `times` (k,) and `states` (k, nq + n)."""

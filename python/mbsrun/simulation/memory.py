@@ -76,6 +76,11 @@ class Memory:
         """Describe a kernel."""
         return self.kernels.find_holder(name).describe(name)
 
+    @property
+    def filled(self) -> Mapping[str, Mapping[str, Array]]:
+        """The arrays of inputs that come from parameters, by kernel and by name."""
+        return self._filled
+
     def lay(self, entry: Entry, results: Mapping[str, str]) -> tuple[Any, Any, Any]:
         """Return a kernel's function and its lists of arguments; `results` names the array of each result."""
         arg, res = self.ffi.new("const double *[]", entry.n_in), self.ffi.new("double *[]", entry.n_out)

@@ -57,6 +57,13 @@ class Outputs:
         return Chunk(t, q, qd, dense_in_parts, segment=chunk.segment), np.flatnonzero(np.isin(t, wanted))
 
 
+def list_times(distance: float, start: float, end: float) -> Array:
+    """List the times of outputs of a piece, whose end is the last one."""
+    wanted = distance * np.arange(np.floor(start / distance), np.ceil(end / distance) + 1)
+    within = (wanted > start + SAME * distance) & (wanted < end - SAME * distance)
+    return np.append(wanted[within], end)
+
+
 def find_stride(distance: float, step: float) -> int:
     """Return how many steps of a length [s] lie between outputs."""
     return max(1, round(distance / step))
