@@ -278,7 +278,6 @@
     due = seconds;
     if (told && told.kind === "controller" && !loaded.has(told)) loaded.set(told, await loadController(told));
   });
-  byId("drive").dispatchEvent(new Event("change")); // a page with a controller starts with it
 
   // --- simulation ---------------------------------------------------------------------------------------------------
 
@@ -329,6 +328,7 @@
   }
 
   byId("run").addEventListener("click", () => setRunning(!running));
+  byId("drive").dispatchEvent(new Event("change")); // a page with a controller starts with it
   byId("reset").addEventListener("click", reset);
   byId("measure").addEventListener("click", measure);
   byId("push").addEventListener("click", () => {

@@ -99,7 +99,7 @@ class Panel:
         """State the finding in one sentence."""
         if self.whole is not None:
             return state_savings(self.good, self.whole, self.asked)
-        return state_finding(self.good, self.floor)
+        return state_finding(self.good, self.floor, "is the fastest" if self.unit else "needs the fewest intervals")
 
     @property
     def advice(self) -> str:
@@ -116,7 +116,8 @@ class Panel:
         failed = sum(not dot.is_good for dot in self.dots)
         parts = ["grey: the others"] if len(self.lines) > SHOWN else []
         parts += [f"{failed} settings failed" if failed > 1 else "one setting failed"] if failed else []
-        parts += [f"shaded: the reference errs as much, {write_error(self.floor)}"] if self.floor else []
+        if self.floor and any(dot.place[1] < 10 * self.floor for dot in self.good):
+            parts.append(f"shaded: the reference errs as much, {write_error(self.floor)}")
         return "; ".join(parts)
 
     def _spend(self) -> tuple[float, str]:
@@ -167,7 +168,7 @@ def _distance(dot: Dot, front: Sequence[Dot]) -> float:
     return math.log(max(work, 1e-300) / max(cheapest, 1e-300))
 
 
-def state_finding(dots: Sequence[Dot], floor: float | None = None) -> str:
+def state_finding(dots: Sequence[Dot], floor: float | None = None, verb: str = "is the fastest") -> str:
     """Name the lines that are the fastest over most digits, one or two.
 
     Errors below `floor` are not distinguished; errors above a tenth count where there are no others.
@@ -178,9 +179,9 @@ def state_finding(dots: Sequence[Dot], floor: float | None = None) -> str:
         return "Nothing was measured here."
     if len(stretches) == 1:
         alone = len({dot.line for dot in good}) == 1
-        return f"{stretches[0].line} is the {'only way that was measured' if alone else 'fastest at every error'}."
+        return f"{stretches[0].line} {'is the only way that was measured' if alone else f'{verb} at every error'}."
     first, second = sorted(stretches, key=_measure, reverse=True)[:2]
-    text = f"{_locate(first, stretches).capitalize()}, {first.line} is the fastest"
+    text = f"{_locate(first, stretches).capitalize()}, {first.line} {verb}"
     if second.line == first.line:
         return f"{text}."
     return f"{text}; {_locate(second, stretches)}, {second.line}."

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from mbsrun.measuring.fidelity import WHOLE, FidelityPoint
-from mbsrun.measuring.fronts import Dot, Panel
+from mbsrun.measuring.fronts import Dot, Panel, write_error
 from mbsrun.measuring.kernels import EXACT
 from mbsrun.measuring.motions import Standard
 from mbsrun.measuring.optima import GridOptimum, OptimumPoint
@@ -85,7 +85,7 @@ def panel_optima(points: Sequence[OptimumPoint], grids: Sequence[GridOptimum]) -
     for grid in grids:
         own = [p for p in points if p.intervals == grid.intervals]
         where = f"{grid.intervals} intervals"
-        known = "" if grid.error is None else f"; the grid itself errs by {grid.error:.0e}"
+        known = "" if grid.error is None else f"; the grid itself errs by {write_error(grid.error)}"
         costs, defects = (tuple(_draw_optimum(p, number) for p in own) for number in ("error", "defect"))
         error = "error of the cost, relative"
         panels.append(Panel(f"{where}, for the cost{known}", costs, SOLVE_TIME, error, floor=grid.accuracy or None))
@@ -120,14 +120,14 @@ def draw_reduction(point: FidelityPoint, number: str = "error_anywhere", command
 
 def panel_fidelity(points: Sequence[FidelityPoint]) -> list[Panel]:
     """Return panels for each kernel: states that agree with the reduction, and any states."""
-    titles = {"error": "in states that agree with it", "error_anywhere": "in any state"}
+    titles = {"error": "states that agree", "error_anywhere": "any state"}
     panels = []
     for kernel in dict.fromkeys(p.kernel for p in points):
         own = [p for p in points if p.kernel == kernel]
         (whole,) = [p for p in own if p.reduction == WHOLE]
         for number in titles:
             dots = tuple(draw_reduction(p, number) for p in own if p.reduction != WHOLE)
-            question = f"Which reduction, for {name_kernel(kernel)}, {titles[number]}?"
+            question = f"Reductions, for {name_kernel(kernel)}: {titles[number]}"
             error = "largest error, by the whole model's largest result"
             panels.append(Panel(question, dots, CALL_TIME, error, "ns", whole=_shortest(whole.ns)))
     return panels

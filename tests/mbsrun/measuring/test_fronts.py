@@ -61,6 +61,12 @@ def test_savings_name_what_a_reader_acts_on() -> None:
     )
 
 
+def test_a_count_is_not_a_time() -> None:
+    """Of grids, the finding names the one with the fewest intervals."""
+    dots = (dot("Radau 5", 20, 1e-7), dot("Radau 2", 40, 1e-7))
+    assert Panel("", dots, "intervals", "", "").headline == "Radau 5 needs the fewest intervals at every error."
+
+
 def test_at_most_seven_lines_have_a_name_and_the_choice_is_one() -> None:
     lines = [orders(f"line {k}", 1.0 + k, 2) for k in range(12)]
     choice = lines[11][3]
