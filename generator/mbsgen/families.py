@@ -98,7 +98,7 @@ def _write_chosen(
     """Write the chosen functions with their derivatives, and count the ways of writing these."""
     families: list[Family] = []
     ways: dict[str, Mapping[str, int]] = {}
-    dynamics = Dynamics(tree, request.reductions, staged=staged, size=request.size)
+    dynamics = Dynamics(tree, request.reductions, staged=staged, size=request.size, counted=request.compare)
     read = dict(request.scene.results)
     forms: list[Derivatives] = []
     for name, entry in _choose_functions(tree, request).items():

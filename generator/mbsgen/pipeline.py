@@ -56,9 +56,6 @@ if TYPE_CHECKING:
 __all__ = ["Changes", "OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
 
-OBJECTS = 500_000  # that are made between two searches for cycles
-
-
 @dataclass(frozen=True)
 class Product:
     """Everything made from one model; nothing is written yet."""
@@ -82,19 +79,20 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
     OptionError for unknown functions, VerificationError for a function with wrong results.
     """
-    with _collecting_rarely():
+    with _without_cycles():
         return _make(model, options, tell)
 
 
 @contextmanager
-def _collecting_rarely() -> Iterator[None]:
-    """Search for cycles of objects less often: tapes have millions of objects, and no cycles."""
-    before = gc.get_threshold()
-    gc.set_threshold(max(before[0], OBJECTS) if before[0] else 0, *before[1:])
+def _without_cycles() -> Iterator[None]:
+    """Do not search for cycles of objects: tapes have millions of objects, and no cycles."""
+    was_enabled = gc.isenabled()
+    gc.disable()
     try:
         yield
     finally:
-        gc.set_threshold(*before)
+        if was_enabled:
+            gc.enable()
 
 
 def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
@@ -271,7 +269,7 @@ def derive_equations(
     shown = replace(shown, parameters=tuple(present))
     with _locating(model):
         tree = build_numeric(shown) if numbers else build_symbolic(shown)
-    with _collecting_rarely():
+    with _without_cycles():
         try:
             return derive(tree, _MOST), identify_mechanism(staged)
         except SizeError:

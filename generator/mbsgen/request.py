@@ -20,7 +20,12 @@ class CodeSize:
     # Operations of the loop from which on the straight code, which leaves zeros out, is certainly longer than
     # `straight`: a quadruped's loop has 30,000 for 20,000, a humanoid's 190,000 for 110,000.
     certain: int = 48_000
-    compared: int = 12  # bodies: in larger trees, only the way that always won is written
+    compared: int = 12  # bodies: in larger trees, derivatives are written once for all forms
+    # Operations of a function from which on Jacobians of its tape surely lose: of those tried, they won last in a star
+    # of eight joints (144); the arm of the paper (230 to 453) has 1.1 to 2.9 times as many by its tape. Beside `few`
+    # bodies, laws of force may have most of the operations.
+    tried: int = 200
+    few: int = 4
 
 
 MEASURED = CodeSize()
@@ -34,7 +39,7 @@ class Options:
     zeros: bool = False  # with `runtime`: also numbers that are 0
     targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
     count: bool = True  # the formulations, for the report; they are written once more for this
-    compare: bool = False  # also count the formulations without each reduction
+    compare: bool = False  # also count the formulations without each reduction, and all ways of writing derivatives
     functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
     optional: tuple[str, ...] = ()  # beside these, the ones of the catalogue that the model has
     values: tuple[str, ...] = ()  # the ones that are written without derivatives
@@ -65,7 +70,7 @@ class Request:
     runtime: bool = False  # every number of the model a run-time parameter
     zeros: bool = False  # with `runtime`: numbers that are 0 too
     count: bool = True  # the formulations, for the report
-    compare: bool = False  # also count the formulations without each reduction
+    compare: bool = False  # also count the formulations without each reduction, and all ways of writing derivatives
     scene: Scene = EVERYTHING  # the part of the model that is kept, and the tolerance
     reductions: Reductions = ALL
     size: CodeSize = MEASURED

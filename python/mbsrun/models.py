@@ -37,6 +37,7 @@ class Extent:
     optional: tuple[str, ...] = ()  # functions beside the named ones, if the model has them: of loops, of sensors
     values: tuple[str, ...] = ()  # functions among these that are written without derivatives
     counted: bool = False  # the operations of the formulations in the report, which takes as long as the functions
+    compared: bool = False  # the operations of derivatives in the report in all ways, which takes longer still
 
 
 WHOLE = Extent()
@@ -85,6 +86,7 @@ def _make_options(extent: Extent) -> Any:
         derivatives=extent.derivatives,
         targets=extent.targets,
         count=extent.counted,
+        compare=extent.compared,
     )
     reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
     return replace(options, reductions=reductions, scene=extent.scene or options.scene)

@@ -47,7 +47,7 @@ from studies.docquier.robustness import find_state, report_robust
 from studies.docquier.summary import summarise_run
 from studies.docquier.tables import tabulate, tabulate_claims, tabulate_spreads
 
-COUNTED = Extent(counted=True)  # the report shows the operations of the formulations
+COUNTED = Extent(counted=True, compared=True)  # the report shows the operations of formulations and derivatives
 STORE = "study.sqlite"
 QUESTIONS = ("repeats", "derivatives", "grids", "systems", "shooting", "guess")
 SETS: tuple[Weights, ...] = ((1.0, 0.0), (1.0, 1e5))  # the paper's costs

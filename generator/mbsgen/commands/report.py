@@ -35,7 +35,7 @@ from mbsgen.report import (
 @MODEL
 @click.option("--json", "form", flag_value="json", help="Print report.json.")
 @click.option("--markdown", "form", flag_value="markdown", help="Print report.md.")
-@click.option("--compare", is_flag=True, help="Also count without each reduction, to show its savings.")
+@click.option("--compare", is_flag=True, help="Also count without each reduction, and all derivatives.")
 @importing
 def report_command(model: Path, form: str | None, compare: bool, choices: Choices) -> None:
     """Count the cost of MODEL: flops and equations."""

@@ -41,11 +41,21 @@ class Dynamics:
     """The derivatives of a tree's formulations.
 
     With `staged`, Jacobians that are large enough for a loop are written in stages alone, and not straight as well.
+    With `counted`, all ways are written for their counts, also those that always lose at this size.
     """
 
-    def __init__(self, tree: Tree, reductions: Reductions, *, staged: bool = False, size: CodeSize = MEASURED) -> None:
+    def __init__(
+        self,
+        tree: Tree,
+        reductions: Reductions,
+        *,
+        staged: bool = False,
+        size: CodeSize = MEASURED,
+        counted: bool = False,
+    ) -> None:
         is_compared = len(tree.bodies) <= size.compared or _is_strange(tree)
-        self._choice = _Choice(reductions, is_compared=is_compared, staged=staged and not is_compared, size=size)
+        staged, counted = staged and not is_compared, counted or len(tree.bodies) <= size.few
+        self._choice = _Choice(reductions, is_compared=is_compared, staged=staged, size=size, counted=counted)
         self._residual = _OfResidual(tree, reductions, self._choice)
         self._tree, self._reductions = tree, reductions
 
@@ -105,16 +115,18 @@ class _Choice:
     is_compared: bool
     staged: bool
     size: CodeSize
+    counted: bool  # the tape's own derivatives, however long
 
     def finish(self, tape: Tape) -> Tape:
         """Lower a finished tape's cost, by the reductions that are on."""
         return finish(tape, self.reductions)
 
-    def among(self, function: Function, ways: Ways, others: Ways) -> Written[Tape]:
-        """Choose among `ways` and, in trees that are not too large for that, `others`."""
-        tried = {**ways, **others} if self.is_compared else ways
+    def among(self, tape: Tape, order: Order, ways: Ways, others: Ways) -> Written[Tape]:
+        """Choose among `ways` and, where the tree and the tape are not too large for that, `others`."""
+        may_win = len(tape.operations) <= self.size.tried or order is Order.ADJOINT or self.counted or not ways
+        tried = {**ways, **others} if self.is_compared and may_win else ways
         written = {way: take_factors(write(), self.reductions) for way, write in tried.items()}
-        if function.order is not Order.ADJOINT:  # the results of an adjoint stay dense
+        if order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
         flops = {way: count_paper(tape) for way, tape in written.items()}
         best = min(flops, key=flops.__getitem__)
@@ -200,7 +212,8 @@ class _OfResidual(_Chosen):
         if not self._choice.is_compared:  # then all that it takes is in `lin`
             return _without_choice("recursion", _leave_values_out(straight(self.lin)))
         return self._choice.among(
-            self.tape.function.to(Order.JACOBIAN),
+            self.tape,
+            Order.JACOBIAN,
             self._by_recursion(recursion.jacobian),
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
@@ -208,20 +221,21 @@ class _OfResidual(_Chosen):
     @cached_property
     def written_lin(self) -> Written[Tape]:
         return self._choice.among(
-            self.tape.function.to(Order.LINEARISATION),
+            self.tape,
+            Order.LINEARISATION,
             self._by_recursion(recursion.linearisation),
             {"tape": lambda: kernels.linearise(self.tape, straight(self.jac))},
         )
 
     @cached_property
     def written_adj1(self) -> Written[Tape]:
-        function = self.tape.function.to(Order.ADJOINT)
-        return self._choice.among(function, {"tape": lambda: reverse.adjoint(self.tape, self.wrt)}, {})
+        return self._choice.among(self.tape, Order.ADJOINT, {"tape": lambda: reverse.adjoint(self.tape, self.wrt)}, {})
 
     @cached_property
     def written_jac_adj1(self) -> Written[Tape]:
         return self._choice.among(
-            self.tape.function.to(Order.ADJOINT_JACOBIAN),
+            self.tape,
+            Order.ADJOINT_JACOBIAN,
             self._by_recursion(recursion.adjoint_jacobian),
             {"tape": lambda: kernels.adjoint_jacobian(self.tape, self.adj1, self.wrt)},
         )
@@ -287,7 +301,8 @@ class _OfAccelerations(_Chosen):
         if not self._choice.is_compared:  # then all that it takes is in `lin`
             return _without_choice("implicit", _leave_values_out(straight(self.lin)))
         return self._choice.among(
-            function,
+            self.tape,
+            Order.JACOBIAN,
             {"implicit": lambda: implicit.jacobian(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
@@ -300,7 +315,8 @@ class _OfAccelerations(_Chosen):
         if self._first:
             return _without_choice("implicit", self._take(straight(self._first.lin)))
         return self._choice.among(
-            function,
+            self.tape,
+            Order.LINEARISATION,
             {"implicit": lambda: implicit.linearisation(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: kernels.linearise(self.tape, straight(self.jac))},
         )
@@ -359,7 +375,8 @@ class _OfAccelerations(_Chosen):
         if self._first:
             return _without_choice("implicit", self._take(self._first.adj1))
         return self._choice.among(
-            self.tape.function.to(Order.ADJOINT),
+            self.tape,
+            Order.ADJOINT,
             {"implicit": lambda: implicit.adjoint(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: reverse.adjoint(self.tape, self.wrt)},
         )
@@ -370,7 +387,8 @@ class _OfAccelerations(_Chosen):
             return _without_choice("implicit", self._take(self._first.jac_adj1))
         by_tape = Derivatives(self.tape, self.wrt)
         return self._choice.among(
-            self.tape.function.to(Order.ADJOINT_JACOBIAN),
+            self.tape,
+            Order.ADJOINT_JACOBIAN,
             {"implicit": lambda: implicit.adjoint_jacobian(self.tape, self._residual, self.wrt, self._constraints)},
             {"tape": lambda: by_tape.jac_adj1},
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache, partial
 from math import inf
+from typing import Self
 
 from mbsgen.errors import TapeError
 from mbsgen.formulations.chain import Chain, check_pivot, write_chain
@@ -111,15 +112,16 @@ class Plans:
         """Choose among plans that differ in more than one body, each with the bodies that M meets."""
         if self._reductions.trials == 1 or self._size > ELIMINATED:
             return plan
-        shared = PlanTrials(self._tree, self._reductions)
+        with PlanTrials(self._tree, self._reductions) as shared:
 
-        def cost(plan: Plan) -> int:
-            return shared.cost(write(shared, plan))
+            @cache
+            def cost(plan: Plan) -> int:
+                return shared.cost(write(shared, plan))
 
-        tried = [plan, *others]
-        if self._reductions.meet:
-            tried = [meet(shared.segments, cost, x) for x in tried]
-        return min(tried, key=cost)
+            tried = [plan, *others]
+            if self._reductions.meet:
+                tried = [meet(shared.segments, cost, x) for x in tried]
+            return min(tried, key=cost)
 
     @cached_property
     def sensitivities(self) -> Plan:
@@ -134,19 +136,19 @@ class Plans:
     def _search(
         self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
     ) -> Plan:
-        shared = PlanTrials(self._tree, self._reductions)
-        if self._reductions.lump_runtime and self._reductions.regroup:
-            restrain = _allow(self._tree, self._reductions, shared.segments, restrain)
-
-        def cost(plan: Plan) -> int | None:
-            try:
-                return shared.cost(write(shared, plan))
-            except NoSuchPlanError:
-                return None
-
         wanted = self._reductions.trials
         trials = _trials(self._size) if wanted is None else wanted
-        return search(shared.segments, cost, self._reductions, trials, start, restrain)
+        with PlanTrials(self._tree, self._reductions) as shared:
+            if self._reductions.lump_runtime and self._reductions.regroup:
+                restrain = _allow(self._tree, self._reductions, shared.segments, restrain)
+
+            def cost(plan: Plan) -> int | None:
+                try:
+                    return shared.cost(write(shared, plan))
+                except NoSuchPlanError:
+                    return None
+
+            return search(shared.segments, cost, self._reductions, trials, start, restrain)
 
 
 def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:
@@ -252,6 +254,13 @@ class PlanTrials:
         self.segments = align(self.chain, group=reductions.share_frames)
         self._reductions = reductions
         self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Forget the parts: they refer to the builder that remembers them, and only a search for cycles finds those."""
+        self.chain.builder.memory = None
 
     def begin(self, plan: Plan) -> Writing:
         """Start to write by a plan."""

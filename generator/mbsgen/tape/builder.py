@@ -102,7 +102,7 @@ class Builder:
         self._sums: dict[tuple[Ref, Ref], Ref] = {}  # of x > 0 and y with |x| <= |y|; likewise the
         self._products: dict[tuple[Ref, Ref], Ref] = {}  # products of 0 < x <= y: most are asked for many times
         self._literals: dict[mpf, Ref] = {}
-        self._numbers: dict[float | mpf, Scalar] = {}
+        self._numbers: dict[float | mpf, Ref] = {}
         self._fixed = bytearray(1)  # of each node: whether the inputs that vary do not reach it; see `cost`
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
         self._results: list[Result] = []
@@ -185,8 +185,8 @@ class Builder:
         """Make a literal."""
         known = self._numbers.get(value)
         if known is None:
-            known = self._numbers[value] = Scalar(self, self.literal(LITERALS.mpf(value)))
-        return known
+            known = self._numbers[value] = self.literal(LITERALS.mpf(value))
+        return Scalar(self, known)
 
     def sin(self, x: Scalar) -> Scalar:
         """Sine."""

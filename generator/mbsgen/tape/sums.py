@@ -12,8 +12,8 @@ terms. So the term that is ready last is added last, where this ends the sum ear
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
-from functools import reduce
+from collections.abc import Callable, Iterator, Sequence, Set
+from functools import partial, reduce
 from heapq import heapify, heappop, heappush
 from itertools import combinations
 
@@ -140,25 +140,26 @@ class _Sums:
         """Sort the terms of each sum and product by the clock at which they are ready, where this ends it earlier."""
         tape = self.tape
         ready = dict.fromkeys(range(tape.first_operation), 0)
-
-        def look_up(value: int) -> int:
-            if value not in ready:
-                kind, *parts = self.pairs[value]
-                ready[value] = max(look_up(x) for x, _ in parts) + CLOCKS[kind]
-            return ready[value]
-
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
             terms = self._find_terms(value, op)
             if terms is None:
                 began = max(ready[a], ready[b] if b >= 0 else 0)
                 ready[value] = 0 if self.is_constant[value] else began + CLOCKS.get(op, CLOCKS_OF_FUNCTION)
                 continue
-            clocks, step = {x: look_up(x) for x, _ in terms}, CLOCKS[op]
+            clocks, step = {x: self._find_clock(ready, x) for x, _ in terms}, CLOCKS[op]
             by_time = sorted(terms, key=lambda term: clocks[term[0]])
             found, before = (_end([clocks[x] for x, _ in some], step) for some in (by_time, terms))
             if found < before:
                 terms[:] = by_time
             ready[value] = min(found, before)
+
+    def _find_clock(self, ready: dict[int, int], value: int) -> int:
+        """Return the clock at which a value is ready; values of pairs are added to those known."""
+        known = ready.get(value)
+        if known is None:
+            kind, *parts = self.pairs[value]
+            known = ready[value] = max(self._find_clock(ready, x) for x, _ in parts) + CLOCKS[kind]
+        return known
 
     # -- the new tape -------------------------------------------------------------------------------------------
 
@@ -188,20 +189,21 @@ class _Sums:
 
     def _combine(self, builder: Builder, refs: dict[int, Ref], kind: Op, terms: Sequence[_Term]) -> Ref:
         """Write a sum or product; several constants become one, the first factor or the last term."""
-        operate = builder.add if kind is Op.ADD else builder.mul
-
-        def look_up(term: _Term) -> Ref:
-            value, sign = term
-            if value not in refs:
-                refs[value] = reduce(operate, map(look_up, self.pairs[value][1:]))
-            return sign * refs[value]
-
-        fixed = [look_up(term) for term in terms if self.is_constant[term[0]]]
+        operate, is_constant = builder.add if kind is Op.ADD else builder.mul, self.is_constant
+        fixed = [self._refer(operate, refs, term) for term in terms if is_constant[term[0]]]
         if len(fixed) < 2:
-            return reduce(operate, map(look_up, terms))
-        rest, together = [term for term in terms if not self.is_constant[term[0]]], reduce(operate, fixed)
-        varying = map(look_up, rest)
+            return reduce(operate, map(partial(self._refer, operate, refs), terms))  # a pair where its turn comes
+        rest, together = [term for term in terms if not is_constant[term[0]]], reduce(operate, fixed)
+        varying = [self._refer(operate, refs, term) for term in rest]
         return reduce(operate, (*varying, together) if kind is Op.ADD else (together, *varying))
+
+    def _refer(self, operate: Callable[[Ref, Ref], Ref], refs: dict[int, Ref], term: _Term) -> Ref:
+        """Refer to a term; write a pair where it is first asked for."""
+        value, sign = term
+        known = refs.get(value)
+        if known is None:
+            known = refs[value] = reduce(operate, [self._refer(operate, refs, x) for x in self.pairs[value][1:]])
+        return sign * known
 
 
 def _end(ready: Sequence[int], step: int) -> int:

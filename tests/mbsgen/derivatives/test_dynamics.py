@@ -122,7 +122,7 @@ def test_flops_of_the_arm():
     Constants folded, divisions and square roots counted, unary minus, sines and cosines not.
     """
     tree = model("arm_pendulum")
-    dynamics = Dynamics(tree, ALL)
+    dynamics = Dynamics(tree, ALL, counted=True)
     of_impl, of_exp2 = (dynamics.differentiate(build(tree)) for build in (impl.build, exp2.build))
     assert count(of_impl.jac).arithmetic < 1100
     assert count(of_exp2.jac).arithmetic < 2150
@@ -135,6 +135,11 @@ def test_flops_of_the_arm():
             assert found["recursion"] < found["tape"], name
         if "implicit" in found and "tape" in found:
             assert found["implicit"] < found["tape"], name
+    plain = Dynamics(tree, ALL)  # writes what wins, and no tape's Jacobian
+    for build, other in ((impl.build, of_impl), (exp2.build, of_exp2)):
+        found = plain.differentiate(build(tree))
+        assert found.jac == other.jac
+        assert all("tape" not in ways for ways in found.count_ways((Order.JACOBIAN,)).values())
 
 
 def test_adjoints_are_transposed_jacobians_applied():
