@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 import click
@@ -89,6 +90,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; print a user's errors without a traceback."""
+    gc.set_threshold(200_000, 20, 20)  # searches for cycles of objects take up to a tenth of a solve
     try:
         cli()
     except MbsError as error:

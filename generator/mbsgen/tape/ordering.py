@@ -6,7 +6,6 @@ long kernels spend their time on this. The order in depth follows Sethi, Ullman 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -96,10 +95,5 @@ def _permute(tape: Tape, order: Sequence[int]) -> Tape:
 
 def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
     """Return the sum, over the operations in an order, of the number of values that later operations read."""
-    last = {x: n for n, k in enumerate(order) for x in operands[k] if x >= first}
-    ends = Counter(last.values())
-    kept = total = 0
-    for n, k in enumerate(order):
-        kept += (first + k in last) - ends.get(n, 0)
-        total += kept
-    return total
+    last = {x: n for n, k in enumerate(order) for x in operands[k] if x >= first}  # each is kept from its own operation
+    return sum(last.values()) - sum(n for n, k in enumerate(order) if first + k in last)

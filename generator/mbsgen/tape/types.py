@@ -47,6 +47,10 @@ class Op(Enum):
 
     def __init__(self, _: str, arity: int) -> None:
         self.arity = arity  # not a property: it is read for every operation of a tape, many times over
+        self._shown = super().__repr__()
+
+    def __repr__(self) -> str:  # it is hashed for every operation
+        return self._shown
 
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
 
@@ -107,7 +111,7 @@ class Sparsity:
         """Return whether every entry is a nonzero."""
         return self.nnz == self.rows * self.cols
 
-    @property
+    @cached_property
     def entries(self) -> tuple[tuple[int, int], ...]:
         """List the (row, column) of each nonzero, in storage order."""
         return tuple((self.row[k], c) for c in range(self.cols) for k in range(self.colind[c], self.colind[c + 1]))

@@ -70,9 +70,13 @@ def divide(
     count = max(1, len(lines) // length)
     size = max(1, -(-len(lines) // count))
     slices = [lines[k : k + size] for k in range(0, len(lines), size)] or [()]
-    kept = _find_kept(slices)
+    read = [[_read(_texts(line)) for line in part] for part in slices]
+    kept = _find_kept(slices, read)
     texts = {value: words.kept.format(name=value, place=k) for k, value in enumerate(kept)}
-    parts = (_write_part(f"{name}{k}", part, texts, words, inputs) for k, part in enumerate(slices, 1))
+    parts = (
+        _write_part(f"{name}{k}", part, own, texts, words, inputs)
+        for k, (part, own) in enumerate(zip(slices, read, strict=True), 1)
+    )
     return Division(tuple(parts), tuple(kept))
 
 
@@ -94,37 +98,45 @@ def order_lines(body: Body) -> tuple[Line, ...]:
     return (*lines, *body.statements[done:])
 
 
-def _find_kept(slices: Sequence[Sequence[Line]]) -> dict[str, None]:
-    """Find the values that other parts read, in the order in which they are computed."""
+def _find_kept(slices: Sequence[Sequence[Line]], read: Sequence[Sequence[set[str]]]) -> dict[str, None]:
+    """Find the values that other parts read, in the order in which they are computed; `read` has the names in lines."""
     if len(slices) == 1:
         return {}
     defined = [{name: None for line in part for name in _names(line)} for part in slices]
     outside: set[str] = set()
-    for part, own in zip(slices, defined, strict=True):
-        outside |= _read(text for line in part for text in _texts(line)) - own.keys()
+    for names, own in zip(read, defined, strict=True):
+        outside |= set[str]().union(*names) - own.keys()
     return {name: None for own in defined for name in own if name in outside}
 
 
-def _write_part(name: str, lines: Sequence[Line], kept: Mapping[str, str], words: Words, inputs: Sequence[str]) -> Part:
-    read = _read(text for line in lines for text in _texts(line))
+def _write_part(
+    name: str,
+    lines: Sequence[Line],
+    names: Sequence[set[str]],
+    kept: Mapping[str, str],
+    words: Words,
+    inputs: Sequence[str],
+) -> Part:
+    read = set[str]().union(*names)
     results = dict.fromkeys(line.result for line in lines if isinstance(line, Store))
     return Part(
         name,
         inputs=tuple(x for x in inputs if x in read),
         results=tuple(results),
         keeps=not kept.keys().isdisjoint(read.union(*map(_names, lines))),
-        lines=tuple(_write_line(line, kept, words) for line in lines),
+        lines=tuple(_write_line(line, own, kept, words) for line, own in zip(lines, names, strict=True)),
     )
 
 
-def _write_line(line: Line, kept: Mapping[str, str], words: Words) -> Line:
+def _write_line(line: Line, names: set[str], kept: Mapping[str, str], words: Words) -> Line:
     """Declare the values that a line computes, or store them where they are kept; read kept values from there."""
+    reads_kept = not kept.keys().isdisjoint(names)
 
     def declare(name: str) -> str:
         return name and (kept.get(name) or words.declared.format(name=name))
 
     def take(text: str) -> str:
-        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text) if kept else text
+        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text) if reads_kept else text
 
     match line:
         case Statement():
@@ -134,7 +146,7 @@ def _write_line(line: Line, kept: Mapping[str, str], words: Words) -> Line:
         case Check():
             return replace(line, value=take(line.value), scale=take(line.scale))
         case Store():
-            return replace(line, expression=take(line.expression))
+            return replace(line, expression=take(line.expression)) if reads_kept else line
 
 
 def _names(line: Line) -> tuple[str, ...]:
@@ -160,4 +172,4 @@ def _texts(line: Line) -> tuple[str, ...]:
 
 def _read(expressions: Iterable[str]) -> set[str]:
     """Collect the names in expressions."""
-    return {name for text in expressions for name in _WORD.findall(text)}
+    return set(_WORD.findall(" ".join(expressions)))
