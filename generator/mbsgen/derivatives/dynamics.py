@@ -1,8 +1,8 @@
 """Derivatives of the formulations, each in the way with the fewest flops: by tape, by recursion, by implication.
 
 `impl` and `semi_res` are two forms of one function, so the cheapest derivatives of one serve both. So are `exp1` and
-`exp2`, except for their guards; in larger trees, only one way is written, and only once. The flops of each way are
-counted for the report.
+`exp2`, except for their guards; in larger trees, only one way is written, and only once. The flops of each way that is
+written are counted for the report.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Dynamics:
     """The derivatives of a tree's formulations.
 
     With `staged`, Jacobians that are large enough for a loop are written in stages alone, and not straight as well.
-    With `counted`, all ways are written for their counts, also those that always lose at this size.
+    With `counted`, all ways are written for their counts, also ways that always lose at this size.
     """
 
     def __init__(
