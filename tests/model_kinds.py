@@ -129,7 +129,6 @@ KINDS: dict[str, Kind] = {
         columns={"q1": 0, "q2": 0.1},
         refused=CONSTRAINED
         | {
-            "linearise --settle": "no equilibrium was found",
             "solve --form": "takes no driven joints",
             "controller": "driven joints move by the time of the problem",
             "track": "it drives q1, which nothing moves here",

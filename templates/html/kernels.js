@@ -190,18 +190,20 @@ async function loadController(data) {
     return memory.numbers(memory.words(fields, data.fields.length)[data.fields.indexOf(name)], count);
   }
 
+  const choose = (v) => data.velocities.map((i) => v[i]); // of independent joints, where loops determine the others
+
   return {
     data,
     explain,
     period: () => use("get_period", controller),
     solve(q, v) { // a first plan from a state; returns the status
       field("start_q", q.length).set(q);
-      field("start_qd", v.length).set(v);
+      field("start_qd", data.velocities.length).set(choose(v));
       return use("solve", controller, 0);
     },
     control(q, v, shift) { // one sampling period: the status, and the inputs to apply
       use("prepare", controller, shift ? 1 : 0);
-      memory.numbers(state, data.states).set([...q, ...v]);
+      memory.numbers(state, data.states).set([...q, ...choose(v)]);
       const status = use("feedback", controller, state, inputs);
       return { status, inputs: memory.numbers(inputs, data.inputs).slice() };
     },

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from tests.mutants.faults import ROOT, Fault
 
-STAGES = ("tests/csrc/test_stages.py", "tests/csrc/test_stages_inner.py")
+STAGES = ("tests/csrc/test_laws.py", "tests/csrc/test_stages.py", "tests/csrc/test_stages_inner.py")
 OCP, MOTIONS = "tests/mbsrun/ocp", "tests/mbsrun/simulation"
 SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a file matches decides
-    ("csrc/stages/realtime.c", ("tests/csrc/test_realtime.py",)),
+    ("csrc/stages/realtime.c", ("tests/csrc/test_laws.py", "tests/csrc/test_realtime.py")),
     ("csrc/stages/*.c", STAGES),
     ("csrc/mbs_least.c", ("tests/csrc/test_least.py", f"{MOTIONS}/test_loops.py")),
     ("csrc/mbs_variational.c", (f"{MOTIONS}/test_variational.py",)),

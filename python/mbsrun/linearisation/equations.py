@@ -284,13 +284,27 @@ def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
         Z, N, _ = _list_motions(kernels, q)
         forces, scale = _find_forces(kernels, _unload(kernels, q, u))
         state = _state(kernels, Equilibrium(q, u, *_carry(closure, q, forces)))
-        K = Z.T @ kernels("jac_impl", **state)["jac_Phi_q"] @ N @ Z
-        step = -np.asarray(np.linalg.lstsq(K, Z.T @ forces, rcond=RANK)[0])
+        slopes = kernels("jac_impl", **state)
+        missing, least = Z.T @ forces, BALANCED * max(1.0, scale)
+        K = Z.T @ slopes["jac_Phi_q"] @ N @ Z
+        step = -np.asarray(np.linalg.lstsq(K, missing, rcond=RANK)[0])
+        step += _yield_to(missing + K @ step, Z.T @ slopes["jac_Phi_qdd"] @ Z, least)
         longest = np.abs(step).max(initial=0.0)
         q = q + N @ Z @ step * min(1.0, LONGEST / max(longest, CLOSED))
-        if longest <= CLOSED and np.abs(Z.T @ forces).max(initial=0.0) <= BALANCED * max(1.0, scale):
+        if longest <= CLOSED and np.abs(missing).max(initial=0.0) <= least:
             return balance(kernels, closure.close(normalise(q, kernels.manifest), held), given)
     raise BalanceError("no equilibrium was found near the pose; give another pose, or other inputs")
+
+
+def _yield_to(left: Array, M: Array, least: float) -> Array:
+    """Return a step of the largest length the way that forces accelerate which no stiffness balances.
+
+    A horizontal arm has none: the moment of its weight is the largest there.
+    """
+    if np.abs(left).max(initial=0.0) <= least:
+        return np.zeros(len(left))
+    pushed = -np.asarray(np.linalg.lstsq(M, left, rcond=RANK)[0])
+    return pushed * LONGEST / np.abs(pushed).max()
 
 
 def check_kernels(kernels: Kernels, needed: Collection[str] = ("impl", "jac_impl")) -> None:

@@ -84,12 +84,19 @@ def describe_controller(folder: Path, manifest: Manifest) -> dict[str, Any]:
     """Return a generated controller, compiled. Raises PlaygroundError where it controls another model."""
     found = read_controller(folder)
     joints = [joint.name for joint in manifest.coordinates]
-    names = [*manifest.positions, *(f"{name}'" for name in joints)]
+    names, rates = [state.name for state in found.states], [f"{name}'" for name in joints]
+    places, velocities = names[: len(manifest.positions)], names[len(manifest.positions) :]
     inputs = [joints[i] for i in manifest.actuated]
-    if (found.model, [s.name for s in found.states], [u.name for u in found.inputs]) != (manifest.model, names, inputs):
+    if (found.model, places, [u.name for u in found.inputs]) != (manifest.model, list(manifest.positions), inputs):
         raise PlaygroundError(
-            f"{folder}: controls {found.model} with other states or inputs than {manifest.model} has; write it for the "
-            "same model"
+            f"{folder}: controls {found.model} with other coordinates or inputs than {manifest.model} has; write it "
+            "for the same model"
+        )
+    added = [name for name in velocities if name not in rates]
+    if added:
+        raise PlaygroundError(
+            f"{folder}: its problem adds the states {', '.join(added)}, which no page simulates; leave them out, or "
+            "use `mbsrun track`"
         )
     module = compile_module(
         folder, found.prefix, found.sources, [f"{found.symbols}_{function}" for function in CONTROLLER]
@@ -103,6 +110,7 @@ def describe_controller(folder: Path, manifest: Manifest) -> dict[str, Any]:
         "fields": [field.name for field in found.data],
         "intervals": found.intervals,
         "states": len(found.states),
+        "velocities": [rates.index(name) for name in velocities],
         "inputs": len(found.inputs),
     }
 

@@ -17,6 +17,7 @@ from mbsrun.external import Mechanism, load
 from mbsrun.kernel import ArgumentError
 from mbsrun.linearisation import BalanceError, balance, find_pose, linearise, settle
 from mbsrun.models import INTEGRATED
+from tests.model_kinds import write_model
 from tests.picture_kinds import find_kind
 from tests.shipped import FOLDER
 
@@ -244,6 +245,17 @@ def test_a_ball_alone_settles_where_its_mass_hangs(tmp_path: Path) -> None:
     swings = sorted(mode.pole.imag for mode in found.modes)
     assert swings[-2:] == pytest.approx([np.sqrt(9.81 / 1.1)] * 2, rel=1e-9)
     assert Closure(kernels).measure_strength(tilted) == 1.0
+
+
+def test_a_horizontal_arm_settles_where_it_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without stiffness where it starts: its weight's moment is the largest there. The driven table stays."""
+    monkeypatch.chdir(tmp_path)
+    Path("table.yaml").write_text(write_model("driven"), encoding="utf-8")
+    kernels = load(Path("table.yaml"), extent=INTEGRATED)
+    for angle in (0.0, np.pi, 1e-9):
+        q = settle(kernels, np.array([0.4, angle]), np.zeros(1)).q
+        assert [q[0], np.cos(q[1])] == pytest.approx([0.4, 0.0], abs=1e-8)
+        assert np.sin(q[1]) > 0  # its mass is at (0.2, 0, 0) of its frame, which turns about y
 
 
 def test_poles_beside_a_change_point_are_doubted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

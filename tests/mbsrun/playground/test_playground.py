@@ -21,6 +21,7 @@ import mbsrun
 from mbsgen.resources import folder as resources
 from mbsgen.roles import Role
 from mbsrun.cli import cli, main
+from mbsrun.closure import Closure
 from mbsrun.external import Mechanism, load
 from mbsrun.library import CompileError
 from mbsrun.linearisation import balance, linearise
@@ -302,19 +303,51 @@ def test_a_controller_finds_the_plan_and_the_inputs_of_the_native_one(
     case: Case, requires: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Both make the same steps of Newton's method; roundings differ."""
-    q, qd = [0.2, 0.3], [0.1, -0.2]
-    start = {"coordinate": q, "velocity": qd}
-    requests = {"states": [], "start": start, "steps": 0, "h": 0.0, "parameters": [0.3]}
-    (found,) = ask(requires, case.page, tmp_path, requests)["control"]
     monkeypatch.setenv("CFLAGS", "-O0")
-    native = mbsrun.controller(case.place / "home")
-    native.data["start_q"][:], native.data["start_qd"][:] = q, qd
+    compare_controllers(requires, tmp_path, case.page, case.place / "home", ([0.2, 0.3], [0.1, -0.2]), [0.1, -0.2], [0.3])
+
+
+def test_a_controller_of_a_loop_gets_the_velocities_that_are_its_states(
+    requires: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page knows velocities of all joints; the controller's states have those of independent joints alone."""
+    pytest.importorskip("ziglang")
+    monkeypatch.setenv("CFLAGS", "-O0")
+    text = (ROOT / "models" / "five_bar_reach.ocp.yaml").read_text("utf-8")
+    text = re.sub(r"intervals: \d+", "intervals: 4", text).replace("five_bar.yaml", str(ROOT / "models" / "five_bar.yaml"))
+    (tmp_path / "reach.ocp.yaml").write_text(text, encoding="utf-8")
+    run("controller", tmp_path / "reach.ocp.yaml", "-o", tmp_path / "reach")
+    page = tmp_path / "page.html"
+    run("playground", ROOT / "models" / "five_bar.yaml", "--controller", tmp_path / "reach", "-o", page)
+    native = mbsrun.controller(tmp_path / "reach")
+    q = native.data["start_q"].tolist()
+    closure = Closure(load(ROOT / "models" / "five_bar.yaml", extent=EXTENT))
+    velocities = closure.complete_velocities(np.array(q), closure.independent, np.array([0.1, -0.2]))
+    compare_controllers(requires, tmp_path, page, tmp_path / "reach", (q, velocities.tolist()), [0.1, -0.2], [])
+
+
+def compare_controllers(
+    requires: Callable[[str], str],
+    place: Path,
+    page: Path,
+    folder: Path,
+    state: tuple[list[float], list[float]],
+    chosen: list[float],
+    parameters: list[float],
+) -> None:
+    """Compare plans and inputs of the page with the native ones; `chosen` are the velocities among the states."""
+    q, qd = state
+    start = {"coordinate": q, "velocity": qd}
+    requests = {"states": [], "start": start, "steps": 0, "h": 0.0, "parameters": parameters}
+    (found,) = ask(requires, page, place, requests)["control"]
+    native = mbsrun.controller(folder)
+    native.data["start_q"][:], native.data["start_qd"][:] = q, chosen
     result = native.solve()
     assert result.is_solved
     assert (found["status"], found["message"]) == (0, result.message)
     for k, each in enumerate(found["stepped"]):
         native.prepare(shift=k > 0)
-        inputs, _ = native.feedback([*q, *qd])
+        inputs, _ = native.feedback([*q, *chosen])
         assert each["status"] == 10
         np.testing.assert_allclose(each["inputs"], inputs, rtol=1e-7, atol=1e-7)
     plan = native.plan()
@@ -367,7 +400,7 @@ def test_the_same_mechanism_gives_the_same_bytes(case: Case, tmp_path: Path, mon
 def test_mechanisms_and_controllers_that_do_not_fit_are_refused(
     case: Case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(PlaygroundError, match=r"home: controls .* with other states or inputs than satellite has"):
+    with pytest.raises(PlaygroundError, match=r"home: controls .* with other coordinates or inputs than satellite has"):
         describe_controller(case.place / "home", load(ROOT / "models" / "satellite.yaml", extent=EXTENT).manifest)
     with pytest.raises(PlaygroundError, match="satellite has quaternions"):
         run("playground", ROOT / "models" / "satellite.yaml", "--regulate", "1", "-o", case.place / "satellite.html")

@@ -1,0 +1,125 @@
+#include "laws.h"
+
+#include "../../../csrc/stages/newton.c"
+
+/* Stand-ins: residuals of a step, one after the other. */
+static struct {
+    const real *errors; /* of the first sweep, the second, ... */
+    real most;
+    int sweeps;
+} given;
+
+void mbs_stages_sweep(mbs_stages_recursion *r, const real *w, const real *c, real *dw, real *dy)
+{
+    (void)r, (void)w, (void)c;
+    ++given.sweeps;
+    dw[0] = given.sweeps, dy[0] = 10 * given.sweeps;
+}
+
+void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data)
+{
+    mbs_stages *s = data;
+    (void)r, (void)task;
+    s->residual_w[0] = given.errors[given.sweeps - 1];
+    s->residual_c[0] = 0;
+}
+
+real mbs_stages_matrix_diagonal(const mbs_stages_matrix *m)
+{
+    return given.most * (real)m->rows;
+}
+
+static real room[10][2];
+static mbs_stages solver;
+static mbs_stages_stage stages[2];
+static mbs_stages_phase phase;
+
+static void anew(mbs_stages *s)
+{
+    memset(s, 0, sizeof *s);
+    memset(room, 0, sizeof room);
+    memset(stages, 0, sizeof stages);
+    memset(&phase, 0, sizeof phase);
+    s->recursion.stage = stages, s->recursion.stages = 2;
+    s->rw = room[0], s->rc = room[1], s->dw = room[2], s->dy = room[3], s->residual_w = room[4];
+    s->residual_c = room[5], s->best_w = room[6], s->best_y = room[7];
+    s->recursion.compliance = room[8];
+    s->variables = s->rows = 1;
+    s->rw[0] = s->rc[0] = 1;
+    given.sweeps = 0;
+}
+
+static void refining(void)
+{
+    const real good[] = {0.1 * MBS_STAGES_REFINED}, falling[] = {1, 0.4, 0.1, 0.04, 0.1 * MBS_STAGES_REFINED};
+    const real slow[] = {1, 0.6, 0.1 * MBS_STAGES_REFINED}, worse[] = {1, 2};
+    mbs_stages *s = &solver;
+    anew(s);
+    given.errors = good;
+    LAW("a good step is not refined", solve_reduced(s) == 0 && given.sweeps == 1 && s->best_w[0] == 1);
+    anew(s);
+    given.errors = falling;
+    LAW("refinements go on while they halve the residual", solve_reduced(s) == 4 && s->result.refinements == 4);
+    LAW("and add up", s->best_w[0] == 1 + 2 + 3 + 4 + 5 && s->best_y[0] == 150);
+    anew(s);
+    given.errors = slow;
+    LAW("and no longer", solve_reduced(s) == -1 && given.sweeps == 2);
+    LAW("the better step stays", s->best_w[0] == 1 + 2);
+    anew(s);
+    given.errors = worse;
+    LAW("a worse one is left", solve_reduced(s) == -1 && s->best_w[0] == 1 && s->best_y[0] == 10);
+}
+
+static void softening(void)
+{
+    mbs_stages *s = &solver;
+    anew(s);
+    stages[0].H.rows = 1, stages[1].H.rows = 3, given.most = 2;
+    LAW("the largest curvature of all stages", largest_curvature(&s->recursion) == 6);
+    stages[0].H.rows = 4;
+    LAW("wherever it is", largest_curvature(&s->recursion) == 8);
+    given.most = 0.1;
+    LAW("is 1 at least", largest_curvature(&s->recursion) == 1);
+    LAW("as much added curvature as there is softens nothing", !softens(s, &phase, 1));
+    phase.elastic = 1;
+    LAW("nor is restoration softened", !softens(s, &phase, 1.1));
+    phase.elastic = 0;
+    LAW("more does", softens(s, &phase, 1.1) && s->softening == MBS_STAGES_SOFTENED);
+    LAW("once", !softens(s, &phase, 1.1));
+    s->softening = MBS_STAGES_HARD_FOR_GOOD;
+    LAW("or never", !softens(s, &phase, 1.1));
+    LAW("curvature begins at a third of the last one", near(first_curvature(9), 3) && first_curvature(0) == FIRST);
+    LAW("and at the least one", first_curvature(LEAST) == LEAST);
+}
+
+static void stepping(void)
+{
+    mbs_stages *s = &solver;
+    mbs_stages_phase *p = &phase;
+    real zl[1] = {3}, zu[1] = {4}, dx[1] = {0.5}, dzl[1], dzu[1], lower[1] = {1}, upper[1] = {6}, x[1] = {3}, sigma[1] = {5};
+    char fixed[1] = {0};
+    mbs_stages_direction d = {dx, dzl, dzu, 0};
+    anew(s);
+    p->size = 1, p->x = x, p->lower = lower, p->upper = upper, p->zl = zl, p->zu = zu, p->mu = 0.25, p->sigma = sigma;
+    s->fixed = fixed;
+    mbs_stages_bound_steps(s, p, &d);
+    LAW("products come to mu below", near((zl[0] + dzl[0]) * 2 + zl[0] * 0.5, 0.25));
+    LAW("and above", near((zu[0] + dzu[0]) * 3 - zu[0] * 0.5, 0.25));
+    LAW("a variable yields by the barrier's curvature", near(yield(s, p, 0), 0.2));
+    sigma[0] = 0;
+    LAW("freely without bounds", yield(s, p, 0) == FREE);
+    lower[0] = -1e20, upper[0] = 1e20;
+    mbs_stages_bound_steps(s, p, &d);
+    LAW("no bound, no step", dzl[0] == 0 && dzu[0] == 0);
+    lower[0] = 1, upper[0] = 6, fixed[0] = 1;
+    mbs_stages_bound_steps(s, p, &d);
+    LAW("nor of a fixed one", dzl[0] == 0 && dzu[0] == 0 && yield(s, p, 0) == 0);
+}
+
+int main(void)
+{
+    refining();
+    softening();
+    stepping();
+    return broken > 0;
+}

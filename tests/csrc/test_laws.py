@@ -1,0 +1,29 @@
+"""Laws of the decisions that the solver for stages makes: when it accepts, softens, restores, stops, limits, scales.
+
+Each program of `laws/` includes one file of the solver, with stand-ins for what that file calls, and prints the laws
+that it breaks. Numbers are worked out by hand, or by another way in the program.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from mbsrun.library import find_compiler
+from tests.csrc.stages import STRICT, sources
+
+LAWS = sorted((Path(__file__).parent / "laws").glob("*.c"))
+
+
+@pytest.mark.parametrize("path", LAWS, ids=lambda path: path.stem)
+def test_decisions_keep_their_laws(path: Path, compiled: Path, tmp_path: Path) -> None:
+    """Files without stand-ins are linked as they are; the linker takes the first of two functions of one name."""
+    others = [str(each) for each in sorted(compiled.parent.glob("*.o")) if each.stem not in {path.stem, "quadratic"}]
+    command = [*find_compiler(os.environ).command, *STRICT, "-O0", f"-I{sources()[0].parent}", str(path), *others]
+    program = tmp_path / path.stem
+    subprocess.run([*command, "-Wl,-z,muldefs", "-lm", "-o", str(program)], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.returncode) == ("", 0)
