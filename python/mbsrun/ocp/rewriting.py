@@ -29,8 +29,8 @@ INPUT = "input_"  # before the name of a coordinate: the state that is its conti
 class Price:
     """The price of a slack s: linear s + quadratic s^2."""
 
-    linear: float = 0.0
-    quadratic: float = 0.0
+    linear: float
+    quadratic: float
 
 
 def soften(problem: Problem, constraint: Constraint, price: Price, name: str) -> Problem:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 OPEN = 1e-9  # of h and of J qd relative to 1 + |qd|: more is an open loop, less is rounding of the caller's
 ROUGH = 1e-3  # of h: a given pose that is open by less is closed
+PARTING = 1e-6  # least singular value of J relative to the largest: with less, loops may go on in several ways
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +82,9 @@ def complete_velocities(closure: Closure, q: Array, qd: Array, given: Collection
     given = sorted(given)
     found = closure.complete_velocities(q, given, qd[given])
     worst = _find_open(closure, closure.rates(q, found), found)
+    if worst and closure.measure_strength(q) < PARTING:
+        finding = "the pose is a change point, where its equations depend on each other and it may go on in several ways"
+        raise OpenError(worst.name, finding, "give all coordinates and velocities, or start beside it")
     if worst:
         finding = f"the given velocities open it at a rate of {worst.size:.3g}"
         raise OpenError(worst.name, finding, "give independent joints only")

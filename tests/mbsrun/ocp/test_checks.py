@@ -87,6 +87,15 @@ def test_all_faults_come_together() -> None:
     assert {place for place, _, _ in refusal.value.findings} == {"intervals", "degree", "start_q", "accuracy"}
 
 
+@pytest.mark.parametrize("rounds", [1, 100])
+def test_the_limits_of_a_range_are_in_it(rounds: int) -> None:
+    check_problem(replace(push(4), refine=Refinement(1e-6, rounds)), double_integrator().manifest)
+
+
+def test_an_end_that_is_not_described_is_free() -> None:
+    assert not (End().velocity_zero or End().acceleration_zero or End().coordinates or End().velocities)
+
+
 def test_numbers_of_numpy_are_numbers() -> None:
     """Such as grids and arrays give: a problem need not convert them."""
     numbers = {"horizon": np.float64(1.0), "start_q": tuple(np.zeros(1)), "representation": Representation.EXP1_A}

@@ -212,6 +212,8 @@ def test_what_was_found_is_counted_by_independent_starts(coarse: Problem, arm: P
     lines = describe_search(FOUND)
     assert "0 to 2 of 1 to 4 independent starts, at 1 of 2 targets by none; lower ones may exist" in lines[0]
     assert "lower still at 1 targets: down to 1, with +1 turn of q1, at target (0, 0)" in lines[1]
+    lines = describe_search([*FOUND, attempt("turns", 2.0, "0 +2 0", "q1 +2")])
+    assert "down to 1, with +1 turn of q1" in lines[1]  # the lowest of several
     study = replace(state_study(coarse, arm), costs=((1.0, 0.0),), targets=TARGETS)
     assert list_open_tasks(study, FOUND) == []
     assert len(list_open_tasks(study, [FOUND[4]])) == 1  # solved with whole turns alone

@@ -32,6 +32,7 @@ from mbsrun.simulation import (
     Motion,
     Settings,
     follow,
+    multipliers,
     radau,
     record,
     simulate,
@@ -40,6 +41,7 @@ from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.drive import Drive, control, express, hold
 from mbsrun.simulation.inverse import FreeError, invert
 from tests.mbsrun.carousel import CAROUSEL
+from tests.model_kinds import write_model
 
 A01 = """
 name: cartesian_pendulum
@@ -304,25 +306,46 @@ def test_a_driven_mechanism_at_rest_stays_at_rest(driven: Mechanism, method: str
     assert motion.warnings == ()
 
 
-@pytest.mark.parametrize("name", ["parallelogram", "driven"])
+@pytest.fixture(scope="module")
+def whirled(tmp_path_factory: pytest.TempPathFactory) -> Mechanism:
+    """A driven table that carries a free arm: its accelerations move the arm."""
+    path = tmp_path_factory.mktemp("whirled") / "model.yaml"
+    path.write_text(write_model("driven"), encoding="utf-8")
+    return load(find_folder(path, Extent(functions=FUNCTIONS[:7], derivatives=1)))
+
+
+@pytest.mark.parametrize("name", ["parallelogram", "driven", "whirled"])
 def test_steps_in_c_are_the_ones_in_python(
     name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Radau collocation, with inputs over time: the same iterations, and results to their rounding."""
     mechanism = request.getfixturevalue(name)
     texts, course = (["5*sin(3*t)", "0", "0"], None) if name == "parallelogram" else (["0", "0"], COURSE)
+    q, qd = (level(0.3), [1, -1, 1]) if name != "whirled" else (np.array([0.3, 0.2]), [1, 0])
+    texts = texts[: len(mechanism.manifest.actuated)]
     drive = express([parse(text) for text in texts], texts, {})
     motions = []
     for is_taken in (True, False):
         if not is_taken:
             monkeypatch.setattr(radau, "is_taken", lambda *_: False)
         settings = Settings(0.5, "radau-iia", step=0.05, stages=3)
-        motions.append(simulate(mechanism, drive, level(0.3), [1, -1, 1], settings, course=course))
+        motions.append(simulate(mechanism, drive, q, qd, settings, course=course))
     first, other = motions
     assert first.effort.iterations == other.effort.iterations > 10
     assert np.allclose(first.q, other.q, rtol=0, atol=1e-12)
     assert np.allclose(first.qd, other.qd, rtol=0, atol=1e-11)
     assert np.ptp(first.q[:, 0]) > 0.1
+
+
+def test_iterations_end_where_rounding_ends_them(parallelogram: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where changes no longer halve, a small one is rounding, and the step is made; a larger one is a failure."""
+    settings, start = Settings(0.5, "radau-iia", step=0.05, stages=3), (level(0.3), [5, -5, 5])
+    usual = simulate(parallelogram, rest(parallelogram), *start, settings)
+    monkeypatch.setattr(multipliers, "CONVERGED", 0.0)
+    same = simulate(parallelogram, rest(parallelogram), *start, settings)
+    np.testing.assert_allclose(same.q, usual.q, rtol=0, atol=1e-12)
+    monkeypatch.setattr(multipliers, "NOISE", 0.0)
+    assert not simulate(parallelogram, rest(parallelogram), *start, settings).is_complete
 
 
 def test_a_driven_start_must_be_on_its_course(driven: Mechanism) -> None:
@@ -404,6 +427,27 @@ def test_a_jump_of_velocities_stops(pendulum: Mechanism, keeping: Keeping) -> No
         assert motion.is_complete is is_complete
         if not is_complete:
             assert "to close it would change the velocities by a tenth in one step" in str(motion.halt)
+
+
+def test_a_jump_is_measured_beside_what_a_step_adds(pendulum: Mechanism) -> None:
+    """Closing may change velocities by a tenth of the largest |v| + h |a| of a joint: v after the step, a before it."""
+    closure, q, qd, found = Closure(pendulum), np.array([1.0, 0.0]), np.array([0.0, -3.0]), []
+    for h in np.linspace(0.02, 0.2, 46):
+        qdd = pendulum("exp1", q=q, qd=qd, u=np.zeros(0))["qdd"]
+        moved = qd + h * qdd
+        change = np.abs(closure.project_velocities(closure.close(q + h * qd), moved) - moved).max()
+        most = 0.1 * (np.abs(moved) + h * np.abs(qdd)).max()
+        settings = Settings(h, "euler", step=h, output_step=h, loops=Keeping.PROJECTION)
+        assert simulate(pendulum, rest(pendulum), q, qd, settings).is_complete is bool(change <= most), h
+        found.append(change <= most)
+    assert found[0] and not found[-1]
+
+
+def test_a_start_at_a_change_point_needs_all_of_it(parallelogram: Mechanism) -> None:
+    """There, one velocity does not decide how the loop goes on; a pose with a rounding of 1e-8 shows it."""
+    q = level(pi / 2) + np.array([0.0, 1e-7, 1e-7])
+    with pytest.raises(OpenError, match=r"the pose is a change point, .* give all coordinates and velocities"):
+        complete_velocities(Closure(parallelogram), q, np.array([1.0, 0.0, 0.0]), [0])
 
 
 def test_baumgarte_warns_of_a_singular_pose(parallelogram: Mechanism, pendulum: Mechanism) -> None:

@@ -24,7 +24,7 @@ from mbsrun.kernel import ArgumentError
 from mbsrun.recordings import read_recording
 from mbsrun.simulation import METHODS, Formulation, Settings, explicit, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
-from mbsrun.simulation.methods import Family
+from mbsrun.simulation.methods import Family, complete_settings
 from mbsrun.simulation.record import draw_motion
 from mbsrun.simulation.statement import Statement, read_statement
 from tests.picture_kinds import find_kind
@@ -101,6 +101,15 @@ def test_expressions_over_time_are_those_of_the_language() -> None:
     drive = express([parse("1/(t - 2)")], ["joint q1"], {})
     with pytest.raises(DriveError, match=r"joint q1 has no finite value at t = 2 s"):
         drive.pieces[0].at(2.0)
+
+
+def test_a_formulation_stays_where_its_method_can_take_it() -> None:
+    """Explicit methods take any; implicit steps of closed loops solve the residual, where accelerations were asked for."""
+    for formulation in Formulation:
+        asked = Settings(1.0, "dop853", formulation)
+        assert complete_settings(asked, is_closed=True).formulation is formulation
+        taken = complete_settings(Settings(1.0, "radau-iia", formulation), is_closed=True).formulation
+        assert taken is (Formulation.IMPL if formulation.evaluated.is_direct else formulation)
 
 
 @pytest.mark.parametrize("name", ["mbs_explicit.c", "mbs_radau.c"])
