@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -153,6 +153,10 @@ study: $(VENV)/installed-study
 # by the machine. `python -m tests.mutants --only WORD` plants the faults alone whose name has this word.
 mutants: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutants
+
+# Plants a hundred faults that the machine draws, and runs the tests that should see them: hours. Exit code 0 if 95 % die.
+drawn: $(VENV)/installed-dev
+	$(BIN)/python -m tests.mutants --drawn 100 --seed $(or $(SEED),40)
 
 # The laboratory, whole: half an hour on one core. Verdicts, maps and their tables go into docs/laboratory.
 laboratory: $(VENV)/installed-study

@@ -128,10 +128,14 @@ def _read_python(text: str) -> Iterator[tuple[int, str]]:
     begins = [0]
     for line in text.splitlines(keepends=True):
         begins.append(begins[-1] + len(line))
+    before = ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        line = token.line.lstrip()
+        line, last = token.line.lstrip(), before
+        before = token.string
         if line.startswith(("import ", "from ", "@")) or not token.string:
             continue
+        if token.string in ("*", "/") and not re.search(r"[\w\])'\"]$", last):
+            continue  # of arguments, not a product
         is_number = token.type == tokenize.NUMBER and re.fullmatch(r"[\d.]+(?:[eE][-+]?\d+)?", token.string)
         if is_number or (token.string in SWAPS and token.type in (tokenize.OP, tokenize.NAME)):
             yield begins[token.start[0] - 1] + token.start[1], token.string

@@ -237,7 +237,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}.pc": lay_out("controller/controller.pc", **common),
     }
     parts |= {**_write_tables(design, common, wrap), **write_formulas(design)}
-    symbols = [(text, text.replace(name, design.symbols, 1)) for text in _list_declared(name, parts)]
+    symbols = tag_names(_list_declared(name, parts), name, design.symbols)
     return {
         **parts,
         f"{name}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
@@ -262,6 +262,11 @@ def _describe_histories(design: Design) -> _Histories | None:
             limits.append(_Limit(_place_input(design, history.input, history.delay), last, lower, upper))
         before += history.count
     return _Histories(tuple(inputs), tuple(limits), given, list_delays(design.problem))
+
+
+def tag_names(texts: Sequence[str], name: str, tagged: str) -> list[tuple[str, str]]:
+    """Return names that begin with a controller's, each with its name in the object files."""
+    return [(text, tagged + text.removeprefix(name)) for text in texts]
 
 
 def _list_declared(name: str, parts: Mapping[str, str]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import pytest
 
 from mbsrun import cli
 from mbsrun.controllers import making
+from mbsrun.controllers.writing import tag_names
 
 MODEL = """\
 name: cart
@@ -140,3 +141,11 @@ def test_a_folder_of_somebody_else_is_refused_before_the_work(refuse: Refuse) ->
     Path("out").mkdir()
     Path("out/notes.txt").write_text("mine", encoding="utf-8")
     assert "out: it exists, and is no folder that mbsgen wrote" in refuse("no problem", MODEL)
+
+
+def test_only_the_beginning_of_a_name_gets_the_tag() -> None:
+    """A controller of the name s has functions such as s_solve_batch, whose other letters stay."""
+    assert tag_names(["s_solve_batch", "s_steps"], "s", "s_0a1b") == [
+        ("s_solve_batch", "s_0a1b_solve_batch"),
+        ("s_steps", "s_0a1b_steps"),
+    ]

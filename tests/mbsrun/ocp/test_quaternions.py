@@ -247,6 +247,8 @@ def test_problem_files_speak_of_quaternions_by_name(sphere: Mechanism, file: Pat
     assert indices == (0, 3, 4, 5, 6)
     assert values == pytest.approx((1, np.sin(0.25), 0, 0, -np.cos(0.25)))
     assert problem.end.velocities == ((4, 0.0),)
+    path.write_text(STATEMENT.replace("sin(half)", "2*sin(half)").replace("-cos(half)", "-2*cos(half)"), "utf-8")
+    assert dict(read_problem(path, lambda _: sphere)[0].end.coordinates) == pytest.approx(dict(problem.end.coordinates))
     for old, new, fault in (
         ("ball.qx: 3, ball.qw: 4", "ball.qw: 0", "start.pose: the quaternion of ball is 0; give ball.qw too"),
         ("ball.qx: 3", "ball.qx: null", "start.pose: the quaternion of ball is free in part; give null for all four"),

@@ -304,7 +304,9 @@ def test_a_controller_finds_the_plan_and_the_inputs_of_the_native_one(
 ) -> None:
     """Both make the same steps of Newton's method; roundings differ."""
     monkeypatch.setenv("CFLAGS", "-O0")
-    compare_controllers(requires, tmp_path, case.page, case.place / "home", ([0.2, 0.3], [0.1, -0.2]), [0.1, -0.2], [0.3])
+    compare_controllers(
+        requires, tmp_path, case.page, case.place / "home", ([0.2, 0.3], [0.1, -0.2]), [0.1, -0.2], [0.3]
+    )
 
 
 def test_a_controller_of_a_loop_gets_the_velocities_that_are_its_states(
@@ -314,7 +316,9 @@ def test_a_controller_of_a_loop_gets_the_velocities_that_are_its_states(
     pytest.importorskip("ziglang")
     monkeypatch.setenv("CFLAGS", "-O0")
     text = (ROOT / "models" / "five_bar_reach.ocp.yaml").read_text("utf-8")
-    text = re.sub(r"intervals: \d+", "intervals: 4", text).replace("five_bar.yaml", str(ROOT / "models" / "five_bar.yaml"))
+    text = re.sub(r"intervals: \d+", "intervals: 4", text).replace(
+        "five_bar.yaml", str(ROOT / "models" / "five_bar.yaml")
+    )
     (tmp_path / "reach.ocp.yaml").write_text(text, encoding="utf-8")
     run("controller", tmp_path / "reach.ocp.yaml", "-o", tmp_path / "reach")
     page = tmp_path / "page.html"
