@@ -304,7 +304,7 @@ def _yield_to(left: Array, M: Array, least: float) -> Array:
     if np.abs(left).max(initial=0.0) <= least:
         return np.zeros(len(left))
     pushed = -np.asarray(np.linalg.lstsq(M, left, rcond=RANK)[0])
-    return pushed * LONGEST / np.abs(pushed).max()
+    return np.asarray(pushed * LONGEST / np.abs(pushed).max())
 
 
 def check_kernels(kernels: Kernels, needed: Collection[str] = ("impl", "jac_impl")) -> None:

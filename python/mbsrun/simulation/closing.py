@@ -83,9 +83,7 @@ def complete_velocities(closure: Closure, q: Array, qd: Array, given: Collection
     found = closure.complete_velocities(q, given, qd[given])
     worst = _find_open(closure, closure.rates(q, found), found)
     if worst and closure.measure_strength(q) < PARTING:
-        finding = (
-            "the pose is a change point, where its equations depend on each other and it may go on in several ways"
-        )
+        finding = "the pose is a change point, where its equations depend on each other, and it may go on in more ways"
         raise OpenError(worst.name, finding, "give all coordinates and velocities, or start beside it")
     if worst:
         finding = f"the given velocities open it at a rate of {worst.size:.3g}"

@@ -93,7 +93,7 @@ def test_the_limits_of_a_range_are_in_it(rounds: int) -> None:
 
 
 def test_an_end_that_is_not_described_is_free() -> None:
-    assert not (End().velocity_zero or End().acceleration_zero or End().coordinates or End().velocities)
+    assert not any((End().velocity_zero, End().acceleration_zero, End().coordinates, End().velocities))
 
 
 def test_numbers_of_numpy_are_numbers() -> None:

@@ -104,7 +104,7 @@ def test_expressions_over_time_are_those_of_the_language() -> None:
 
 
 def test_a_formulation_stays_where_its_method_can_take_it() -> None:
-    """Explicit methods take any; implicit steps of closed loops solve the residual, where accelerations were asked for."""
+    """Explicit methods take any; implicit steps of closed loops solve the residual in place of accelerations."""
     for formulation in Formulation:
         asked = Settings(1.0, "dop853", formulation)
         assert complete_settings(asked, is_closed=True).formulation is formulation
