@@ -1,7 +1,7 @@
 """Laws of the decisions that the solver for stages makes: when it accepts, softens, restores, stops, limits, scales.
 
-Each program of `laws/` includes one file of the solver, with stand-ins for what that file calls, and prints the laws
-that it breaks. Numbers are worked out by hand, or by another way in the program.
+Each program of `laws/` includes one file of the solver, with stand-ins for the functions that it calls, and prints
+the laws that it breaks. Numbers are worked out by hand, or by another way in the program.
 """
 
 from __future__ import annotations

@@ -312,7 +312,7 @@ def test_a_controller_finds_the_plan_and_the_inputs_of_the_native_one(
 def test_a_controller_of_a_loop_gets_the_velocities_that_are_its_states(
     requires: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The page knows velocities of all joints; the controller's states have those of independent joints alone."""
+    """The page knows velocities of all joints; the controller's states are of independent joints alone."""
     pytest.importorskip("ziglang")
     monkeypatch.setenv("CFLAGS", "-O0")
     text = (ROOT / "models" / "five_bar_reach.ocp.yaml").read_text("utf-8")
