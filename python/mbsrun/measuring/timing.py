@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ SAMPLE_NS = 300_000.0  # time of one function in a round
 _TIMING = ("timing/mbs_timing.c", "timing/mbs_timing.h", "mbs_many.h", "mbs_abi.h", "mbs_states.h")
 
 
-class _Pool(ctypes.Structure):
+class Pool(ctypes.Structure):
     """`mbs_pool` of csrc/timing."""
 
     _fields_ = (
@@ -52,7 +53,7 @@ class Watch:
         self._results = code.make_results()
         self._steps = np.array([x.shape[1] for x in inputs], dtype=np.int64)
         self._arg, self._res = point_to(self._inputs), point_to(self._results)
-        self._pool = _Pool(
+        self._pool = Pool(
             len(inputs[0]),
             len(inputs),
             ctypes.addressof(self._arg),
@@ -62,8 +63,7 @@ class Watch:
             code.w.ctypes.data,
             code.address,
         )
-        self._time = ctypes.CDLL(str(_compile_timing(code.precision))).mbs_time_kernel
-        self._time.restype, self._time.argtypes = ctypes.c_double, (ctypes.c_void_p, ctypes.c_longlong)
+        self._time = load_timing(code.precision)
         self.passes = max(1, round(SAMPLE_NS / (self.measure(1) * len(inputs[0]))))
 
     @property
@@ -99,6 +99,13 @@ def sum_up(rounds: Array) -> Cost:
     """Sum up the times of several rounds."""
     first, median, third = (float(x) for x in np.quantile(rounds, (0.25, 0.5, 0.75)))
     return Cost(float(rounds.min()), median, (third - first) / median, len(rounds))
+
+
+def load_timing(precision: Precision = "float64") -> Any:
+    """Return the timing loop: of the address of a pool and the number of passes, nanoseconds of a call."""
+    time = ctypes.CDLL(str(_compile_timing(precision))).mbs_time_kernel
+    time.restype, time.argtypes = ctypes.c_double, (ctypes.c_void_p, ctypes.c_longlong)
+    return time
 
 
 def _compile_timing(precision: Precision) -> Path:
