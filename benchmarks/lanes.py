@@ -1,7 +1,8 @@
 """Kernels alone, of one state and in lanes: `python -m benchmarks.lanes`.
 
 Times are of one core, in ns a state: the least of many passes over states whose numbers lie in lanes already, so
-nothing is moved. A batch from arrays takes longer, since numbers go to lanes and results to memory (batches.md).
+nothing is moved. A batch from arrays takes longer, since numbers go to lanes and results to memory (batches.md). The
+least of three copies of a library counts: the same machine code can take three times as long by its place in memory.
 Instructions are the ones on vectors in a kernel's machine code for several states; "at the stack" is the part of them
 that reads or writes a number for which no register was free.
 """
@@ -12,6 +13,7 @@ import argparse
 import ctypes
 import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,10 +31,11 @@ from benchmarks.robots import ROBOTS, find_robot
 from mbsgen.pipeline import Options, generate
 from mbsrun import many
 from mbsrun.kernel import Array, Kernels
-from mbsrun.library import find_compiler
+from mbsrun.library import compile_library, find_compiler
 from mbsrun.measuring.timing import Pool, load_timing
 
 GROUPS = 8  # of states, that a pass goes through: their numbers stay in the caches near the core
+COPIES = 3
 LINE = 64  # bytes that vectors are aligned to
 _VECTOR = re.compile(r"^\s+v\w+\s.*%[xyz]mm", re.MULTILINE)  # of x86
 _STACK = re.compile(r"\(%r[sb]p[,)]")
@@ -85,21 +88,28 @@ def measure(kernels: Kernels, mechanism: str, name: str, rounds: int) -> Found:
     entry, (loop, several) = kernels.bind(name), kernels.choose_loop(name, 10**9)
     width = loop.width if several else 1
     inputs, sizes = draw(kernels.describe(name)), {port.argument.name: port.argument.nnz for port in entry.inputs}
-    functions = [(1, entry.ffi, entry.function)]
-    functions += [(width, several.ffi, several.function)] if several else []
     times = []
-    for states, ffi, function in functions:
+    for states in sorted({1, width}):
         given = [_lay(inputs[x][: GROUPS * states], states) if sizes[x] else np.zeros(0) for x in sizes]
         places = [port.position for port in entry.inputs]
         results = [_align(port.argument.nnz * states) for port in entry.outputs]
         steps = [sizes[x] * states for x in sizes]
-        address = int(ffi.cast("intptr_t", function))
         arguments = _Arguments(
             entry.n_in, entry.n_out, places, given, steps, results, [p.position for p in entry.outputs]
         )
-        times.append(arguments.measure(address, rounds) / states)
+        times.append(min(arguments.measure(x, rounds) for x in _load_copies(kernels, name, states)) / states)
     instructions, at_stack = count_vectors(kernels, name, width)
     return Found(mechanism, name, times[0], times[-1], width, instructions, at_stack)
+
+
+def _load_copies(kernels: Kernels, name: str, states: int) -> Iterator[int]:
+    """Yield the addresses of a kernel in copies of its library, which lie in other places of memory."""
+    kernel, compiler = kernels.describe(name), many.for_states(find_compiler(os.environ), states)
+    library = compile_library(kernels.folder, kernels.manifest.prefix, kernel.sources, compiler)
+    with TemporaryDirectory() as folder:
+        for k in range(COPIES):
+            loaded = ctypes.CDLL(str(shutil.copy(library, Path(folder) / f"{k}.so")))
+            yield ctypes.cast(getattr(loaded, kernel.symbol + many.end_name(states)), ctypes.c_void_p).value or 0
 
 
 class _Arguments:
