@@ -180,7 +180,7 @@ MBSRUN = Package(
         "optimal.quantities optimal.guessing",
         "optimal.expressions optimal.naming",
         "optimal.many optimal.derivatives",
-        "optimal.layers optimal.continuation",
+        "optimal.layers optimal.continuation optimal.scenarios",
         "optimal.phases",
         "optimal.control",
         "optimal",

@@ -13,13 +13,14 @@
 #define THETA_MU ((real)1.5)
 #define TAU ((real)0.99)
 #define NEAR ((real)0.5)          /* the first step of a warm start that is near its solution, at least */
+#define MOST_VIOLATION ((real)100) /* over the first violation; with 1e4, as in the paper, searches leave for no return */
 #define KAPPA_SIGMA ((real)1e10)  /* how far z may be from mu / distance */
 
 /* Start the filter, and the limits of the violation, at x. */
 void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 {
     const real theta = mbs_stages_sum(s->rows, p->c), size = theta > 1 ? theta : 1;
-    p->theta_most = (real)1e4 * size;
+    p->theta_most = MOST_VIOLATION * size;
     p->theta_least = (real)1e-4 * size;
     p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;

@@ -25,7 +25,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, Generic, Literal, TypeVar
 
@@ -128,6 +128,7 @@ class Algebra(Generic[T]):
     functions: Mapping[str, Callable[..., T]]  # PRIMITIVES; functions of DEFINED here are not written out
 
 
+@lru_cache(maxsize=1024)  # problems of a batch have the same expressions
 def parse(text: str) -> Expression:
     """Read an expression. Raises ExpressionError for anything but numbers, names, + - * / **, and known functions."""
     if not text.strip():

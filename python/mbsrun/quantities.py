@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.memory import Memory
 
 _AXES = ("x", "y", "z")
 
@@ -58,6 +59,19 @@ class Added:
 
 def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[str, Quantity]:
     """Return everything of a model, and of a problem, that an expression may use, by name."""
+    if added is None:
+        return _OWN.find(lambda: _list_own(manifest), manifest)
+    known = dict(_WITH_FORCES.find(lambda: {**list_quantities(manifest), **_list_forces(manifest)}, manifest))
+    for kind, own in (("states", added.states), ("controls", added.controls), ("unknowns", added.unknowns)):
+        known |= {name: Quantity(kind, i) for i, name in enumerate(own)}
+    return known
+
+
+_OWN, _WITH_FORCES = Memory[Mapping[str, Quantity]](), Memory[Mapping[str, Quantity]]()
+
+
+def _list_own(manifest: Manifest) -> dict[str, Quantity]:
+    """Return everything of a model but its open forces."""
     coordinates = [c.name for c in manifest.coordinates]
     known = {"t": Quantity("t", 0), "T": Quantity("T", 0)}
     for kind, entries in (
@@ -75,13 +89,14 @@ def list_quantities(manifest: Manifest, added: Added | None = None) -> Mapping[s
             known |= {f"{axis}{part}_{name}": Quantity("attitude", 9 * i + 3 * k + j) for j, part in enumerate(_AXES)}
     for i, x in enumerate(spell(manifest.elements)):
         known |= {} if x is None else {f"{kind}_{x}": Quantity(kind, i) for kind in ("length", "rate")}
-    if added is not None:
-        known |= {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
-        driven = spell([coordinates[i] for i in manifest.driven])
-        known |= {f"tau_{name}": Quantity("tau", i) for i, name in enumerate(driven) if name is not None}
-        for kind, own in (("states", added.states), ("controls", added.controls), ("unknowns", added.unknowns)):
-            known |= {name: Quantity(kind, i) for i, name in enumerate(own)}
     return known
+
+
+def _list_forces(manifest: Manifest) -> dict[str, Quantity]:
+    """Return open wrenches and signals, and forces of driven joints."""
+    known = {name: Quantity("w", i) for i, name in enumerate(name_components(manifest)) if name is not None}
+    driven = spell([manifest.coordinates[i].name for i in manifest.driven])
+    return known | {f"tau_{name}": Quantity("tau", i) for i, name in enumerate(driven) if name is not None}
 
 
 def find_unit(quantity: Quantity, manifest: Manifest) -> str:

@@ -30,14 +30,20 @@ SINGULAR = 1e-6  # of singular values: poses at which torques do not determine t
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """A motion at K times, with measured torques."""
+class SampledMotion:
+    """A motion at K times."""
 
-    name: str
     t: Array  # (K,) [s]
     q: Array  # (K, nq)
     qd: Array  # (K, n)
     qdd: Array  # (K, n)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(SampledMotion):
+    """A motion with measured torques."""
+
+    name: str
     w: Array  # (K, ...)
     u: Array  # (K, m): torques, or 0 where currents are given
     i: Array  # (K, m): currents [A]; 0 where there are none

@@ -29,7 +29,7 @@ from scipy.linalg import null_space
 from mbsgen.manifest import Manifest
 from mbsgen.roles import MOMENTS
 from mbsrun.external import Mechanism, load
-from mbsrun.identification.equations import Samples, Setting, write_rows
+from mbsrun.identification.equations import SampledMotion, Samples, Setting, write_rows
 from mbsrun.identification.identify import EXTENT, prepare, say_nothing
 from mbsrun.identification.settings import (
     ARMATURE,
@@ -79,14 +79,10 @@ MODEST = Wishes()
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class Excitation(SampledMotion):
     """An exciting motion."""
 
     model: str
-    t: Array  # (K,) [s]
-    q: Array  # (K, n)
-    qd: Array  # (K, n)
-    qdd: Array  # (K, n)
     u: Array  # (K, m): torques with the model's numbers
     coefficients: Array  # (n, 2 harmonics + 1): c, a, b
     duration: float  # of the period [s]
@@ -234,7 +230,7 @@ class _Design:
         q, qd, qdd = (wave @ x.T for wave in self.list_waves(t))
         manifest = self.setting.manifest
         zero = np.zeros((len(t), len(manifest.actuated)))
-        return Samples("", t, q, qd, qdd, np.zeros((len(t), manifest.open_entries)), zero, zero)
+        return Samples(t, q, qd, qdd, "", np.zeros((len(t), manifest.open_entries)), zero, zero)
 
     def write(self, samples: Samples) -> Array:
         """Return the rows, with weights, of base parameters in units of their sizes, (K, rows, base)."""

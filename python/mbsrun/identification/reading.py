@@ -44,7 +44,7 @@ def read_samples(
         own = fit(torques.times, values, LINEAR).evaluate(found.t)
         u[:, k] = motor * own if is_current else own
         i[:, k] = own if is_current else 0.0
-    samples = Samples(recording.file, found.t, found.q, qd, qdd, found.w, u, i)
+    samples = Samples(found.t, found.q, qd, qdd, recording.file, found.w, u, i)
     known = np.isfinite(np.hstack((samples.q, qd, qdd, samples.w, u, i))).all(axis=1)
     if known.sum() < FEWEST:
         finding = "at no time are all coordinates and torques known"

@@ -120,7 +120,7 @@ def draw_states(setting: Setting, count: int, seed: int) -> Samples:
     if not manifest.loops:
         low, high = list_ranges(setting)
         q = normalise(rng.uniform(low, high, (count, len(low))), manifest)
-        return Samples("", np.arange(count, dtype=float), q, qd, qdd, w, zero, rng.uniform(-1, 1, (count, m)))
+        return Samples(np.arange(count, dtype=float), q, qd, qdd, "", w, zero, rng.uniform(-1, 1, (count, m)))
     closure, pose = Closure(setting.kernels), np.array(manifest.pose)
     poses = closure.close(pose + NEAR * rng.uniform(-1, 1, (4 * count, len(pose))))
     q = poses[[closure.is_closed(x) for x in poses]][:count]
@@ -129,7 +129,7 @@ def draw_states(setting: Setting, count: int, seed: int) -> Samples:
     qd = closure.project_velocities(q, qd[: len(q)])
     qdd = closure.project_accelerations(q, qd, qdd[: len(q)])
     t = np.arange(len(q), dtype=float)
-    return Samples("", t, q, qd, qdd, w[: len(q)], zero[: len(q)], rng.uniform(-1, 1, (len(q), m)))
+    return Samples(t, q, qd, qdd, "", w[: len(q)], zero[: len(q)], rng.uniform(-1, 1, (len(q), m)))
 
 
 def list_ranges(setting: Setting) -> tuple[Array, Array]:

@@ -44,9 +44,17 @@ REACHED = 1e-5  # the largest distance from the targets that counts as none [m, 
 STARTS = 20  # poses to search from, before a target counts as out of reach
 STEP = 1e-6  # of central differences [rad, m]
 NEARNESS = 1e-6  # weight of the distance from the start, which chooses among poses that meet the targets
-_WAY = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # in t / T; from 0 to 1, at rest at both ends
-_LINE, _NOTHING = np.polynomial.Polynomial([0, 1]), np.polynomial.Polynomial([0])
-_RUN_OUT = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])  # leaves 0 at speed 1, and is back at 0, at rest
+Curve = tuple[np.polynomial.Polynomial, ...]  # in t / T, with its derivatives of orders 1 and 2
+
+
+def _list_derivatives(*coefficients: float) -> Curve:
+    curve = np.polynomial.Polynomial(coefficients)
+    return curve, curve.deriv(), curve.deriv(2)
+
+
+_WAY = _list_derivatives(0, 0, 0, 10, -15, 6)  # from 0 to 1, at rest at both ends
+_LINE, _NOTHING = _list_derivatives(0, 1), _list_derivatives(0)
+_RUN_OUT = _list_derivatives(0, 1, 0, -6, 8, -3)  # leaves 0 at speed 1, and is back at 0, at rest
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,8 @@ def find_pose(problem: Problem, plant: Plant) -> Pose:
     where it fails from the start; a pose that is not reached is the nearest one found.
     """
     kinematics = _Kinematics(problem, plant)
+    if (given := kinematics.read_coordinates(problem.guess.upright)) is not None:
+        return given
     pose = kinematics.search(problem.guess.upright)
     return pose if pose.is_reached else kinematics.search(())
 
@@ -95,16 +105,16 @@ def make_guess(problem: Problem, plant: Plant, scheme: Scheme) -> Trajectory | P
         start = np.array(problem.start_q)
         start[[i for i, _ in problem.guess.start]] = [value for _, value in problem.guess.start]
         problem = replace(problem, start_q=tuple(start.tolist()))
-    motion = rest(problem, scheme, plant)
     if not plant.manifest.coordinates:
-        return motion
-    if problem.guess.motion != "rest":
-        pose = _choose_pose(problem) if problem.guess.end else find_pose(problem, plant)
-        if not pose.is_reached:
-            return pose
-        motion = interpolate(problem, scheme, pose.q, plant)
-        if not np.isfinite(motion.point_q).all():
-            return replace(pose, has_way=False)
+        return rest(problem, scheme, plant)
+    if problem.guess.motion == "rest":
+        return balance(rest(problem, scheme, plant), problem, plant, problem.guess.inputs)
+    pose = _choose_pose(problem) if problem.guess.end else find_pose(problem, plant)
+    if not pose.is_reached:
+        return pose
+    motion = interpolate(problem, scheme, pose.q, plant)
+    if not np.isfinite(motion.point_q).all():
+        return replace(pose, has_way=False)
     return balance(motion, problem, plant, problem.guess.inputs)
 
 
@@ -139,7 +149,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
 
     def read(t: Array, order: int) -> Array:
         s = (t / T)[..., None]
-        w, r = (p.deriv(order) if order else p for p in curves)
+        w, r = (curve[order] for curve in curves)
         return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * changes * T) / T**order)
 
     def move(t: Array) -> tuple[Array, Array, Array]:
@@ -148,7 +158,7 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
         if plant is None or not turning:
             return motion
         s = (t / T)[..., None]
-        w, r = (np.stack([(p.deriv(k) if k else p)(s) / T**k for k in range(3)]) for p in curves)
+        w, r = (np.stack([p(s) / T**k for k, p in enumerate(curve)]) for curve in curves)
         for x in turning:
             way, run_out = find_turn(start[x.entries], q[x.entries]), T * speed[x.spins]
             for part, turned in zip(motion, turn(start[x.entries], way, w, run_out, r), strict=True):
@@ -335,6 +345,15 @@ class _Kinematics:
             if (pose.distance, not pose.is_upright) < (best.distance, not best.is_upright):
                 best = pose
         return best
+
+    def read_coordinates(self, upright: tuple[str, ...]) -> Pose | None:
+        """Return the pose that targets of coordinates give, the others at the start; None where more is to be met."""
+        if self.sensors or self.aims or upright or self.turning or self.closure is not None:
+            return None
+        q = np.clip(self.start, self.lower, self.upper)
+        q[self.coordinates] = self.values
+        is_within = bool(((self.lower <= q) & (q <= self.upper)).all())
+        return Pose(q, 0.0, is_upright=True) if is_within else None
 
     def starts(self) -> Array:
         """Spread poses over the bounds."""

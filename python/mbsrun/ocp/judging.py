@@ -60,9 +60,11 @@ def appeal(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: f
     return replace(outcome, run=replace(outcome.run, status=ACCEPTABLE))
 
 
-def examine(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float) -> tuple[Run, str]:
-    """Judge an answer; return its run with the findings, and why it is refused, or nothing."""
-    run, found = outcome.run, _judge(program, outcome, solver.tolerance, weight)
+def examine(
+    program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float, g: Array | None = None
+) -> tuple[Run, str]:
+    """Judge an answer; return its run with the findings, and why it is refused, or nothing. Its rows g may be known."""
+    run, found = outcome.run, _judge(program, outcome, solver.tolerance, weight, g)
     if found is None:
         return run, ""
     if not found.is_feasible:
@@ -79,11 +81,13 @@ def examine(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: 
     return (replace(run, gap=found.decrease) if _is_convex(program, outcome) else run), ""
 
 
-def _judge(program: Prepared, outcome: Outcome, tolerance: float, weight: float) -> Judgement | None:
+def _judge(
+    program: Prepared, outcome: Outcome, tolerance: float, weight: float, g: Array | None = None
+) -> Judgement | None:
     """Judge a point; None where its functions have no numbers."""
     start, x, functions = outcome.start, outcome.x, program.numpy
     p = start.parameters
-    c, J, g = functions.gradient(x, p), functions.jacobian(x, p), functions.constraint(x, p)
+    c, J, g = functions.gradient(x, p), functions.jacobian(x, p), functions.constraint(x, p) if g is None else g
     if not all(np.isfinite(part).all() for part in (c, J.data, g)):
         return None
     point = linearise(x, g, c, J, (start.lower, start.upper), (start.g_lower, start.g_upper))

@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsrun.ocp.functions import Array, Indices
@@ -110,20 +111,22 @@ def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pai
     size, fixed, equal = np.maximum(1.0, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
     below, above = (np.where(fixed, 0.0, distance) for distance in (x - bounds[0], bounds[1] - x))
     row_below, row_above = (np.where(equal, 0.0, distance) for distance in (g - ranges[0], ranges[1] - g))
-    rows, reach = J.tocsr(), np.asarray(abs(J) @ size)
-    alone = np.flatnonzero(np.diff(rows.indptr) == 1)
-    alone = alone[rows.data[rows.indptr[alone]] != 0]
-    at, value = rows.indices[rows.indptr[alone]], rows.data[rows.indptr[alone]]
+    row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
+    reach = np.bincount(row, weights=np.abs(J.data) * size[column], minlength=g.size)
+    only = np.flatnonzero((np.bincount(row, minlength=g.size) == 1)[row] & (J.data != 0))
+    alone, at, value = row[only], column[only], J.data[only]
     falls = np.where(value > 0, row_below[alone], row_above[alone]) / np.abs(value)
     rises = np.where(value > 0, row_above[alone], row_below[alone]) / np.abs(value)
     np.minimum.at(below, at, falls)
     np.minimum.at(above, at, rises)
-    kept = np.setdiff1d(np.arange(g.size), alone)
+    is_kept = np.ones(g.size, dtype=bool)
+    is_kept[alone] = False
+    kept = np.flatnonzero(is_kept)
     sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
     excess = (_measure_excess(g, ranges) / np.maximum(1.0, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
-        Matrix(rows[kept]),
+        _pick_rows(J, is_kept),
         kept,
         size,
         np.clip(below, 0.0, size),
@@ -133,6 +136,14 @@ def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pai
         max(float(part.max(initial=0.0)) for part in excess),
         sides,
     )
+
+
+def _pick_rows(J: Matrix, is_kept: NDArray[np.bool_]) -> Matrix:
+    """Return some rows of a matrix, as J[rows] in less time."""
+    stays = is_kept[J.indices]
+    begin = np.concatenate(([0], np.cumsum(stays)))[J.indptr]
+    row = (np.cumsum(is_kept) - 1)[J.indices[stays]]
+    return sparse.csc_array((J.data[stays], row, begin), shape=(int(is_kept.sum()), J.shape[1]))
 
 
 def _count_sides(below: Array, above: Array, size: Array) -> float:

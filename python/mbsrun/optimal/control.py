@@ -47,6 +47,7 @@ from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
 from mbsrun.optimal.result import Solved, Unsolved
+from mbsrun.optimal.scenarios import state_scenarios
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
 
@@ -222,6 +223,28 @@ class OptimalControl(Numbered):
         number and the outcome of each case as it ends. Raises ProblemError with the faults of the first cases.
         """
         return solve_family(self.family, over, guesses, threads, watch, check=check)
+
+    def with_scenarios(self, over: Over) -> PhasedControl:
+        """Return the problem of several scenarios that begin with the same inputs, for control that is robust.
+
+        `over` has the values of keys in each scenario, as for `solve_many`. The cost is the sum of all costs. The first
+        inputs, and controls, are unknowns `first_u_NAME`; each scenario goes on with its own. The solution of the first
+        one is `solution["scenario0"]`. Raises ProblemError.
+        """
+        data, folder = dict(self.data), self.folder
+        if "model" not in data and self.model is not None:
+            data["model"], folder = str(self.model), Path()
+        elif "model" not in data and self.plant is not NO_MECHANISM:
+            remedy = "give the file of the model to `problem`"
+            raise ProblemError(self.name, [("model", "loaded kernels, for a problem of scenarios", remedy)])
+        stated = state_scenarios(self.name, data, self.value, self.plant.manifest, over)
+        value, plants = state_phases(stated, self.name, folder, load)
+        whole = PhasedControl(value, plants, stated, folder)
+        return (
+            whole._restate(stated, {phase.name: self.expressions for phase in value.phases})
+            if self.functions
+            else whole
+        )
 
     @property
     def family(self) -> Family:

@@ -16,6 +16,7 @@ from mbsrun.ocp.checks import Line, ProblemError
 from mbsrun.ocp.phases.problem import Plants
 from mbsrun.ocp.solution import Run
 from mbsrun.optimal import display
+from mbsrun.optimal.naming import WrongPlaceError, put_at
 from mbsrun.optimal.plain import make_plain
 from mbsrun.optimal.result import Unsolved, import_pandas
 
@@ -123,7 +124,7 @@ def change(name: str, data: Mapping[str, Data], values: Values) -> dict[str, Dat
     """
     changed: Any = dict(data)
     for path, value in make_plain(name, values).items():
-        changed = _put(name, path, changed, _split(name, path), value)
+        changed = _put(name, path, changed, value)
     return {key: value for key, value in changed.items() if value is not None}
 
 
@@ -136,22 +137,16 @@ def _split(name: str, path: str) -> list[str | int]:
     return steps
 
 
-def _put(name: str, path: str, data: Any, steps: Sequence[str | int], value: Data) -> Any:
+def _put(name: str, path: str, data: Mapping[str, Data], value: Data) -> Any:
     """Return data with a value put where a path leads; mappings on the way are made, lists are not."""
-    step, *rest = steps
-    if isinstance(step, int):
-        if not isinstance(data, list) or step >= len(data):
-            found = f"a list of {len(data)}" if isinstance(data, list) else "no list"
-            _refuse(name, path, f"found {found} where the path has [{step}]", "give the number of an entry, from 0")
-        below = [*data]
-        below[step] = _put(name, path, data[step], rest, value) if rest else value
-        return below
-    if data is not None and not isinstance(data, Mapping):
-        remedy = "write a path of keys of the problem"
-        _refuse(name, path, f"found {abbreviate(data)} where the path has {step}", remedy)
-    held = dict(data or {})
-    held[step] = _put(name, path, held.get(step), rest, value) if rest else value
-    return held
+    try:
+        return put_at(data, tuple(_split(name, path)), value)
+    except WrongPlaceError as lack:
+        found, key, remedy = abbreviate(lack.found), f"{lack.key}", "write a path of keys of the problem"
+        if isinstance(lack.key, int):
+            found = f"a list of {len(lack.found)}" if isinstance(lack.found, list) else "no list"
+            key, remedy = f"[{key}]", "give the number of an entry, from 0"
+        return _refuse(name, path, f"found {found} where the path has {key}", remedy)
 
 
 def _refuse(name: str, place: str, finding: str, remedy: str) -> Any:

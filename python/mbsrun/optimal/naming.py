@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from mbsgen.documents import Data, Place, WrongValueError, nearest, read_number
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate
@@ -47,13 +48,13 @@ class Source:
     def find(self, name: str) -> Number:
         """Return a number by its name. Raises ProblemError for a name that is none."""
         place, value = self._look(name)
-        return Number(name, value, lambda x: self.state(_put(self.data, place, x)))
+        return Number(name, value, lambda x: self.state(put_at(self.data, place, x)))
 
     def put(self, numbers: Mapping[str, float]) -> Mapping[str, Data]:
         """Return the data with other values of numbers. Raises ProblemError for a name that is none."""
         data = self.data
         for name, value in numbers.items():
-            data = _put(data, self._look(name)[0], float(value))
+            data = put_at(data, self._look(name)[0], float(value))
         return data
 
     def _look(self, name: str) -> tuple[Place, float]:
@@ -211,18 +212,28 @@ def _look(data: Data | Mapping[str, Data], place: Place) -> Data:
     return found  # type: ignore[return-value]
 
 
-def _put(data: Mapping[str, Data], place: Place, value: float) -> dict[str, Data]:
-    """Return data with another value at a place."""
-    key, *rest = place
-    assert isinstance(key, str), "data are a mapping"
-    return {**data, key: _replace(data.get(key), tuple(rest), value)}
+class WrongPlaceError(Exception):
+    """A place that does not exist, and cannot be made: what was found, and the key that it lacks."""
+
+    def __init__(self, found: Any, key: str | int) -> None:
+        super().__init__(f"{key} of {found!r}")
+        self.found, self.key = found, key
 
 
-def _replace(data: Data, place: Place, value: float) -> Data:
+def put_at(data: Any, place: Place, value: Data) -> Any:
+    """Return data with another value at a place; mappings on the way are made.
+
+    Raises WrongPlaceError where the place has no such entry of a list, or no mapping.
+    """
     if not place:
         return value
-    key, rest = place[0], place[1:]
+    key, *rest = place
     if isinstance(key, int):
-        assert isinstance(data, list), "the place was found"
-        return [_replace(x, rest, value) if i == key else x for i, x in enumerate(data)]
-    return {**(data if isinstance(data, dict) else {}), key: _replace((data or {}).get(key), rest, value)}  # type: ignore[union-attr]
+        if not isinstance(data, list) or key >= len(data):
+            raise WrongPlaceError(data, key)
+        return [*data[:key], put_at(data[key], tuple(rest), value), *data[key + 1 :]]
+    if data is not None and not isinstance(data, Mapping):
+        raise WrongPlaceError(data, key)
+    held = dict(data or {})
+    held[key] = put_at(held.get(key), tuple(rest), value)
+    return held

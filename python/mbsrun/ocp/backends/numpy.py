@@ -17,7 +17,7 @@ from scipy import sparse
 from mbsrun.ocp.backends.assembly import Assembled, Parts, Scatter, assemble, prepare, scatter_matrix, scatter_weighted
 from mbsrun.ocp.backends.evaluations import bind
 from mbsrun.ocp.elimination import eliminate
-from mbsrun.ocp.functions import Array, Evaluation
+from mbsrun.ocp.functions import Array, Evaluation, Indices
 from mbsrun.ocp.plant import Plant
 from mbsrun.ocp.program import Block, Matrix, Program
 from mbsrun.ocp.status import NoNumbersError
@@ -92,6 +92,11 @@ class _Placed:
     def results(self, x: Array, p: Array) -> Array:
         """Return the results, place by place, before they are scaled."""
         return np.array(self.evaluation.value(self.arguments(x, p))).ravel()
+
+    @cached_property
+    def result_scatter(self) -> Scatter:
+        """Where the results belong."""
+        return self.parts.scatter_results()
 
     def by_factor(self) -> Scatter:
         """Place the results as derivatives by the factor."""
@@ -214,8 +219,9 @@ class NumpyProgram:
         """Scale the results of blocks, and sum them into their rows."""
         found = np.zeros(size)
         for placed in blocks:
-            scatter = placed.parts.scatter_results()
-            np.add.at(found, scatter.row, placed.factor(x) * scatter.coefficient * placed.results(x, p))
+            scatter = placed.result_scatter
+            values = placed.factor(x) * scatter.coefficient * placed.results(x, p)
+            found += np.bincount(scatter.row, weights=values, minlength=size)
         return found
 
     # --- matrices ---
@@ -263,8 +269,13 @@ class _Sum:
         found = self._assembled
         entries = found.coefficient * np.concatenate([*values, np.zeros(0)])[found.source]
         data = np.bincount(found.nonzero, weights=entries, minlength=found.row.size)
-        columns = np.searchsorted(found.col, np.arange(self._shape[1] + 1))
-        return sparse.csc_array((data, found.row, columns), shape=self._shape)
+        return sparse.csc_array((data, found.row, self._columns), shape=self._shape)
+
+    @cached_property
+    def _columns(self) -> Indices:
+        """Return where each column of the sum begins."""
+        assert self._assembled is not None, "values were added before"
+        return np.searchsorted(self._assembled.col, np.arange(self._shape[1] + 1))
 
 
 class NumpyCondensed:

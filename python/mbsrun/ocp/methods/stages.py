@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.memory import Memory
 from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, POSITIVE, SWITCH, Amount, Option, Settings
 from mbsrun.ocp.program import Program
@@ -163,27 +164,36 @@ def _read_multipliers(program: Program, tables: StageProgram, outcome: binding.O
     A row that gives a next state has the factor -1 / a in the tables, where a is the coefficient of that state. A row
     that is a first state gives bounds of it, which have its multiplier.
     """
-    y = outcome.y
-    kinds = [tables.kinds[kind] for kind in tables.kind_of_stage]
-    first = np.cumsum([0, *(kind.nx + kind.nv for kind in kinds)])
-    nexts = [*(kind.nx for kind in kinds[1:]), 0]
-    sizes = np.array([(kind.ne, after, kind.ng) for kind, after in zip(kinds, nexts, strict=True)])
-    part = np.repeat(np.tile(np.arange(3), len(kinds)), sizes.ravel())
-    found = np.zeros(program.constraints)
-    for number, rows in enumerate((tables.rows_e, tables.rows_d, tables.rows_g)):
-        own = y[part == number]
-        if number == 1:
-            following = [np.arange(first[k + 1], first[k + 1] + nexts[k]) for k in range(len(kinds) - 1)]
-            states = tables.variables[np.concatenate([_NONE, *following])]
-            known = (rows >= 0) & (states >= 0)
-            coefficients = np.asarray(program.A[rows[known], states[known]]).ravel()
-            own, rows = -own[known] / coefficients, rows[known]
-        np.add.at(found, rows[rows >= 0], own[rows >= 0])
+    places, rows, factors = _MULTIPLIERS.find(lambda: _place_multipliers(program, tables), tables, program)
+    weights = factors * outcome.y[places]
+    found = np.asarray(np.bincount(rows, weights, minlength=program.constraints), dtype=np.float64)
     variable, row = tables.fixed.T
     found[row] += outcome.z[variable]
     return found[program.kept_rows]
 
 
+def _place_multipliers(program: Program, tables: StageProgram) -> tuple[Indices, Indices, Array]:
+    """Return the multipliers of the tables that the program's rows have, these rows, and factors."""
+    kinds = [tables.kinds[kind] for kind in tables.kind_of_stage]
+    first = np.cumsum([0, *(kind.nx + kind.nv for kind in kinds)])
+    nexts = [*(kind.nx for kind in kinds[1:]), 0]
+    sizes = np.array([(kind.ne, after, kind.ng) for kind, after in zip(kinds, nexts, strict=True)])
+    part = np.repeat(np.tile(np.arange(3), len(kinds)), sizes.ravel())
+    following = [np.arange(first[k + 1], first[k + 1] + nexts[k]) for k in range(len(kinds) - 1)]
+    states = tables.variables[np.concatenate([_NONE, *following])]
+    places, every = (
+        [np.flatnonzero(part == number) for number in range(3)],
+        (tables.rows_e, tables.rows_d, tables.rows_g),
+    )
+    known = [every[0] >= 0, (every[1] >= 0) & (states >= 0), every[2] >= 0]
+    rows = [own[chosen] for own, chosen in zip(every, known, strict=True)]
+    factors = [np.ones(own.size) for own in rows]
+    factors[1] = -1 / np.asarray(program.A[rows[1], states[known[1]]]).ravel()
+    chosen = [own[which] for own, which in zip(places, known, strict=True)]
+    return np.concatenate(chosen), np.concatenate(rows), np.concatenate(factors)
+
+
+_MULTIPLIERS = Memory[tuple[Indices, Indices, Array]]()
 _NONE = np.zeros(0, dtype=np.int64)
 
 

@@ -305,10 +305,11 @@ class PhasedSolver:
         run, cause = outcome.run, ""
         try:
             run, x = self._balance_impacts(problem, outcome)
+            g = self._evaluate(x, outcome.start.parameters)
             if self._is_judged:
                 judged = replace(outcome, run=run, x=x)
-                run, cause = examine(self.program, judged, problem.solver, problem.weight)
-            solution = self._read(problem, run, x)
+                run, cause = examine(self.program, judged, problem.solver, problem.weight, g)
+            solution = self._read(problem, run, x, g)
         except NoNumbersError as lack:
             finding, remedy = explain(INVALID, run.iterations)
             return Failure(problem, replace(run, status=INVALID), f"{finding}, at the end: {lack}", remedy)
@@ -377,12 +378,13 @@ class PhasedSolver:
             raise NoNumbersError("a derivative of a row is not a finite number, or a kernel fails")
         return found
 
-    def _read(self, problem: PhasedProblem, run: Run, x: Array) -> PhasedSolution:
-        """Read the motions that a search ended at. Raises NoNumbersError where there are none."""
+    def _read(self, problem: PhasedProblem, run: Run, x: Array, g: Array | None = None) -> PhasedSolution:
+        """Read the motions that a search ended at; g are its rows, if known. Raises NoNumbersError without numbers."""
         own, functions = self.transcription, self.program.numpy
         parameters = own.parameters(problem)
         every = functions.complete(x)
-        g, terms = self._evaluate(x, parameters), evaluate(functions.terms, x, parameters)
+        g = self._evaluate(x, parameters) if g is None else g
+        terms = evaluate(functions.terms, x, parameters)
         solutions = []
         for k, (values, rows) in enumerate(zip(own.split(every), own.split_rows(g), strict=False)):
             first, last = own.offsets[k], own.offsets[k + 1]
