@@ -174,6 +174,7 @@ MBSRUN = Package(
         "ocp.summary",
         "ocp.phases",
         "ocp.told",
+        "ocp.dispatch",
         "ocp",
         "optimal.display optimal.plain optimal.describing optimal.recalling",
         "optimal.progress optimal.result",

@@ -203,6 +203,11 @@ class OnDemand:
         return repr(self._start).replace("Mechanism(", "OnDemand(", 1)
 
     @property
+    def folder(self) -> Path:
+        """The generated folder of all functions, which is made where there is none."""
+        return find_folder(self._path)
+
+    @property
     def parameters(self) -> Mapping[str, float]:
         """The run-time and differentiated parameters in use."""
         return self._start.parameters

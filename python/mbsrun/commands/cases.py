@@ -23,6 +23,8 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import print_table, say, show_progress
 from mbsrun.ocp.cases import Case, CaseSolver, solve_cases
+from mbsrun.ocp.cluster import open_client
+from mbsrun.ocp.dispatch import solve_elsewhere
 from mbsrun.ocp.multistart import end_at_interrupt
 from mbsrun.ocp.record import open_record
 from mbsrun.ocp.told import Told, name_case, read_told, tell, write_told
@@ -45,6 +47,7 @@ class Wish:
     workers: int  # processes; 0: this one
     minutes: float
     folder: Path | None  # for the solutions
+    scheduler: str | None = None  # the address of a Dask cluster, in place of threads and workers
 
 
 def sweep_cases(file: Path, record: Path, wish: Wish) -> bool:
@@ -163,6 +166,10 @@ Outcomes = Iterator[tuple[int, Told]]
 
 def _outcomes(file: Path, family: Family, cases: Sequence[tuple[Values, Case]], wish: Wish) -> Any:
     """Yield the number and the outcome of each case as it ends."""
+    if wish.scheduler is not None and cases:
+        with open_client(0, wish.scheduler) as client:
+            yield from solve_elsewhere(client, family.plants, [case for _, case in cases])
+        return
     if wish.workers == 0 or not cases:
         for k, outcome in solve_cases([case for _, case in cases], family.plants, wish.threads):
             yield k, tell(outcome)

@@ -147,6 +147,7 @@ Exit codes
 )
 @click.option("--threads", type=click.IntRange(1, MAX_THREADS), default=1, help="Of cases at once; by default 1.")
 @click.option("--workers", type=click.IntRange(0), default=0, help="Of cases: processes; by default this one alone.")
+@click.option("--scheduler", metavar="tcp://…", help="Of cases: the address of a Dask cluster, which solves them.")
 @click.option(
     "--solutions",
     type=click.Path(file_okay=False, path_type=Path),
@@ -169,6 +170,7 @@ def sweep_command(
     cases: Path | None,
     threads: int,
     workers: int,
+    scheduler: str | None,
     solutions: Path | None,
     **grid: Any,
 ) -> None:
@@ -177,7 +179,7 @@ def sweep_command(
         _check_options(context, over, cases)
         from mbsrun.commands.cases import Wish, sweep_cases  # takes longer to load
 
-        wish = Wish(over, cases, threads, workers, minutes, solutions)
+        wish = Wish(over, cases, threads, workers, minutes, solutions, scheduler)
         context.exit(0 if sweep_cases(file, out or Path(f"{name_problem(file)}.sweep"), wish) else NOT_SOLVED)
     if given := [f"--{name}" for name in OF_CASES if _is_given(context, name)]:
         raise click.UsageError(f"{', '.join(given)}: of cases; give --over or --cases too")
@@ -223,7 +225,7 @@ def sweep_command(
     context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
 
 
-OF_CASES = ("threads", "workers", "solutions")
+OF_CASES = ("threads", "workers", "scheduler", "solutions")
 SHARED = ("file", "out", "minutes", "over", "cases", *OF_CASES)
 
 
@@ -233,6 +235,8 @@ def _check_options(context: click.Context, over: Sequence[object], cases: Path |
     strange = [f"--{name}" for name in given if name not in SHARED]
     if over and cases is not None:
         raise click.UsageError("--over and --cases both list cases; give one of them")
+    if "scheduler" in given and {"threads", "workers"} & set(given):
+        raise click.UsageError("a cluster has its own workers; give --scheduler alone, without --threads and --workers")
     if strange:
         raise click.UsageError(f"{', '.join(strange)}: of targets; --over and --cases take their place")
 

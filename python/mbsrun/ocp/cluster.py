@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from mbsgen.errors import MbsError
 from mbsrun.cache import MODELS, find_or_make
@@ -27,6 +27,11 @@ PATIENCE = 60  # s; how long a cluster waits for a worker
 AHEAD = 2  # orders sent to each worker in advance, so that it never waits for the next
 HERE = "127.0.0.1:0"  # the address of Dask's status pages: any port, for this machine alone
 _FILE = re.compile(r"[A-Za-z0-9_]+\.(c|h|json)", re.ASCII)
+
+
+Sent = TypeVar("Sent")
+Order = TypeVar("Order")
+Found = TypeVar("Found")
 
 
 class ClusterError(MbsError):
@@ -61,14 +66,14 @@ def pack_kit(folder: Path) -> Kit:
     return Kit(digest.hexdigest()[:40], files)
 
 
-class ClusterExecutor:
-    """Executes orders on the workers of a cluster."""
+class ClusterExecutor(Generic[Sent, Order, Found]):
+    """Executes orders on the workers of a cluster: there, a function gets what is sent once, and an order."""
 
-    def __init__(self, client: Any, kit: Kit) -> None:
+    def __init__(self, client: Any, kit: Sent, function: Callable[[Sent, Order], Found]) -> None:
         """Take a connected `distributed.Client`."""
-        self._client, self._kit = client, kit
+        self._client, self._kit, self._function = client, kit, function
 
-    def carry_out(self, orders: Iterable[Job]) -> Iterator[Outcome]:
+    def carry_out(self, orders: Iterable[Order]) -> Iterator[Found]:
         """Keep all workers busy, and yield outcomes as they come. Raises ClusterError where a worker fails."""
         from distributed import as_completed
 
@@ -78,12 +83,12 @@ class ClusterExecutor:
 
         def submit(count: int) -> None:
             for order in itertools.islice(left, count):
-                under_way.add(self._client.submit(carry_out, kit, order, pure=False))
+                under_way.add(self._client.submit(self._function, kit, order, pure=False))
 
         submit(AHEAD * max(1, sum(self._client.nthreads().values())))
         for future in under_way:
             try:
-                outcome: Outcome = future.result()
+                outcome: Found = future.result()
             except Exception as error:  # any error of a worker, or its end
                 raise ClusterError(f"a worker of the cluster failed: {type(error).__name__}: {error}") from None
             submit(1)
@@ -110,6 +115,13 @@ def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path
     if scheduler is None and workers == 0:
         yield lambda folder: LocalExecutor(Mechanism(folder), describe_environment())
         return
+    with open_client(workers, scheduler) as client:
+        yield lambda folder: ClusterExecutor(client, pack_kit(folder), carry_out)
+
+
+@contextmanager
+def open_client(workers: int, scheduler: str | None) -> Iterator[Any]:
+    """Open a client of a cluster, by default of processes on this machine. Raises ClusterError."""
     try:
         import distributed
     except ImportError:
@@ -119,7 +131,7 @@ def open_workers(workers: int, scheduler: str | None) -> Iterator[Callable[[Path
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it warns that solving keeps workers busy
     with _connect(distributed, scheduler) if scheduler else _start(distributed, workers) as client:
-        yield lambda folder: ClusterExecutor(client, pack_kit(folder))
+        yield client
 
 
 @contextmanager

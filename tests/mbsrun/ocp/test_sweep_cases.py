@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import distributed
 import pytest
 
 from mbsrun.cli import main
@@ -96,6 +97,18 @@ def test_a_sweep_goes_on_where_its_time_was_over(sweep: Sweep) -> None:
     assert alone.exit_code == 0
 
 
+def test_a_cluster_solves_cases(sweep: Sweep) -> None:
+    """Its workers get the generated C; costs have the same digits as in this process."""
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        there = sweep(
+            "--over", "end.pose.cart", "0.9,1.1", "-o", "there.record", "--scheduler", cluster.scheduler_address
+        )
+    assert there.exit_code == 0, there.stderr
+    assert sweep("--over", "end.pose.cart", "0.9,1.1").exit_code == 0
+    costs = [[row["cost"] for row in read_rows(path)] for path in ("there.record.csv", "swing.sweep.csv")]
+    assert costs[0] == costs[1]
+
+
 def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
     Path("cases.csv").write_text("horizon,end.pose.cart,solver.max_iterations\n,1.1,\n2,,\n,,3\n")
     result = sweep("--cases", "cases.csv")
@@ -122,6 +135,10 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
         ),
         "two lists": (["--over", "horizon", "1", "--cases", "x.csv"], "give one of them"),
         "options of targets": (["--over", "horizon", "1", "--radius", "1"], "--radius: of targets"),
+        "two kinds of workers": (
+            ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"],
+            "a cluster has its own workers",
+        ),
         "options of cases": (["--workers", "2"], "--workers: of cases; give --over or --cases"),
         "no table": (["--cases", "nowhere.csv"], "nowhere.csv: cannot be read"),
         "an empty table": (["--cases", "swing.ocp.yaml.csv"], "found 0 cases"),
