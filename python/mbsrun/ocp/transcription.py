@@ -35,6 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -379,7 +380,7 @@ class Transcription:
         """Return means over the intervals of values (N, d, size) at the points."""
         return np.asarray(np.einsum("j,kjm->km", self.scheme.weights, points))
 
-    @property
+    @cached_property
     def _fixed(self) -> Indices:
         """The variables of theta that are no unknowns."""
         return np.setdiff1d(self.layout.design, self.layout.unknowns)

@@ -143,7 +143,8 @@ class PhasedSolver:
         own, x = self.transcription, self.pack(problem, guess)
         freed = self._free_targets(problem, guess)
         bounds = own.variable_bounds(freed)
-        scales = own.find_scales(own.pack(problem, usual), bounds)
+        is_packed = usual is guess and not own.defined  # what links define is no part of usual sizes
+        scales = own.find_scales(x if is_packed else own.pack(problem, usual), bounds)
         told = None if watch is None else report(watch)
         return Instance(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
 
