@@ -140,7 +140,7 @@ MBSRUN = Package(
         "ocp.methods ocp.writing",
         "ocp.checks ocp.transcription",
         "ocp.sections ocp.clashes ocp.surplus ocp.scales",
-        "ocp.referring ocp.orienting",
+        "ocp.muscles ocp.referring ocp.orienting",
         "ocp.parts",
         "ocp.restating",
         "ocp.statement ocp.guess ocp.record ocp.state_guess",

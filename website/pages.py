@@ -79,6 +79,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "identification.md",
             "gait.md",
             "muscles.md",
+            "opensim.md",
             "quantities.md",
             "derivatives.md",
             "classics.md",

@@ -77,7 +77,7 @@ def _list(problem: Problem, plant: Plant) -> Iterator[Watched]:
             yield Watched(f"friction of {contact.sensor}", (0.0, math.inf), expression=text)
     for constraint in problem.constraints:
         if constraint.at == "path" and not constraint.is_relaxed:
-            yield Watched(f"constraint {constraint.expression}", constraint.range, expression=constraint.expression)
+            yield Watched(f"constraint {constraint.label}", constraint.range, expression=constraint.expression)
 
 
 class Watch:

@@ -438,6 +438,17 @@ class IntegralSection(Section):
     range: RangeField = Field(examples=[[None, 1.0]])
 
 
+class MusclesSection(Section):
+    """Excitations of all muscles of the model, as controls."""
+
+    excitation: RangeField = Field(default=(Number(0.01), Number(1.0)), examples=[[0.01, 1.0]])
+    rise: NumberField | None = Field(default=None, examples=[0.015])  # of activations, s; without, they are excitations
+    fall: NumberField | None = Field(default=None, examples=[0.06])
+    effort: NumberField = Field(default=Number(1.0), examples=[1.0])  # weight of the squares of excitations
+    start: EndField = Field(default=None, examples=[0.05])  # of activations
+    guess: NumberField = Field(default=Number(0.2), examples=[0.2])
+
+
 class ProblemSection(Section):
     """A problem file."""
 
@@ -462,6 +473,7 @@ class ProblemSection(Section):
     relaxation: RelaxationSection | None = Field(default=None, examples=[{"first": 1.0, "last": 1e-6}])
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
+    muscles: MusclesSection | None = Field(default=None, examples=[None])
     signals: Annotated[dict[str, ComponentField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     driven: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])

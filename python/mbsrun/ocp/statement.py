@@ -58,6 +58,7 @@ from mbsrun.ocp.driving import SAME, Guide
 from mbsrun.ocp.driving import find_conflicts as find_driven_conflicts
 from mbsrun.ocp.grid import divide
 from mbsrun.ocp.methods import METHODS, Amount, choose
+from mbsrun.ocp.muscles import add_muscles, list_equilibria
 from mbsrun.ocp.orienting import list_conditions, point, turn_by, turn_to
 from mbsrun.ocp.parts import PartReading
 from mbsrun.ocp.plant import Plant
@@ -242,6 +243,7 @@ class _Reading(PartReading):
 
     def problem(self, name: str, section: ProblemSection) -> Problem:
         """Make the problem, which is valid only if there are no faults."""
+        section = add_muscles(section, self.plant, self.fault)
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in self.quantities:
                 self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
@@ -312,7 +314,7 @@ class _Reading(PartReading):
             end=end,
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
-            constraints=(*constraints, *complements, *self.orient(end)),
+            constraints=(*constraints, *complements, *self.orient(end), *list_equilibria(section, self.plant)),
             guess=self.guess(section.guess, bounds, start_q, free_q, end),
             parameters=parameters,
             unknowns=unknowns,

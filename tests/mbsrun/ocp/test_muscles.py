@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.ocp.pictures import make_trajectories
 from mbsrun.ocp.solution import Solution
@@ -60,3 +63,44 @@ def test_the_lift_is_a_program_in_opti() -> None:
     assert titles == ["Joint coordinates", "Joint velocities", "Further states", "Further controls", "Signals"]
     assert motion.q == pytest.approx(solution.value(mesh)[:2].T, abs=1e-5)
     assert motion.states == pytest.approx(solution.value(mesh)[4:].T, abs=1e-4)
+
+
+HANGING = FOLDER / "moco" / "hanging.ocp.yaml"
+
+
+def test_a_mass_hangs_on_an_elastic_tendon_as_in_moco() -> None:
+    """Moco (OpenSim 4.6) has the cost 0.0107175 on 25 intervals of Hermite-Simpson, ours is 0.0107149 on fine grids."""
+    problem, plant = read_problem(HANGING, load)
+    assert [x.name for x in problem.states] == ["muscle", "tendon"]
+    assert [x.name for x in problem.controls] == ["muscle_excitation", "tendon_rate"]
+    found = solve(problem, plant)
+    assert isinstance(found, Solution), found
+    assert found.cost.total == pytest.approx(0.0107149, rel=1e-4)
+    assert found.cost.total == pytest.approx(0.0107175, rel=3e-4)
+    assert found.trajectory.point_states is not None
+    tension, length = found.trajectory.point_states[..., 1], found.trajectory.point_q[..., 0]
+    along = length - 0.05 * (1 + np.log((tension + 0.2) / 0.2) * 0.1 / np.log(6))
+    slack = (np.exp(4 * (along / 0.1 - 1) / 0.6) - np.exp(-3.2 / 0.6)) / (np.exp(4) - np.exp(-3.2 / 0.6))
+    assert (tension > slack).all()  # active fibres pull too
+
+
+FAULTS = {
+    "times": ("fall: 0.06", "", "one time of activation dynamics; give rise and fall, or neither"),
+    "course": ("inputs: polynomial", "inputs: linear", "a value at each collocation point; take inputs: polynomial"),
+    "muscles": ("hanging.yaml", "sliding_mass.yaml", "the model has no muscles; give it some, with type: muscle"),
+    "key": ("rise: 0.015", "rises: 0.015", "rises"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faulty_muscles_of_a_problem_are_one_clear_error(fault: str, tmp_path: Path) -> None:
+    old, new, wanted = FAULTS[fault]
+    text = HANGING.read_text("utf-8")
+    assert old in text
+    for name in ("hanging.yaml", "sliding_mass.yaml"):
+        shutil.copy(HANGING.parent / name, tmp_path)
+    (tmp_path / "hanging.ocp.yaml").write_text(text.replace(old, new), "utf-8")
+    with pytest.raises(InputError) as caught:
+        read_problem(tmp_path / "hanging.ocp.yaml", load)
+    assert wanted in str(caught.value)
+    assert "hanging.ocp.yaml:" in str(caught.value)
