@@ -28,6 +28,7 @@ from mbsgen.expressions import (
     Power,
     Program,
     evaluate,
+    fold,
     names,
     parse,
     write,
@@ -286,3 +287,15 @@ def test_long_sums_and_products_are_read(joints: str) -> None:
 def test_short_expressions_are_computed_as_they_are_written() -> None:
     """Halving changes the rounding, so expressions that need none keep their order."""
     assert write(parse("a+b-c+d+a+b+c+d")) == "a + b - c + d + a + b + c + d"
+
+
+@pytest.mark.parametrize(
+    ("text", "folded"),
+    [
+        ("2*3 + a*sin(0)", "6 + a*0"),
+        ("a - (1 - 3)", "a - -2"),
+        ("exp(-3.2/0.6)*a**2", f"{math.exp(-3.2 / 0.6)!r}*a**2"),
+    ],
+)
+def test_parts_without_names_are_folded(text: str, folded: str) -> None:
+    assert write(fold(parse(text))) == write(parse(folded))

@@ -130,6 +130,11 @@ FAULTS = {
                "{body: base, position: [0.02", "stiffness: a stiffness beside the law of a muscle"),
     "bare": ("    muscle: {strength: 1169", "    # {strength: 1169", "strength: found 0; give more than 0"),
     "body": ("via: [{body: thigh", "via: [{body: tigh", 'there is no body "tigh"; did you mean "thigh"?'),
+    "coordinate": ("-0.3, 0.01]}", "-0.3, 0.01], while: {number: q_kne, range: [-1, 0]}}", "coordinate \"q_kne\"; "
+                   "did you mean q_knee?"),
+    "range": ("-0.3, 0.01]}", "-0.3, 0.01], while: {number: q_knee, range: [1, 0]}}", "a range from 1 to 0; swap them"),
+    "end": ("-0.05, 0]}", "-0.05, 0], while: {number: q_knee, range: [-1, 0]}}", "give such a point under via"),
+    "shift": ("-0.05, 0]}", "-0.05, 0], shift: [0.1*qd_knee, 0, 0]}", "a point that moves with qd_knee; use q_NAME"),
     "unknown": ("tendon: 0.37,", "tendom: 0.37,", "tendom"),
 }  # fmt: skip
 
