@@ -42,7 +42,7 @@ ENTRIES = (
     Entry("equations", "MODEL", "Print the equations of motion of MODEL."),
     Entry("scaling", "", "Count the formulations for chains of growing length."),
     Entry("check", "MODEL", "Print every fault of MODEL, and write nothing."),
-    Entry("compare", "MODEL", "Compare MODEL, a URDF file, with another program."),
+    Entry("compare", "MODEL", "Compare MODEL, a file of URDF or OpenSim, with another program."),
     Entry("import", "MODEL", "Make a model file of MODEL, a file of URDF, MJCF, SDF or OpenSim."),
 )
 
