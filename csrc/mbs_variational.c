@@ -6,7 +6,6 @@
 #include <float.h>
 #include <math.h>
 
-#define STRAIGHT 1e-6 /* of a square of an angle: below it functions of the angle are at their limits */
 #define LOST 1e3      /* a pivot below n LOST epsilon of its diagonal entry has lost its digits */
 
 /* One end of a step. */
@@ -56,16 +55,15 @@ static mbs_work open_work(const mbs_variational *p, casadi_real h, casadi_real *
     return w;
 }
 
+static mbs_group group(const mbs_variational *p)
+{
+    const mbs_group own = {p->nq, p->attitudes, p->scalars, p->attitude, p->place, p->rate};
+    return own;
+}
+
 static int call(mbs_call kernel)
 {
     return kernel.f ? kernel.f(kernel.arg, kernel.res, 0, 0, 0) : 0;
-}
-
-static void write(casadi_int size, casadi_real factor, const casadi_real *x, casadi_real *y)
-{
-    casadi_int k;
-    for (k = 0; k < size; ++k)
-        y[k] = factor * x[k];
 }
 
 /* C = A B, of rows x inner and inner x cols. */
@@ -80,19 +78,6 @@ static void multiply(casadi_int rows, casadi_int inner, casadi_int cols, const c
                 sum += A[i * inner + k] * B[k * cols + j];
             C[i * cols + j] = sum;
         }
-}
-
-static casadi_real dot(const casadi_real *a, const casadi_real *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/* Add f a x b. */
-static void add_cross(casadi_real f, const casadi_real *a, const casadi_real *b, casadi_real *sum)
-{
-    sum[0] += f * (a[1] * b[2] - a[2] * b[1]);
-    sum[1] += f * (a[2] * b[0] - a[0] * b[2]);
-    sum[2] += f * (a[0] * b[1] - a[1] * b[0]);
 }
 
 /* Add f a~ b~ = f (b a^T - a.b 1) to a block of a matrix with rows of n. */
@@ -113,61 +98,9 @@ static void add_tilde(casadi_real f, const casadi_real *a, casadi_int n, casadi_
     block[2 * n] -= f * a[1], block[2 * n + 1] += f * a[0];
 }
 
-static casadi_real find_k(casadi_real square)
-{
-    const casadi_real angle = sqrt(square);
-    return square < STRAIGHT * STRAIGHT ? 1 : 2 * tan(angle / 2) / angle;
-}
-
 static casadi_real find_s(casadi_real square)
 {
     return square < STRAIGHT ? 1.0 / 12 : (1 - 1 / find_k(square)) / square;
-}
-
-/* Turn the vector b by the quaternion a, in place. */
-static void rotate(const casadi_real *a, casadi_real *b)
-{
-    casadi_real t[3] = {0, 0, 0};
-    add_cross(2, a, b, t);
-    b[0] += a[3] * t[0], b[1] += a[3] * t[1], b[2] += a[3] * t[2];
-    add_cross(1, a, t, b);
-}
-
-static void move_attitude(mbs_attitude a, const casadi_real *x, casadi_real *q)
-{
-    const casadi_real *w = x + a.spin, square = dot(w, w), half = sqrt(square) / 2;
-    const casadi_real sine = half < STRAIGHT ? 0.5 : sin(half) / (2 * half), cosine = cos(half);
-    casadi_real *turn = q + a.first, found[4], length;
-    int i;
-    if (a.is_free) {
-        const casadi_real *d = w - 3;
-        casadi_real c[3], once[3] = {0, 0, 0}, shift[3];
-        write(3, find_k(square), w, c);
-        write(3, 1, d, shift);
-        add_cross(1, c, d, once);
-        for (i = 0; i < 3; ++i)
-            shift[i] += 2 * once[i] / (4 + dot(c, c));
-        add_cross(1 / (4 + dot(c, c)), c, once, shift);
-        rotate(turn, shift);
-        for (i = 0; i < 3; ++i)
-            turn[i - 3] += shift[i];
-    }
-    for (i = 0; i < 3; ++i)
-        found[i] = turn[3] * sine * w[i] + cosine * turn[i];
-    add_cross(sine, turn, w, found);
-    found[3] = turn[3] * cosine - sine * dot(turn, w);
-    length = sqrt(dot(found, found) + found[3] * found[3]);
-    write(4, 1 / length, found, turn);
-}
-
-static void move(const mbs_variational *p, const casadi_real *q, const casadi_real *x, casadi_real *end)
-{
-    casadi_int k;
-    write(p->nq, 1, q, end);
-    for (k = 0; k < p->scalars; ++k)
-        end[p->place[k]] += x[p->rate[k]];
-    for (k = 0; k < p->attitudes; ++k)
-        move_attitude(p->attitude[k], x, end);
 }
 
 /* A(f x), n x n. */
@@ -336,7 +269,7 @@ static int linearise(mbs_work *k, const casadi_real *qd, const casadi_real *inpu
     casadi_int i, j, l;
     int status;
     write(n, k->h, z, k->x);
-    move(p, k->near.q, k->x, k->far.q);
+    mbs_move(group(p), k->near.q, k->x, k->far.q);
     status = place(k, &k->near, z);
     status = status ? status : place(k, &k->far, z);
     status = status ? status : push(k, &k->near, inputs, z);
@@ -478,7 +411,7 @@ casadi_int mbs_variational_run(const mbs_variational *p, mbs_variational_end end
             return step;
         *iterations += turns;
         write(n, h, guess, k.x);
-        move(p, k.near.q, k.x, k.far.q);
+        mbs_move(group(p), k.near.q, k.x, k.far.q);
         if (place(&k, &k.near, guess) || place(&k, &k.far, guess)
             || release(&k, inputs + (step + 1) * v_step, guess, next + p->nq))
             return step;

@@ -19,16 +19,11 @@
 #define MBS_VARIATIONAL_H
 
 #include "mbs_explicit.h"
+#include "mbs_group.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* A joint with a quaternion: the first of its four entries of q, of its three turns in qd, and whether three entries of
- * q and of qd before them are a shift. */
-typedef struct {
-    casadi_int first, spin, is_free;
-} mbs_attitude;
 
 typedef struct {
     casadi_int n, nq, m, e;         /* velocities, coordinates, inputs, equations of loops */

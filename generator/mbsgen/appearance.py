@@ -256,16 +256,23 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=plane,
         normal=normal,
-        law=Grip(
-            stiffness=_float(contact.stiffness, values),
-            exponent=_float(contact.exponent, values),
-            dissipation=_float(contact.dissipation, values),
-            width=_float(contact.width, values),
-            coefficient=0.0 if contact.friction is None else _float(contact.friction.coefficient, values),
-            speed=1.0 if contact.friction is None else _float(contact.friction.speed, values),
-        ),
+        law=None if contact.is_rigid else _describe_grip(contact, values),
         sphere=ball,
         box=brick,
+    )
+
+
+def _describe_grip(contact: Contact, values: Mapping[str, float]) -> Grip:
+    coefficient, speed = 0.0, 1.0
+    if contact.friction is not None and contact.friction.speed is not None:
+        coefficient, speed = (_float(x, values) for x in (contact.friction.coefficient, contact.friction.speed))
+    return Grip(
+        stiffness=_float(contact.stiffness, values),
+        exponent=_float(contact.exponent, values),
+        dissipation=_float(contact.dissipation, values),
+        width=_float(contact.width, values),
+        coefficient=coefficient,
+        speed=speed,
     )
 
 

@@ -235,10 +235,12 @@ class _Writing:
         return Fibres(**{key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in texts.items()})
 
     def _add_contact(self, k: int, found: Touch, contact: Contact) -> Touch:
+        if contact.is_rigid:
+            return found
         laws: dict[str | int, Expression] = {
             key: getattr(contact, key) for key in ("stiffness", "dissipation", "width")
         }
-        if contact.friction is not None:
+        if contact.friction is not None and contact.friction.speed is not None:
             laws |= {"coefficient": contact.friction.coefficient, "speed": contact.friction.speed}
         other = contact.other
         try:

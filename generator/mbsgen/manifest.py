@@ -112,6 +112,14 @@ class Friction(_Entry):
     one_way: Literal[-1, 0, 1] = 0  # of a clutch: the only way in which the joint moves; 0: both
 
 
+class RigidPoint(_Entry):
+    """A point of a rigid contact, whose force no kernel has."""
+
+    name: str
+    restitution: float
+    coefficient: float  # of dry friction
+
+
 class Coordinate(_Entry):
     """One joint: an entry of qd and qdd, and of q unless `configuration` lists others."""
 
@@ -403,6 +411,7 @@ class Manifest(_Entry):
     wrenches: tuple[Wrench, ...] = ()
     signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
+    rigid: tuple[RigidPoint, ...] = ()  # points of rigid contacts, by the entries of `clearance`
     elements: tuple[str, ...] = ()  # springs and cables
     lengths: tuple[str, ...] = ()  # forces that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
@@ -519,6 +528,7 @@ def write(manifest: Manifest) -> str:
             "appearance",
             "signals",
             "contacts",
+            "rigid",
             "elements",
             "lengths",
             "loops",

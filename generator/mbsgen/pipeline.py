@@ -26,7 +26,7 @@ from mbsgen.families import Functions, Tell, say_nothing, write_families, write_
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
-from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, Stops, Wrench
+from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, RigidPoint, Stops, Wrench
 from mbsgen.model.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
@@ -418,6 +418,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         ),
         signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
+        rigid=tuple(RigidPoint(name=x, restitution=p.restitution, coefficient=p.coefficient) for x, p in tree.rigid),
         elements=tree.elements,
         lengths=tuple(x.length.label for x in tree.definitions if x.length is not None),
         loops=loops,

@@ -85,6 +85,7 @@ class Axis(Enum):
     DESIGN = "design"  # differentiated parameters
     SENSORS = "sensors"  # one entry or more for each sensor
     CONTACTS = "contacts"  # the points of contact
+    RIGID = "rigid"  # the points of rigid contacts
     CONSTRAINTS = "constraints"  # the equations of loops and constraints, independent ones
     INDEPENDENT = "independent"  # the velocities that determine all others
     DRIVEN = "driven"  # the joints whose accelerations are given

@@ -106,12 +106,14 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     yield "pennation", {f"pennation_{name}": "rad" for name in muscles}
     arms = {f"arm_{force}_{c.name}": "m" if c.unit == "rad" else "" for force in manifest.elements for c in joints}
     yield "arm", arms
-    for group, unit in (("gap", "m"), ("normal", "N")):
-        yield group, {f"{group}_{name}": unit for name in manifest.contacts}
-    yield "contact_force", {f"f{axis}_{name}": "N" for name in manifest.contacts for axis in AXES}
+    yield "gap", {f"gap_{name}": "m" for name in manifest.contacts}
+    if len(manifest.rigid) in (0, len(manifest.contacts)):  # no function has forces of both kinds of contacts
+        yield "normal", {f"normal_{name}": "N" for name in manifest.contacts}
+        yield "contact_force", {f"f{axis}_{name}": "N" for name in manifest.contacts for axis in AXES}
     equations = zip(manifest.equations, list_multiplier_units(manifest), strict=True)
     yield "lam", {f"lam_{name}": unit for name, unit in equations}
-    axles = [] if manifest.appearance is None else [axle.name for axle in manifest.appearance.axles]
+    is_known = manifest.appearance is not None and not manifest.rigid
+    axles = [] if manifest.appearance is None or not is_known else [axle.name for axle in manifest.appearance.axles]
     yield "reaction", {f"reaction_{name}": "N" for name in axles}
     yield "reaction_force", {f"reaction_{axis}_{name}": "N" for name in axles for axis in AXES}
     yield "reaction_moment", {f"reaction_m{axis}_{name}": "N m" for name in axles for axis in AXES}

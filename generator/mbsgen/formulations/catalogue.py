@@ -35,6 +35,7 @@ from mbsgen.formulations import (
     reduced,
     regressor,
     semi,
+    touching,
     velocities,
 )
 from mbsgen.formulations.planning import dynamics_alone
@@ -59,6 +60,12 @@ class Need:
 SENSORS = Need(lambda tree: bool(tree.sensors), "{name} is of sensors, and {tree} has none; name some under `frames:`")
 CONTACTS = Need(
     lambda tree: bool(tree.distances), "{name} is of contacts, and {tree} has none; name some under `contacts:`"
+)
+RIGID = Need(
+    lambda tree: bool(tree.rigid), "{name} is of rigid contacts, and {tree} has none; give some a `restitution`"
+)
+COMPLIANT = Need(
+    lambda tree: not tree.rigid, "{name} misses the forces of rigid contacts, which {tree} has; simulations find them"
 )
 ELEMENTS = Need(
     lambda tree: bool(tree.elements), "{name} is of springs and cables, and {tree} has none; name some under `forces:`"
@@ -202,6 +209,12 @@ FUNCTIONS: Mapping[str, Entry] = {
         order=2,
         needs=(CONTACTS,),
     ),
+    "touching": Entry(
+        _plainly(touching.build),
+        "distances, normals and velocities of rigid contacts",
+        results=(ports.CLEARANCE, ports.CONTACT_NORMAL, ports.CONTACT_JACOBIAN),
+        needs=(RIGID,),
+    ),
     "lengths": Entry(
         _plainly(elements.build_lengths),
         "lengths of springs and cables",
@@ -226,12 +239,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         _plainly(elements.build_contacts),
         "forces of contacts",
         results=(ports.NORMAL_FORCE, ports.CONTACT_FORCE),
-        needs=(CONTACTS,),
+        needs=(CONTACTS, COMPLIANT),
     ),
     "reactions": Entry(
         _plainly(reactions.build),
         "forces and moments in the joints",
         results=(ports.REACTION_FORCE, ports.REACTION_MOMENT),
+        needs=(COMPLIANT,),
     ),
     "regressor": Entry(
         _plainly(regressor.build),

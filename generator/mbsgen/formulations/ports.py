@@ -105,6 +105,26 @@ DISTANCE = Port(
     unit="m",
     meaning="distances of the points of contact from the other sides; below 0 inside",
 )
+CLEARANCE = Port(
+    "clearance",
+    Role.RESULT,
+    Axis.RIGID,
+    unit="m",
+    meaning="distances of the points of rigid contacts from the other sides; below 0 inside",
+)
+CONTACT_NORMAL = Port(
+    "direction",
+    Role.RESULT,
+    cols=Axis.RIGID,
+    meaning="normals of rigid contacts out of the other sides, in the base frame, a column each",
+)
+CONTACT_JACOBIAN = Port(
+    "slide",
+    Role.RESULT,
+    Axis.RIGID,
+    Axis.VELOCITIES,
+    meaning="three rows for each point of rigid contact: slide qd is its velocity relative to the other side",
+)
 VELOCITY = Port(
     "v",
     Role.RESULT,

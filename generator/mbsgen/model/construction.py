@@ -293,7 +293,7 @@ def contact(
     name: str,
     body: str,
     *,
-    stiffness: Quantity,
+    stiffness: Quantity = 0.0,
     position: Vector = _ORIGIN,
     orientation: Turns = (),
     radius: Quantity = 0.0,
@@ -302,17 +302,24 @@ def contact(
     exponent: float = 1.5,
     dissipation: Quantity = 0.0,
     width: Quantity | None = None,
-    friction: tuple[Quantity, Quantity] | None = None,
+    friction: tuple[Quantity, Quantity] | Quantity | None = None,
+    restitution: Quantity | None = None,
 ) -> Contact:
     """Make a contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane.
 
-    `friction` is a coefficient and a speed [m/s].
+    A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
+    restitution, and `friction` is a coefficient.
     """
-    grip = None if friction is None else Grip(*map(number, friction))
+    grip = None
+    if isinstance(friction, tuple):
+        grip = Grip(*map(number, friction))
+    elif friction is not None:
+        grip = Grip(number(friction), None)
     edges, placement = None if size is None else vector(size), _place(position, orientation)
     depth = WIDTH if width is None else number(width)
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
-    return Contact(*body_part, other, number(exponent), number(dissipation), depth, grip)
+    law = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
+    return Contact(*body_part, other, *law)
 
 
 def loop(

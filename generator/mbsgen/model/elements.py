@@ -57,7 +57,7 @@ from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
 from mbsgen.model.symbols import total
-from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Vector, Wrench
+from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Rigid, Vector, Wrench
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -133,7 +133,7 @@ class _Meeting:
     """The point at which two sides touch, or would touch."""
 
     n: Vector  # out of the other side
-    gap: Expr
+    gap: Symbol
     arm: Vector  # from the centre of the first side to the point
     reach: Vector  # from the place of the other side to the point
 
@@ -248,6 +248,16 @@ class Loads:
         for name, point in points:
             self._touch(contact, name, point, side, exponent)
 
+    def add_rigid(
+        self, contact: Contact, points: Sequence[tuple[str, Anchor]], side: Side, law: tuple[float, float]
+    ) -> None:
+        """Add the points of a rigid contact likewise; `law` is its restitution and its coefficient of friction."""
+        for name, centre in points:
+            met = self._meet(contact, name, centre, side)
+            c = self._probe(name, "centre", Reading.POSITION, centre)
+            bodies = centre.body, side.anchor.body
+            self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, _add(c, met.arm), *law)))
+
     def _touch(self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float) -> None:
         met = self._meet(contact, name, centre, side)
         n, gap, arm, reach = met.n, met.gap, met.arm, met.reach
@@ -305,13 +315,15 @@ class Loads:
             near["q"] = own[f"q_{k}"] = self._define(name, f"q.{k}", self._read(_BEYOND, near))
             own[f"y_{k}"] = self._define(name, f"y.{k}", self._read(_OUTSIDE, near))
             own[f"side_{k}"] = self._define(name, f"side.{k}", self._read(_SIDE, near))
+        found = {}
         for key, law in _BOX.items():
-            own[key] = self._define(name, key, self._read(law, own))
+            own[key] = found[key] = self._define(name, key, self._read(law, own))
+        gap = found["gap"]
         slopes = [self._define(name, f"slope.{k}", self._read(law, own)) for k, law in zip("xyz", _SLOPES, strict=True)]
         x, y, z = (_scale(slope, a) for slope, a in zip(slopes, axes, strict=True))
         n = self._define_vector(name, "n", _add(_add(x, y), z))
         arm = _scale(-r, n)
-        return _Meeting(n, own["gap"], arm, _add(d, arm))
+        return _Meeting(n, gap, arm, _add(d, arm))
 
     def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> Expr:
         """Define the normal force."""

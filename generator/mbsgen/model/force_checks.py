@@ -13,6 +13,7 @@ from mbsgen.expressions import Expression, names, write
 from mbsgen.model.elements import POWERS
 from mbsgen.model.model import (
     BASE,
+    HERTZ,
     LENGTH,
     LENGTH_RATE,
     ZERO,
@@ -170,8 +171,14 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield from _check_positive((*place, "size", k), edge, valuation)
         if contact.radius != ZERO:
             yield Finding((*place, "radius"), "a box with a radius", "give a size or a radius, or make two contacts")
-    for key, number in (("stiffness", contact.stiffness), ("width", contact.width)):
-        yield from _check_positive((*place, key), number, valuation)
+    yield from _check_positive((*place, "width"), contact.width, valuation)
+    if contact.is_rigid:
+        yield from _check_rigid(place, contact, valuation)
+        return
+    if contact.stiffness == ZERO:
+        yield Finding(place, "neither stiffness nor restitution", "give stiffness, or restitution of a rigid contact")
+        return
+    yield from _check_positive((*place, "stiffness"), contact.stiffness, valuation)
     yield from _check_not_negative((*place, "dissipation"), contact.dissipation, valuation)
     exponent = valuation.constant((*place, "exponent"), contact.exponent)
     if exponent == exponent and exponent not in POWERS:  # nan: it has a finding
@@ -179,7 +186,33 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
     if contact.friction is not None:
         at = (*place, "friction")
         yield from _check_not_negative((*at, "coefficient"), contact.friction.coefficient, valuation)
-        yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+        if contact.friction.speed is None:
+            finding = "dry friction of a compliant contact"
+            yield Finding(at, finding, "give a speed that smooths it, or restitution in place of stiffness")
+        else:
+            yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+
+
+def _check_rigid(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
+    assert contact.restitution is not None, "a rigid contact"
+    for key, number, none in (
+        ("stiffness", contact.stiffness, ZERO),
+        ("dissipation", contact.dissipation, ZERO),
+        ("exponent", contact.exponent, HERTZ),
+    ):
+        if number != none:
+            yield Finding((*place, key), f"the {key} of a rigid contact", "leave it out, or leave out restitution")
+    value = valuation.constant((*place, "restitution"), contact.restitution)
+    if value < 0 or value > 1:
+        yield Finding((*place, "restitution"), f"found {value:g}", "give 0, where nothing rebounds, to 1")
+    if contact.friction is not None:
+        at = (*place, "friction")
+        value = valuation.constant((*at, "coefficient"), contact.friction.coefficient)
+        if value < 0:
+            yield Finding((*at, "coefficient"), f"found {value:g}", "give 0 or more")
+        if contact.friction.speed is not None:
+            finding = "smoothed friction of a rigid contact"
+            yield Finding((*at, "speed"), finding, "leave out speed: its friction is dry")
 
 
 def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:

@@ -155,14 +155,16 @@ class OtherBoxSection(PlacementSection):
 
 
 class GripSection(Section):
-    """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2)."""
+    """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2); dry without a speed."""
 
     coefficient: NumberField = Field(examples=[0.8])
-    speed: NumberField = Field(examples=[0.01], description="at which 7/10 of it are reached, m/s")
+    speed: NumberField | None = Field(
+        None, examples=[0.01], description="at which 7/10 of it are reached, m/s; a rigid contact has none"
+    )
 
 
 class ContactSection(PlacementSection):
-    """A compliant contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
+    """A contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
@@ -171,7 +173,10 @@ class ContactSection(PlacementSection):
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
-    stiffness: NumberField = Field(examples=[1e5], description="N/m**exponent")
+    stiffness: NumberField = Field(ZERO, examples=[1e5], description="of a compliant contact, N/m**exponent")
+    restitution: NumberField | None = Field(
+        None, examples=[None], description="of a rigid contact, in place of a stiffness: 0 to 1"
+    )
     exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
     dissipation: NumberField = Field(
         ZERO, examples=[0.5], description="by which part of itself the force grows with the speed of approach, s/m"
@@ -205,4 +210,5 @@ class ContactSection(PlacementSection):
             self.dissipation,
             self.width,
             grip,
+            self.restitution,
         )

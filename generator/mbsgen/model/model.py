@@ -409,19 +409,19 @@ HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwi
 
 @dataclass(frozen=True)
 class Grip:
-    """Coulomb friction, smoothed: coefficient * normal force * v / sqrt(v.v + speed^2)."""
+    """Coulomb friction, smoothed: coefficient * normal force * v / sqrt(v.v + speed^2); or dry."""
 
     coefficient: Expression
-    speed: Expression  # at which 7/10 of it are reached [m/s]
+    speed: Expression | None  # at which 7/10 of it are reached [m/s]; None: dry, of a rigid contact
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A compliant contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
+    """A contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
 
     name: str
     body: str
-    stiffness: Expression  # [N/m^exponent]
+    stiffness: Expression  # [N/m^exponent]; 0 of a rigid contact
     placement: Placement = HERE  # of the centre of the sphere or the box, in the body's frame
     radius: Expression = ZERO  # of the sphere [m]; 0: a point
     size: Triple | None = None  # of a box [m]
@@ -430,6 +430,12 @@ class Contact:
     dissipation: Expression = ZERO  # by which part of itself the force grows with the rate of the depth [s/m]
     width: Expression = WIDTH  # of the transition from distance to depth [m]
     friction: Grip | None = None
+    restitution: Expression | None = None  # of a rigid contact; None: compliant
+
+    @property
+    def is_rigid(self) -> bool:
+        """Return whether no kernel has its forces."""
+        return self.restitution is not None
 
     @property
     def key(self) -> str:

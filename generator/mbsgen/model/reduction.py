@@ -541,7 +541,11 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         if isinstance(other, model.Plane):
             axes = (seat.vector(normalise(reader.direction(other.normal))),)
         side = Side(Anchor(seat.number, seat.position), axes)
-        loads.add_contact(contact, points, side, reader.constant(contact.exponent))
+        if contact.restitution is None:
+            loads.add_contact(contact, points, side, reader.constant(contact.exponent))
+            continue
+        grip = 0.0 if contact.friction is None else reader.constant(contact.friction.coefficient)
+        loads.add_rigid(contact, points, side, (reader.constant(contact.restitution), grip))
     return loads
 
 

@@ -286,18 +286,23 @@ class _Release:
 
     def _contact(self, contact: Contact) -> Contact:
         path = f"contacts.{contact.name}"
-        grip = contact.friction and Grip(
-            self._number(f"{path}.friction.coefficient", contact.friction.coefficient),
-            self._number(f"{path}.friction.speed", contact.friction.speed),
-        )
+        grip = contact.friction
+        if grip is not None and grip.speed is not None:
+            grip = Grip(
+                self._number(f"{path}.friction.coefficient", grip.coefficient),
+                self._number(f"{path}.friction.speed", grip.speed),
+            )
+        is_rigid = contact.is_rigid  # its law is constant
         return replace(
             contact,
-            stiffness=self._number(f"{path}.stiffness", contact.stiffness),
+            stiffness=contact.stiffness if is_rigid else self._number(f"{path}.stiffness", contact.stiffness),
             placement=self._placement(path, contact.placement),
             radius=self._number(f"{path}.radius", contact.radius) if contact.size is None else contact.radius,
             size=contact.size and self._triple(f"{path}.size", contact.size),
             other=self._other(f"{path}.{contact.key}", contact.other),
-            dissipation=self._number(f"{path}.dissipation", contact.dissipation),
+            dissipation=contact.dissipation
+            if is_rigid
+            else self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
             friction=grip,
         )

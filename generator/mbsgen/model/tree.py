@@ -248,11 +248,23 @@ class Definition:
 
 
 @dataclass(frozen=True)
+class Rigid:
+    """A point at which two bodies touch, whose force no kernel has."""
+
+    bodies: tuple[int, int]  # the first side and the other one; 0: the base
+    normal: Vector  # out of the other side, in the base frame
+    point: Vector  # in the base frame [m]
+    restitution: float
+    coefficient: float  # of dry friction
+
+
+@dataclass(frozen=True)
 class Distance:
     """The distance of a point of contact from its plane, or of two spheres; below 0 inside."""
 
     name: str
     symbol: Symbol  # of its definition
+    rigid: Rigid | None = None  # None: a compliant contact, whose forces are wrenches
 
 
 def rate_symbol(joint: str) -> Symbol:
@@ -345,6 +357,11 @@ class Tree:
     def open_entries(self) -> int:
         """Count the entries of the input w: components of wrenches that the model leaves open, then signals."""
         return 3 * sum(vector is None for x in self.wrenches for vector in (x.force, x.moment)) + len(self.signals)
+
+    @property
+    def rigid(self) -> tuple[tuple[str, Rigid], ...]:
+        """The points of rigid contacts by their names."""
+        return tuple((x.name, x.rigid) for x in self.distances if x.rigid is not None)
 
     @property
     def elements(self) -> tuple[str, ...]:

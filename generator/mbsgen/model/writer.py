@@ -30,6 +30,7 @@ from mbsgen.model.model import (
     DryFriction,
     Follow,
     ForceElement,
+    Grip,
     Frame,
     Inertia,
     Joint,
@@ -199,7 +200,7 @@ def _write_law(law: Law) -> Mapped:
     return content
 
 
-def _write_given(part: DryFriction | Stops, keys: tuple[str, ...]) -> Mapped:
+def _write_given(part: DryFriction | Stops | Grip, keys: tuple[str, ...]) -> Mapped:
     given = {key: x for key in keys if (x := getattr(part, key)) is not None}
     return {key: _write_number(x) for key, x in given.items() if key != "dissipation" or x != ZERO}
 
@@ -280,17 +281,17 @@ def _write_contact(contact: Contact) -> Mapped:
         content["size"] = _write_triple(contact.size)
     if contact.other != GROUND:
         content[contact.key] = _write_other(contact.other)
-    content["stiffness"] = _write_number(contact.stiffness)
+    if contact.restitution is None:
+        content["stiffness"] = _write_number(contact.stiffness)
+    else:
+        content["restitution"] = _write_number(contact.restitution)
     if contact.exponent != HERTZ:
         content["exponent"] = _write_number(contact.exponent)
     content |= _write_numbers(contact, ("dissipation",))
     if contact.width != WIDTH:
         content["width"] = _write_number(contact.width)
     if contact.friction is not None:
-        content["friction"] = {
-            "coefficient": _write_number(contact.friction.coefficient),
-            "speed": _write_number(contact.friction.speed),
-        }
+        content["friction"] = _write_given(contact.friction, ("coefficient", "speed"))
     return content
 
 

@@ -288,6 +288,11 @@ class Truth:
         v, OM = self.speeds[body]
         return add(v, cross(OM, apply(self.poses[body].R, r)))
 
+    def carry(self, body: int, place: Vector) -> Vector:
+        """Return the velocity at a place of the point of a body that passes it."""
+        v, OM = self.speeds[body]
+        return add(v, cross(OM, [a - b for a, b in zip(place, self.poses[body].p, strict=True)]))
+
     def sensor(self, k: int) -> Pose:
         """Place a sensor."""
         pose = self.poses[self.tree.sensors[k].body]
@@ -584,6 +589,25 @@ def _attitudes(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
     yield Comparison("attitude", results["attitude"], [x for column in axes for x in column], Decimal(1))
 
 
+def _touching(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare distances, normals, and the velocity at each point, from the velocities of both bodies."""
+    truth = truth.moving
+    rigid = [x for _, x in truth.tree.rigid]
+    gaps = [x.symbol for x in truth.tree.distances if x.rigid is not None]
+    yield Comparison("clearance", results["clearance"], truth.read(gaps), Decimal(1))
+    normals = [x for contact in rigid for x in truth.read(contact.normal)]
+    yield Comparison("direction", results["direction"], normals, Decimal(1))
+    found, expected, scale = [ZERO] * (3 * len(rigid)), list[Decimal](), truth.swing
+    for (r, c), value in zip(tape.output("slide").sparsity.entries, results["slide"], strict=True):
+        found[r] += value * truth.qd[c]
+    for contact in rigid:
+        place = truth.read(contact.point)
+        first, other = (truth.carry(body, place) for body in contact.bodies)
+        expected += [a - b for a, b in zip(first, other, strict=True)]
+        scale = max(scale, *(largest(OM) * largest(place) for _, OM in truth.speeds))
+    yield Comparison("slide", found, expected, scale)
+
+
 def _elements(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare with the force F on the first end, and with d to the second one."""
     lengths, tensions, rates = [], [], []
@@ -813,6 +837,9 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.CLOSED_ACCELERATIONS: _closed_accelerations,
     ports.POSITION: _places,
     ports.DISTANCE: _distances,
+    ports.CLEARANCE: _touching,
+    ports.CONTACT_NORMAL: _touching,
+    ports.CONTACT_JACOBIAN: _touching,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,
     ports.ACCELERATION: _accelerations_of_sensors,

@@ -44,6 +44,7 @@ class Method:
     needs_residual: bool = False  # of a formulation that has one: accelerations are not enough
     closed: Integrator | None = None  # how it steps with loops or driven joints; None: it does not
     keeps: tuple[Keeping, ...] = ()  # the ways in which it keeps loops closed; the first is the default
+    strikes: bool = False  # it takes rigid contacts, and spreads impulses over its steps
 
     @property
     def has_fixed_steps(self) -> bool:

@@ -8,7 +8,7 @@ from functools import partial
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp import schemes
-from mbsrun.simulation import adaptive, explicit, implicit, multipliers, switching, variational
+from mbsrun.simulation import adaptive, explicit, implicit, multipliers, stepping, switching, variational
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.method import Family, Integrator, Method
 from mbsrun.simulation.motion import Keeping, Settings
@@ -78,6 +78,15 @@ METHODS: Mapping[str, Method] = {
         closed=variational.integrate,
         keeps=(Keeping.RATTLE,),
     ),
+    "moreau": Method(
+        Family.IMPLICIT,
+        2,
+        "time stepping of Moreau and Jean: impulses of contacts, stops and friction; without these, implicit midpoint",
+        stepping.integrate,
+        _STEP,
+        needs_residual=True,
+        strikes=True,
+    ),
     "radau-iia": Method(
         Family.IMPLICIT,
         None,
@@ -129,7 +138,10 @@ def find_idle(settings: Settings, given: Collection[str]) -> Iterator[tuple[str,
 def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
     """Find what a model's loops and driven joints forbid: the setting, the finding and the remedy."""
     method = METHODS[settings.method]
-    if manifest.switching:
+    if manifest.rigid and not method.strikes:
+        finding = f"{settings.method} takes no rigid contacts, which the model has: {manifest.rigid[0].name}"
+        yield "method", finding, "give moreau; or give contacts a stiffness in place of a restitution"
+    elif manifest.switching and not method.strikes:
         yield from _refuse_switching(settings, manifest)
     if not (manifest.loops or manifest.driven):
         if settings.loops is not None:
@@ -156,6 +168,7 @@ def _refuse_switching(settings: Settings, manifest: Manifest) -> Iterator[tuple[
     joints = ", ".join(manifest.switching)
     if METHODS[settings.method].stability is None:
         known = ", ".join(name for name, x in METHODS.items() if x.stability is not None)
+        known += ", moreau"
         finding = f"{settings.method} takes no rigid stops or dry friction, which joints have: {joints}"
         yield "method", finding, f"give one of {known}; or smooth friction by a speed, and give stops a stiffness"
     if manifest.loops and settings.loops is Keeping.BAUMGARTE:

@@ -152,6 +152,9 @@ class Effort:
     switches: int = 0  # of dependent coordinates
     pivot: float = 1.0  # of the loops' Jacobian, the smallest relative to the largest: small near a singular pose
     gap: float = 0.0  # of loops, the largest that an explicit step left before they were closed
+    sweeps: int = 0  # of time stepping: rounds of Gauss-Seidel through all contacts,
+    cone_steps: int = 0  # steps of Newton's method for their impulses,
+    residual: float = 0.0  # and the largest relative error of these
     seconds: float = 0.0  # of processor time
 
 
@@ -227,6 +230,7 @@ class Motion:
     halt: Halt | None = None
     events: tuple[Event, ...] = ()  # of joints with stops or dry friction
     modes: NDArray[np.int_] | None = None  # (K, n), as `Mode` lists them; None without such joints
+    contacts: tuple[Array, Array] | None = None  # of rigid contacts: forces (K, 3 points) and normal parts (K, points)
     warnings: tuple[str, ...] = ()
     qdd: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)  # (K, n), not a number where it fails
     kernels: Kernels | None = field(default=None, repr=False)  # of the mechanism, for further numbers
@@ -261,6 +265,8 @@ class Motion:
         manifest, count = self.kernels.manifest, len(self.kernels.manifest.actuated)
         parts = {"t": self.t[:, None], "q": self.q, "qd": self.qd, "qdd": self.qdd}
         parts |= {"u": self.inputs[:, :count], "w": self.inputs[:, count:]}
+        if self.contacts is not None:
+            parts |= {"contact_force": self.contacts[0], "normal": self.contacts[1]}
         if self.closure is not None:
             parts |= {"lam": self.closure.multipliers, "tau": self.closure.driving}
         return Numbers(self.kernels, list_quantities(manifest, Added()), parts)
@@ -291,6 +297,15 @@ class Stages:
 
 
 @dataclass(frozen=True, eq=False)
+class Strikes:
+    """The impulses of k steps of time stepping, spread over their steps."""
+
+    losses: Array  # (k, 2): the energy that impacts, and that friction took [J]
+    rates: Array  # (k, n): accelerations
+    forces: Array  # (k, 3 points): of rigid contacts on the bodies that touch, in the base frame [N]
+
+
+@dataclass(frozen=True, eq=False)
 class Chunk:
     """Some steps in a row, as an integrator yields them; the first state is the last of the chunk before."""
 
@@ -300,4 +315,5 @@ class Chunk:
     dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = None
     # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation
     stages: Stages | None = None
-    segment: Segment | None = None  # of a model with stops or dry friction
+    segment: Segment | None = None  # of a model with stops or dry friction, from event to event
+    strikes: Strikes | None = None  # of time stepping

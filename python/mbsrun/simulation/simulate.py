@@ -38,6 +38,7 @@ from mbsrun.simulation.motion import (
     Motion,
     Segment,
     Settings,
+    Strikes,
 )
 from mbsrun.simulation.outputs import Outputs
 
@@ -160,7 +161,8 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
-        needed |= {"semi", "semi_res"} if kernels.manifest.switching else set()
+        needed |= {"semi", "semi_res"} if kernels.manifest.switching and is_explicit else set()
+        needed |= {"touching"} if kernels.manifest.rigid else set()
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
@@ -198,7 +200,11 @@ class _Record:
         self.last, self.last_time, self.done = (q, qd), 0.0, 0.0
         self.piece: Piece | None = None
         self.work_is_known = True
-        self.switches = bool(kernels.manifest.switching)
+        self.switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
+        self.strikes = METHODS[settings.method].strikes
+        self.rates: list[Array] = []  # of the states that are kept: accelerations,
+        self.pushes: list[Array] = []  # and forces of rigid contacts
+        self.ends: list[Array] = []  # both of the last step
         self.joints, self.forces = Joints.of(kernels.manifest), Forces(self.observer)
         self.events: list[Event] = []
         self.modes: list[tuple[int, ...]] = []  # of the states that are kept
@@ -219,6 +225,8 @@ class _Record:
         chunk, chosen = self.outputs.choose(chunk)
         if chunk.segment is not None:
             self._add_losses(chunk, chunk.segment, chosen)
+        if chunk.strikes is not None:
+            self._add_strikes(chunk.strikes, chosen)
         work = self.done + np.concatenate(([0.0], np.cumsum(self._add_up(chunk))))
         self._keep(chunk, work, chosen)
         self.last, self.last_time, self.done = (chunk.q[-1], chunk.qd[-1]), float(chunk.t[-1]), float(work[-1])
@@ -233,6 +241,8 @@ class _Record:
             self.work.append(self.done)
             self.losses.append((self.friction, self.impacts))
             self.modes += self.modes[-1:]
+            self.rates += self.ends[:1]
+            self.pushes += self.ends[1:]
 
     def finish(self, effort: Effort, halt: Halt | None) -> Motion:
         """Make the motion of all states that were kept."""
@@ -260,11 +270,40 @@ class _Record:
                 *(_find_drift(energy) if is_known else ()),
                 *_find_singularity(self.settings, effort),
             ),
-            qdd=self.observer.find_accelerations(t, q, qd, inputs)
-            if modes is None
-            else self.forces.find_all(t, q, qd, inputs, modes)[0],
+            contacts=self._find_contacts(q),
+            qdd=self._find_accelerations(t, q, qd, inputs, modes),
             kernels=self.kernels,
         )
+
+    def _find_accelerations(
+        self, t: Array, q: Array, qd: Array, inputs: Array, modes: NDArray[np.int_] | None
+    ) -> Array:
+        if self.strikes and self.switches:
+            return np.array(self.rates).reshape(-1, qd.shape[1]) if self.rates else np.full(qd.shape, np.nan)
+        if modes is None:
+            return self.observer.find_accelerations(t, q, qd, inputs)
+        return self.forces.find_all(t, q, qd, inputs, modes)[0]
+
+    def _find_contacts(self, q: Array) -> tuple[Array, Array] | None:
+        """Return the forces of rigid contacts, and their normal parts."""
+        if not self.kernels.manifest.rigid:
+            return None
+        points = len(self.kernels.manifest.rigid)
+        forces = np.array(self.pushes).reshape(-1, 3 * points) if self.pushes else np.full((len(q), 3 * points), np.nan)
+        normals = self.kernels("touching", q=q)["direction"]
+        return forces, np.einsum("kip,kpi->kp", normals, forces.reshape(-1, points, 3))
+
+    def _add_strikes(self, strikes: Strikes, chosen: NDArray[np.intp]) -> None:
+        """Add the losses of time stepping; note accelerations and forces, of the step before each state."""
+        impacts, friction = np.cumsum(strikes.losses, axis=0).T
+        if not self.rates:  # the start
+            self.rates, self.pushes = [strikes.rates[0]], [strikes.forces[0]]
+        self.losses += [(self.friction + float(friction[k - 1]), self.impacts + float(impacts[k - 1])) for k in chosen]
+        self.rates += list(strikes.rates[chosen - 1])
+        self.pushes += list(strikes.forces[chosen - 1])
+        self.friction += float(friction[-1])
+        self.impacts += float(impacts[-1])
+        self.ends = [strikes.rates[-1], strikes.forces[-1]]
 
     def _measure_gaps(self, q: Array, qd: Array) -> tuple[float, float]:
         return self.equations.measure(q), self.equations.measure_rates(q, qd)
