@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -107,6 +107,10 @@ bench-loops: $(VENV)/installed-bench
 # Kernels in batches, in lanes and one by one: three minutes.
 bench-batches: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.batches $(BENCH)
+
+# A humanoid on rigid contacts, beside MuJoCo: a minute.
+bench-contacts: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.contacts $(BENCH)
 
 # A Panda identified from made recordings: errors of masses, times, and how many regions of 95 % hold the truth: minutes.
 bench-identification: $(VENV)/installed-bench

@@ -6,7 +6,7 @@
 
 #define ROUNDING 1e-14 /* a residual that is as small is not made smaller, */
 #define FINE 1e-12     /* nor one that Newton's method left so small */
-#define SHIFT 1e-10    /* of the diagonal */
+#define SHIFT 1e-7     /* of the diagonal */
 #define SWEEPS 10      /* of Gauss-Seidel, before Newton's method */
 #define STEPS 12       /* of Newton's method in a row */
 #define ROUNDS 60      /* of both, with more sweeps each */

@@ -38,7 +38,7 @@ typedef struct {
     casadi_int sweeps, steps;
 } mbs_cone_effort;
 
-/* Room for a solution: for at most so many rows. */
+/* Room for a solution, for a number of rows that no problem exceeds. */
 casadi_int mbs_cone_reals(casadi_int rows);
 casadi_int mbs_cone_integers(casadi_int rows);
 

@@ -7,18 +7,20 @@
 
 #define CONVERGED 1e-12 /* of velocities: the change of the last iteration */
 #define AGREES 1e-10    /* the same, where iterations shrink no more: rounding */
+#define CLOSER 10       /* times the residual of cone problems, likewise */
 #define ITERATIONS 40   /* of a step */
 #define SLOW 0.2        /* by which an iteration shrinks, else there is a new matrix */
 #define LOST 1e3        /* a pivot below n LOST epsilon of its diagonal entry has lost its digits */
-#define HALVES 20       /* of restitutions that would create energy */
+#define HALVES 16       /* of the interval in which the factor of restitutions lies */
 #define CREATED 1e-9    /* of the energy of impulses: less is rounding */
+#define STILL 1e-10     /* of velocities: a slower joint that is held rests */
 #define ENERGY 1e-13    /* of energies: less is rounding */
 #define SHORTER 1e-3    /* of the kinetic energy, at most, in one step */
 #define MOVES 1e-14     /* m: a point whose normal moves the bodies by less cannot be pushed */
 
 typedef struct {
     const mbs_stepping *p;
-    casadi_real h, factor; /* of restitutions */
+    casadi_real h, factor, reached; /* factor of restitutions; residual of the last cone problem */
     const casadi_real *v;  /* inputs of the step */
     casadi_real *q0, *v0, *qm, *vm, *v1, *vf, *x, *r, *old; /* nq twice, n */
     casadi_real *A, *K, *N, *slide;                   /* n x n, n x nq, nq x n, 3 points x n */
@@ -54,7 +56,7 @@ static mbs_stepper open_stepper(const mbs_stepping *p, casadi_real h, casadi_rea
 {
     const casadi_int n = p->n, nq = p->group.nq, most = count_rows(p);
     mbs_stepper s;
-    s.p = p, s.h = h, s.factor = 1, s.v = 0, s.rows = s.blocks = 0;
+    s.p = p, s.h = h, s.factor = 1, s.reached = 0, s.v = 0, s.rows = s.blocks = 0;
     s.q0 = reals, s.qm = s.q0 + nq, s.v0 = s.qm + nq, s.vm = s.v0 + n, s.v1 = s.vm + n, s.vf = s.v1 + n;
     s.x = s.vf + n, s.r = s.x + n, s.old = s.r + n, s.diagonal = s.old + n, s.A = s.diagonal + n, s.K = s.A + n * n;
     s.N = s.K + n * nq, s.slide = s.N + nq * n, s.J = s.slide + 3 * p->points * n, s.B = s.J + most * n;
@@ -309,7 +311,16 @@ static casadi_int count_own(const mbs_stepper *s, casadi_int block)
     return s->kind[block] == MBS_TOUCH ? 3 : 1;
 }
 
-/* Solve for the impulses, and write v1 = vf + A^-1 J^T P. Returns the energy that the impulses take. */
+/* Count the rows of contacts and stops; rows of brakes, which have no impulses of impacts, follow them. */
+static casadi_int count_struck(const mbs_stepper *s)
+{
+    casadi_int k = s->blocks;
+    while (k > 0 && s->kind[k - 1] == MBS_BRAKE)
+        --k;
+    return k ? s->first[k - 1] + count_own(s, k - 1) : 0;
+}
+
+/* Solve for the impulses, and write v1 = vf + A^-1 J^T P. Returns the energy that contacts and stops take. */
 static casadi_real strike(mbs_stepper *s, casadi_real tolerance, mbs_stepping_record *record, int *status)
 {
     const casadi_int n = s->p->n;
@@ -322,29 +333,44 @@ static casadi_real strike(mbs_stepper *s, casadi_real tolerance, mbs_stepping_re
     if (s->rows && mbs_cone_solve(&cone, tolerance, s->P, &effort, s->cone, s->integers))
         *status = MBS_CONE;
     record->sweeps += effort.sweeps, record->newton += effort.steps;
-    record->residual = fmax(record->residual, effort.residual);
+    s->reached = effort.residual, record->residual = fmax(record->residual, effort.residual);
     for (i = 0; i < n; ++i)
         s->v1[i] = s->vf[i] + total(s->rows, s->B + i * s->rows, s->P);
-    for (i = 0; i < s->rows; ++i)
+    for (i = 0; i < count_struck(s); ++i)
         taken -= s->P[i] * (total(n, s->J + i * n, s->v0) + total(n, s->J + i * n, s->v1)) / 2;
     return taken;
 }
 
-/* Solve again with smaller restitutions where impulses would create energy, as Newton's law may with friction. */
+/* Solve with a factor of all restitutions; return whether contacts and stops create no energy. */
+static int keeps(mbs_stepper *s, casadi_real factor, casadi_real tolerance, mbs_stepping_record *record, int *status)
+{
+    casadi_real taken, size = 0;
+    casadi_int i;
+    s->factor = factor;
+    taken = strike(s, tolerance, record, status);
+    for (i = 0; i < count_struck(s); ++i)
+        size += fabs(s->P[i] * total(s->rows, s->W + i * s->rows, s->P));
+    return taken >= -CREATED * size;
+}
+
+/* Solve with the largest factor of restitutions that creates no energy, as Newton's law may with friction. */
 static void restrain(mbs_stepper *s, casadi_real tolerance, mbs_stepping_record *record, int *status)
 {
+    casadi_real low = 0, high = 1;
     casadi_int half, i, rebounds = 0;
     for (i = 0; i < s->rows; ++i)
         rebounds += s->bias[i] != 0;
-    for (half = 0; half <= HALVES && !*status; ++half) {
-        const casadi_real taken = strike(s, tolerance, record, status);
-        casadi_real size = 0;
-        for (i = 0; i < s->rows; ++i)
-            size += fabs(s->P[i] * total(s->rows, s->W + i * s->rows, s->P));
-        if (!rebounds || taken >= -CREATED * size)
-            return;
-        s->factor = half + 1 < HALVES ? s->factor / 2 : 0;
+    if (keeps(s, 1, tolerance, record, status) || !rebounds)
+        return;
+    for (half = 0; half < HALVES && !*status; ++half) {
+        const casadi_real middle = (low + high) / 2;
+        if (keeps(s, middle, tolerance, record, status))
+            low = middle;
+        else
+            high = middle;
     }
+    if (!*status)
+        keeps(s, low, tolerance, record, status);
 }
 
 static void guess(mbs_stepper *s, const casadi_real *impulses)
@@ -385,7 +411,7 @@ static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *imp
         if (!(change - change == 0))
             return MBS_INFINITE;
         size = fmax(largest(n, s->v0), fmax(largest(n, s->vf), largest(n, s->v1)));
-        if (change <= CONVERGED * size || (k > 1 && change > before / 2 && change <= AGREES * size))
+        if (change <= CONVERGED * size || (k > 1 && change > before / 2 && change <= fmax(AGREES, CLOSER * s->reached) * size))
             return 0;
         if (!renewed && change > SLOW * before) {
             status = linearise(s, record);
@@ -409,17 +435,21 @@ static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *imp
     return MBS_DIVERGED;
 }
 
-/* Set velocities of joints to 0 that stops or friction hold. */
+/* Set velocities of joints to 0 that stops or friction hold, and that are rounding of it. */
 static void hold(mbs_stepper *s)
 {
     const mbs_stepping *p = s->p;
+    const casadi_real still = STILL * fmax(largest(p->n, s->v0), largest(p->n, s->vf));
     casadi_int k;
     for (k = 0; k < s->blocks; ++k) {
-        const casadi_int r = s->first[k], own = s->owner[k] - 3 * p->points;
-        if (s->kind[k] == MBS_PUSH && s->P[r] > 0 && s->factor * s->bias[r] == 0)
-            s->v1[p->stop[own].rate] = 0;
-        else if (s->kind[k] == MBS_BRAKE && fabs(s->P[r]) < s->grip[k])
-            s->v1[p->brake[own - p->stops].rate] = 0;
+        const casadi_int own = s->owner[k] - 3 * p->points;
+        const casadi_real P = s->P[s->first[k]];
+        casadi_real *rate;
+        if (s->kind[k] == MBS_TOUCH || !(s->kind[k] == MBS_PUSH ? P > 0 : fabs(P) < s->grip[k]))
+            continue;
+        rate = s->v1 + (s->kind[k] == MBS_PUSH ? p->stop[own].rate : p->brake[own - p->stops].rate);
+        if (fabs(*rate) <= still)
+            *rate = 0;
     }
 }
 

@@ -6,7 +6,7 @@
  *
  * Without contacts it is the implicit midpoint rule, of order 2. A contact is closed where its distance g would vanish
  * within the step, by g + (1 - e/2) h (J v + J vf)/2 <= 0 with the velocity vf without impulses. Impacts have Newton's law
- * for the normal parts; where impulses would create energy, the restitutions e of the step are halved. Newton's
+ * for the normal parts; where impulses would create energy, the restitutions e of the step are smaller. Newton's
  * iterations for v1 keep their matrix A = h dPhi/dv1 while they shrink fast.
  *
  * Energy never exceeds its balance: where the midpoint rule would make it larger than the start's, plus the work of forces

@@ -62,6 +62,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
         "Simulate": [
             "simulation.md",
             "stops.md",
+            "contacts.md",
             "batches.md",
             "gpu.md",
             "animation.md",

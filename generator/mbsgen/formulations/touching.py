@@ -5,7 +5,7 @@ of the first side relative to the other one, both at p, is a sum over joints of 
 
     slide qd = sum of +- (e x (p - o)) qd, of revolute joints, or +- e qd, of prismatic ones
 
-with plus signs for the joints that carry the first side, minus signs for those that carry the other one. All vectors
+with plus signs for the joints that carry the first side, minus signs for the joints of the other one. All vectors
 are in the base frame. No force of a rigid contact is in any function.
 """
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbsgen.errors import MbsError
 from mbsgen.roles import Order, name_kernel
 from mbsrun.closure import Closure
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
@@ -48,6 +49,13 @@ BEYOND = 1e-6  # of a limit or of 1 rad or m: beyond it there is a warning
 STIFF = 500.0  # times that a fast motion decays within a simulation; slower ones bring no warning of stiffness
 
 
+class InsideError(MbsError):
+    """A start at which a rigid contact is within the other side."""
+
+    def __init__(self, contact: str, depth: float) -> None:
+        super().__init__(f"contact {contact} starts {depth:.4g} m inside the other side; start outside or in touch")
+
+
 def simulate(
     kernels: Kernels,
     drive: Drive,
@@ -62,7 +70,8 @@ def simulate(
 
     Driven joints move along `course`; without one they stand still. `watch` gets the steps as they are taken. A failure
     on the way is no exception: `halt` of the motion then describes why it ends early. Raises ValueError for arguments
-    that do not fit, OpenError for a start with open loops, ArgumentError for kernels that were not generated, and
+    that do not fit, OpenError for a start with open loops,
+    InsideError for one with rigid contacts inside, ArgumentError for kernels that were not generated, and
     DriveError for inputs without a value.
     """
     check_settings(kernels, drive, settings)
@@ -73,6 +82,7 @@ def simulate(
     if is_closed:
         check_course(kernels.manifest, course, *start)
         check_closed(kernels, *start)
+    _check_outside(kernels, start[0])
     dynamics = Dynamics(kernels, settings.formulation, course)
     method = METHODS[settings.method]
     integrate = method.closed if is_closed else method.integrate
@@ -144,6 +154,15 @@ def check_inputs(kernels: Kernels, piece: Piece, q: Array, qd: Array) -> Array:
     if inputs.shape != (count,):
         raise ValueError(f"the inputs have shape {inputs.shape}, ({count},) expected")
     return inputs
+
+
+def _check_outside(kernels: Kernels, q: Array) -> None:
+    """Refuse a start within another side. Raises InsideError."""
+    if kernels.manifest.rigid:
+        clearance = kernels("touching", q=q)["clearance"].ravel()
+        k = int(clearance.argmin())
+        if clearance[k] < -BEYOND:
+            raise InsideError(kernels.manifest.rigid[k].name, -float(clearance[k]))
 
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:

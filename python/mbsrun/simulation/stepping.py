@@ -1,6 +1,6 @@
 """Time stepping of Moreau and Jean: rigid contacts with dry friction, rigid stops and dry friction of joints.
 
-Steps have one length, whatever happens in them: `csrc/mbs_stepping.c` states the equations, `csrc/mbs_cone.c` solves for
+Steps have one length, whatever happens in them. `csrc/mbs_stepping.h` states the equations. `csrc/mbs_cone.c` solves for
 the impulses of a step, to a tolerance that is met, or the motion ends with a message.
 """
 
@@ -102,7 +102,9 @@ class Stepper:
         p.q, p.qd, p.qdd, p.v = (memory.pointer(name) for name in sizes)
         function = dynamics.formulation.evaluated.function
         derivatives = {name_derivative("Phi", by): x for by, x in (("q", p.K), ("qd", p.C), ("qdd", p.M))}
-        p.Phi = self._call(p.linearised, name_kernel(function, Order.LINEARISATION), {"Phi": None, **derivatives})["Phi"]
+        p.Phi = self._call(p.linearised, name_kernel(function, Order.LINEARISATION), {"Phi": None, **derivatives})[
+            "Phi"
+        ]
         self._call(p.residual, function, {"Phi": None})
         found = self._call(p.energy, "energy", {"kinetic": None, "potential": None})
         p.kinetic, p.potential = found["kinetic"], found["potential"]

@@ -20,6 +20,7 @@ from mbsrun.simulation import Course, Drive, Kind, Mode, Motion, Settings, contr
 from mbsrun.simulation.complementarity import ComplementarityError, solve_bounded
 from mbsrun.simulation.drive import express, hold
 from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.drawn_trees import draw_tree
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -283,28 +284,6 @@ def test_sampled_feedback_goes_on_working(make: Make) -> None:
     assert abs(motion.q[-1, 0] - 0.5) < 1.5 / 30
     at_once = control(lambda _, q, qd: [30 * (0.5 - q[0]) - 12 * qd[0]])
     assert simulate(block, at_once, [0.0], [0.0], Settings(5.0)).q[-1] == pytest.approx(motion.q[-1], abs=0.01)
-
-
-def draw_tree(seed: int, size: int = 4) -> str:
-    """Draw a tree of joints with stops and dry friction."""
-    rng = np.random.default_rng(seed)
-    text = "name: drawn\ngravity: [0.5, 0, -9.81]\nbodies:\n"
-    for i in range(size):
-        axis = rng.normal(size=3)
-        kind = rng.choice(["revolute", "prismatic"])
-        options = f"type: {kind}, axis: {axis.round(4).tolist()}, actuated: false"
-        options += f", position: {(0.3 * rng.normal(size=3)).round(3).tolist()}"
-        if rng.random() < 0.7:
-            options += f", limits: [{-rng.uniform(0.2, 0.6):.4f}, {rng.uniform(0.2, 0.6):.4f}]"
-            options += f", stops: {{restitution: {rng.choice([0, 0.3, 0.7, 1])}}}"
-        if rng.random() < 0.6:
-            torque = rng.uniform(0.1, 2)
-            stribeck = f", stribeck: {rng.uniform(0.05, 0.3):.3f}" if rng.random() < 0.5 else ""
-            options += f", friction: {{torque: {torque:.4f}, static: {torque * rng.uniform(1, 1.5):.4f}{stribeck}}}"
-        parent = f"b{rng.integers(max(0, i - 2), i)}" if i else "base"
-        text += f"  - name: b{i}\n    parent: {parent}\n    joint: {{{options}}}\n    mass: {rng.uniform(0.5, 2):.3f}\n"
-        text += f"    com: {(0.2 * rng.normal(size=3)).round(3).tolist()}\n    inertia: [0.03, 0.04, 0.05]\n"
-    return text
 
 
 @pytest.mark.parametrize("seed", range(4))
