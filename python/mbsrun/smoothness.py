@@ -1,4 +1,4 @@
-"""Refusals of models with forces that no kernel has: dry friction, rigid contacts, and rigid stops. Simulations alone apply these."""
+"""Refusals of models with forces that no kernel has: dry friction, rigid contacts and stops. Simulations take them."""
 
 from __future__ import annotations
 

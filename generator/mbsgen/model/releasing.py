@@ -300,9 +300,7 @@ class _Release:
             radius=self._number(f"{path}.radius", contact.radius) if contact.size is None else contact.radius,
             size=contact.size and self._triple(f"{path}.size", contact.size),
             other=self._other(f"{path}.{contact.key}", contact.other),
-            dissipation=contact.dissipation
-            if is_rigid
-            else self._number(f"{path}.dissipation", contact.dissipation),
+            dissipation=contact.dissipation if is_rigid else self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
             friction=grip,
         )

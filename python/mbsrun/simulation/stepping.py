@@ -1,7 +1,7 @@
 """Time stepping of Moreau and Jean: rigid contacts with dry friction, rigid stops and dry friction of joints.
 
-Steps have one length, whatever happens in them. `csrc/mbs_stepping.h` states the equations. `csrc/mbs_cone.c` solves for
-the impulses of a step, to a tolerance that is met, or the motion ends with a message.
+Steps have one length, whatever happens in them. `csrc/mbs_stepping.h` states the equations. `csrc/mbs_cone.c` solves
+for the impulses of a step, to a tolerance that is met, or the motion ends with a message.
 """
 
 from __future__ import annotations

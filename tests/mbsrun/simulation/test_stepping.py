@@ -54,7 +54,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
         if text not in known:
             file = tmp_path_factory.mktemp("model") / "model.yaml"
             file.write_text(text, encoding="utf-8")
-            functions = NEEDED + (("touching", "distances") if "restitution" in text else ())
+            functions = NEEDED + (("touching", "distances") if "contacts:" in text else ())
             functions += ("rates",) if "free" in text else ()
             known[text] = load(file, extent=Extent(functions, 1))
         return known[text]
