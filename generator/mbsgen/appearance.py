@@ -256,7 +256,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=plane,
         normal=normal,
-        law=None if contact.is_rigid else _describe_grip(contact, values),
+        law=None if contact.is_rigid or contact.wheel is not None else _describe_grip(contact, values),
         sphere=ball,
         box=brick,
     )

@@ -213,6 +213,7 @@ FUNCTIONS: Mapping[str, Entry] = {
         _plainly(touching.build),
         "distances, normals and velocities of rigid contacts",
         results=(ports.CLEARANCE, ports.CONTACT_NORMAL, ports.CONTACT_JACOBIAN),
+        order=1,
         needs=(RIGID,),
     ),
     "lengths": Entry(

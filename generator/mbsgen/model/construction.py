@@ -56,6 +56,7 @@ from mbsgen.model.model import (
     Rotation,
     Sphere,
     Stops,
+    Wheel,
     Triple,
     Wrench,
 )
@@ -304,11 +305,12 @@ def contact(
     width: Quantity | None = None,
     friction: tuple[Quantity, Quantity] | Quantity | None = None,
     restitution: Quantity | None = None,
+    wheel: tuple[Quantity, Direction] | None = None,
 ) -> Contact:
     """Make a contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane.
 
     A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
-    restitution, and `friction` is a coefficient.
+    restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, and its axis.
     """
     grip = None
     if isinstance(friction, tuple):
@@ -319,7 +321,8 @@ def contact(
     depth = WIDTH if width is None else number(width)
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
     law = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
-    return Contact(*body_part, other, *law)
+    circle = None if wheel is None else Wheel(number(wheel[0]), _direct(wheel[1]))
+    return Contact(*body_part, other, *law, circle)
 
 
 def loop(

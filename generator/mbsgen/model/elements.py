@@ -22,8 +22,15 @@ The tension T differs from the elastic one by a force against the rate, which ta
 A contact of a sphere of centre c and radius r touches a plane, a sphere or a box at the point p, along the normal n:
 
     plane through P of normal n:        gap = n.(c - P) - r,    p = c - r n
+    the same, and a wheel of radius R:  gap = n.(c - P) - R n.e - r,    p = c - R e - r n
     sphere of centre P and radius R:    gap = |c - P| - r - R,  p = (R c + r P)/(r + R),   n = (c - P)/|c - P|
     box of centre P and edges e:        gap = g - r,            p = c - r n,               n = the gradient of g by c
+The wheel turns about c and its axis a. Its sphere is at c - R e, the point of the circle that is nearest to the plane:
+
+    e = (n - (n.a) a) / sqrt(1 - (n.a)^2)
+
+A wheel that lies flat on the plane has no such point: kernels then fail, with a status of the contact.
+
 A sphere with R -> inf is the plane, and either of two spheres may be called the other one. With the velocity v of the
 first side relative to the other one, both at p, and rate = n.v, the force
 
@@ -51,7 +58,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from sympy import DiracDelta, Expr, Mul, Symbol, sign, sqrt
+from sympy import DiracDelta, Expr, Integer, Mul, Symbol, sign, sqrt
 
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
@@ -126,6 +133,14 @@ class Side:
 
     anchor: Anchor
     axes: tuple[Vector, ...]  # in the frame of that body, of length 1: the normal of a plane; the axes of a box
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A wheel about the centre of a contact: its axis is of length 1."""
+
+    radius: Expression
+    axis: Vector  # in the frame of the body that carries the centre
 
 
 @dataclass(frozen=True)
@@ -242,24 +257,33 @@ class Loads:
         own |= {key: self._read(getattr(element.cable, key), {}) for key in ("width", "dissipation")}
         return self._read(_CABLE, own)
 
-    def add_contact(self, contact: Contact, points: Sequence[tuple[str, Anchor]], side: Side, exponent: float) -> None:
+    def add_contact(
+        self, contact: Contact, points: Sequence[tuple[str, Anchor]], side: Side, exponent: float, circle: Circle | None
+    ) -> None:
         """Add the wrenches of a contact at some points of a body, by their names, with the side that is touched."""
         assert exponent in POWERS, "exponents are checked"
         for name, point in points:
-            self._touch(contact, name, point, side, exponent)
+            self._touch(contact, name, point, side, exponent, circle)
 
     def add_rigid(
-        self, contact: Contact, points: Sequence[tuple[str, Anchor]], side: Side, law: tuple[float, float]
+        self,
+        contact: Contact,
+        points: Sequence[tuple[str, Anchor]],
+        side: Side,
+        law: tuple[float, float],
+        circle: Circle | None,
     ) -> None:
         """Add the points of a rigid contact likewise; `law` is its restitution and its coefficient of friction."""
         for name, centre in points:
-            met = self._meet(contact, name, centre, side)
+            met = self._meet(contact, name, centre, side, circle)
             c = self._probe(name, "centre", Reading.POSITION, centre)
             bodies = centre.body, side.anchor.body
             self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, _add(c, met.arm), *law)))
 
-    def _touch(self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float) -> None:
-        met = self._meet(contact, name, centre, side)
+    def _touch(
+        self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float, circle: Circle | None
+    ) -> None:
+        met = self._meet(contact, name, centre, side, circle)
         n, gap, arm, reach = met.n, met.gap, met.arm, met.reach
         (vc, wc), (vP, wP) = (
             [self._probe(name, k, reading, at) for reading in (Reading.VELOCITY, Reading.SPIN)]
@@ -281,7 +305,7 @@ class Loads:
         self._act(name, centre, F, _cross(arm, F))
         self._act(name, side.anchor, _scale(-1, F), _cross(F, reach))
 
-    def _meet(self, contact: Contact, name: str, centre: Anchor, side: Side) -> _Meeting:
+    def _meet(self, contact: Contact, name: str, centre: Anchor, side: Side, circle: Circle | None) -> _Meeting:
         """Define the normal, the gap and the point of contact."""
         r = self._read(contact.radius, {})
         c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", side.anchor)))
@@ -292,8 +316,18 @@ class Loads:
         (normal,) = side.axes
         n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, normal))
         arm = _scale(-r, n)
+        if circle is not None:
+            arm = _add(arm, self._roll(name, n, centre, circle))
         reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))
         return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach)
+
+    def _roll(self, name: str, n: Vector, centre: Anchor, circle: Circle) -> Vector:
+        """Define the way from the centre of a wheel to the point of its circle that is nearest to a plane."""
+        a = self._probe(name, "a", Reading.DIRECTION, Anchor(centre.body, circle.axis))
+        lean = self._define(name, "lean", _dot(n, a))
+        square = self._define(name, "square", 1 - lean**2, Length(name, Integer(1)))
+        part = self._define(name, "part", -self._read(circle.radius, {}) / sqrt(square))
+        return self._define_vector(name, "rim", _scale(part, _subtract(n, _scale(lean, a))))
 
     def _meet_sphere(self, name: str, c: Vector, P: Vector, r: Expr, R: Expr) -> _Meeting:
         d = self._define_vector(name, "d", _subtract(c, P))

@@ -171,6 +171,12 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield from _check_positive((*place, "size", k), edge, valuation)
         if contact.radius != ZERO:
             yield Finding((*place, "radius"), "a box with a radius", "give a size or a radius, or make two contacts")
+    if contact.wheel is not None:
+        yield from _check_positive((*place, "wheel", "radius"), contact.wheel.radius, valuation)
+        if contact.size is not None:
+            yield Finding((*place, "wheel"), "a wheel with a size", "give one of them")
+        if not isinstance(contact.other, Plane):
+            yield Finding((*place, "wheel"), f"a wheel and a {contact.key}", "a wheel touches a plane alone")
     yield from _check_positive((*place, "width"), contact.width, valuation)
     if contact.is_rigid:
         yield from _check_rigid(place, contact, valuation)

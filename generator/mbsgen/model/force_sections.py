@@ -26,6 +26,7 @@ from mbsgen.model.model import (
     Plane,
     Presence,
     Sphere,
+    Wheel,
 )
 from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
@@ -163,13 +164,21 @@ class GripSection(Section):
     )
 
 
+class WheelSection(Section):
+    """A circle about an axis of the body; with the contact's radius it is a torus."""
+
+    radius: NumberField = Field(examples=[0.35], description="m, of the circle")
+    axis: DirectionField = Field(UNITS["y"], examples=["y"], description="in the contact's frame")
+
+
 class ContactSection(PlacementSection):
-    """A contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
+    """A contact of a sphere with a plane, a sphere or a box, or of a wheel or the corners of a box with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
     radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
     size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
+    wheel: WheelSection | None = Field(None, examples=[None], description="that rolls on a plane, in place of a size")
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
@@ -211,4 +220,5 @@ class ContactSection(PlacementSection):
             self.width,
             grip,
             self.restitution,
+            None if self.wheel is None else Wheel(self.wheel.radius, self.wheel.axis),
         )

@@ -416,8 +416,16 @@ class Grip:
 
 
 @dataclass(frozen=True)
+class Wheel:
+    """A circle that turns with a body: the sphere of a contact moves along it, so that both make a torus."""
+
+    radius: Expression  # [m]
+    axis: Triple = UNITS["y"]  # in the contact's frame
+
+
+@dataclass(frozen=True)
 class Contact:
-    """A contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane."""
+    """A contact of a sphere with a plane, a sphere or a box, or of a wheel or the corners of a box with a plane."""
 
     name: str
     body: str
@@ -431,6 +439,7 @@ class Contact:
     width: Expression = WIDTH  # of the transition from distance to depth [m]
     friction: Grip | None = None
     restitution: Expression | None = None  # of a rigid contact; None: compliant
+    wheel: Wheel | None = None
 
     @property
     def is_rigid(self) -> bool:

@@ -19,7 +19,7 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Loads, Side, Spot
+from mbsgen.model.elements import Anchor, Circle, Loads, Side, Spot
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -540,12 +540,15 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         axes: tuple[Vector, ...] = _transpose(seat.axes)
         if isinstance(other, model.Plane):
             axes = (seat.vector(normalise(reader.direction(other.normal))),)
+        circle = None
+        if contact.wheel is not None:
+            circle = Circle(contact.wheel.radius, at.vector(normalise(reader.direction(contact.wheel.axis))))
         side = Side(Anchor(seat.number, seat.position), axes)
         if contact.restitution is None:
-            loads.add_contact(contact, points, side, reader.constant(contact.exponent))
+            loads.add_contact(contact, points, side, reader.constant(contact.exponent), circle)
             continue
         grip = 0.0 if contact.friction is None else reader.constant(contact.friction.coefficient)
-        loads.add_rigid(contact, points, side, (reader.constant(contact.restitution), grip))
+        loads.add_rigid(contact, points, side, (reader.constant(contact.restitution), grip), circle)
     return loads
 
 

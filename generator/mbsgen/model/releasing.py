@@ -302,6 +302,8 @@ class _Release:
             other=self._other(f"{path}.{contact.key}", contact.other),
             dissipation=contact.dissipation if is_rigid else self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
+            wheel=contact.wheel
+            and replace(contact.wheel, radius=self._number(f"{path}.wheel.radius", contact.wheel.radius)),
             friction=grip,
         )
 
@@ -366,6 +368,7 @@ def _list_axes(model: Model) -> Iterator[Triple]:
     yield from (joint.axis for body in model.bodies for joint in body.joints)
     yield from (axis for loop in model.loops for axis in (loop.axis, loop.axis2))
     yield from (x.other.normal for x in model.contacts if isinstance(x.other, Plane))
+    yield from (x.wheel.axis for x in model.contacts if x.wheel is not None)
 
 
 def _is_quarter_turn(angle: Expression) -> bool:

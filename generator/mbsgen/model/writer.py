@@ -279,6 +279,11 @@ def _write_contact(contact: Contact) -> Mapped:
     content |= _write_placement(contact.placement) | _write_numbers(contact, ("radius",))
     if contact.size is not None:
         content["size"] = _write_triple(contact.size)
+    if contact.wheel is not None:
+        content["wheel"] = {
+            "radius": _write_number(contact.wheel.radius),
+            "axis": _write_axis(contact.wheel.axis),
+        }
     if contact.other != GROUND:
         content[contact.key] = _write_other(contact.other)
     if contact.restitution is None:
