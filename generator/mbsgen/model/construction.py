@@ -56,8 +56,8 @@ from mbsgen.model.model import (
     Rotation,
     Sphere,
     Stops,
-    Wheel,
     Triple,
+    Wheel,
     Wrench,
 )
 from mbsgen.model.sections import read_direction, read_friction, read_number

@@ -11,6 +11,7 @@ from mbsrun.linearisation.equations import (
     linearise,
     settle,
 )
+from mbsrun.linearisation.rolling import Rolling, roll
 
 __all__ = [
     "BalanceError",
@@ -18,8 +19,10 @@ __all__ = [
     "Excitation",
     "Linearisation",
     "Mode",
+    "Rolling",
     "balance",
     "find_pose",
     "linearise",
+    "roll",
     "settle",
 ]

@@ -1,23 +1,24 @@
 """Small motions about a steady motion of a mechanism that rolls: rigid contacts neither slip nor leave.
 
-The velocities at the points of contact vanish: J(q) qd = 0, the rows of `slide` in `touching`. Only the distances among
-them could be integrated; the others are constraints of velocities alone. Along a steady motion, velocities v0 and forces lam
-of the contacts are constant, and with x for q
+The velocities at the points of contact vanish: J(q) qd = 0, the rows of `slide` in `touching`. Only the distances
+among them could be integrated; the others are constraints of velocities alone. Along a steady motion, velocities v0 and
+forces lam of the contacts are constant, and small changes x of q, with velocities v, obey
 
     J v + B x = 0,    B = d(J v0)/dq,    so that    v = Z s - J^+ B x,    J Z = 0
     ZT (M v' + C v + (K - d(J^T lam)/dq) x) = 0,    x' = v
 
-which is a system z' = A z of z = (x, s). Poles at 0 belong to coordinates that nothing depends on, as places along a plane.
-Rounding makes several of them small numbers.
+which is a system z' = A z of z = (x, s). Poles at 0 belong to coordinates that nothing depends on, as places along a
+plane. Rounding makes several of them small numbers.
 
-Meijaard, Papadopoulos, Ruina, Schwab, "Linearized dynamics equations for the balance and steer of a bicycle", Proceedings
-of the Royal Society A 463 (2007), has such a system, with published poles.
+Meijaard, Papadopoulos, Ruina, Schwab, "Linearized dynamics equations for the balance and steer of a bicycle",
+Proceedings of the Royal Society A 463 (2007), has such a system, with published poles.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,14 +52,13 @@ class Rolling:
 def roll(kernels: Kernels, q: ArrayLike, qd: ArrayLike, u: ArrayLike = ()) -> Rolling:
     """Linearise about a steady motion from q, qd (n,) under inputs u, in which all rigid contacts roll.
 
-    Raises ArgumentError for models without rigid contacts, with loops, driven joints or quaternions, and for kernels that
-    were not generated; BalanceError where a contact is open or slips, or where the motion is not steady.
+    Raises ArgumentError for models without rigid contacts, with loops, driven joints or quaternions, and for kernels
+    that were not generated; BalanceError where a contact is open or slips, or where the motion is not steady.
     """
     manifest, n = kernels.manifest, len(kernels.manifest.coordinates)
     if not manifest.rigid or manifest.configuration or manifest.loops or manifest.driven or manifest.open_entries:
-        raise ArgumentError(
-            f"{manifest.model} does not roll: it needs rigid contacts, and no quaternions, loops, driven joints or inputs w"
-        )
+        needs = "it needs rigid contacts, without quaternions, loops, driven joints and inputs w"
+        raise ArgumentError(f"{manifest.model} does not roll: {needs}")
     q, qd, u = (np.asarray(x, dtype=np.float64) for x in (q, qd, u))
     if (q.shape, qd.shape, u.shape) != ((n,), (n,), (len(manifest.actuated),)):
         raise ArgumentError(f"q and qd must be {n} numbers, u {len(manifest.actuated)}")
@@ -66,7 +66,7 @@ def roll(kernels: Kernels, q: ArrayLike, qd: ArrayLike, u: ArrayLike = ()) -> Ro
     J = touching["slide"]
     by_q = slopes["jac_slide_q"].reshape(n, len(J), n).transpose(1, 0, 2)  # rows, velocities, coordinates
     _demand_rolling(kernels, touching["clearance"].ravel(), J, qd)
-    parts = {"q": q, "qd": qd, "qdd": np.zeros(n), **({"u": u} if u.size else {})}
+    parts: dict[str, Any] = {"q": q, "qd": qd, "qdd": np.zeros(n), **({"u": u} if u.size else {})}
     blocks = kernels("lin_impl", **parts)
     K, C, M = (blocks.get(f"jac_Phi_{x}", np.zeros((n, n))) for x in ("q", "qd", "qdd"))
     lam = _hold(J, blocks["Phi"].ravel())
@@ -85,7 +85,9 @@ def _demand_rolling(kernels: Kernels, clearance: Array, J: Array, qd: Array) -> 
         if abs(clearance[k]) > INSIDE:
             raise BalanceError(f"contact {point.name} is {clearance[k]:.3g} m from the other side; let it touch")
         if np.abs(slip[k]).max() > BALANCED * max(1.0, float(np.abs(qd).max())):
-            raise BalanceError(f"contact {point.name} slips with {np.abs(slip[k]).max():.3g} m/s; give velocities that roll")
+            raise BalanceError(
+                f"contact {point.name} slips with {np.abs(slip[k]).max():.3g} m/s; give velocities that roll"
+            )
 
 
 def _hold(J: Array, Phi: Array) -> Array:

@@ -3,7 +3,8 @@
 The error is the largest difference from a reference at the end of the motion. The reference is Gauss collocation with
 six stages, which is not among the measured methods. Its difference from DOP853 at a tolerance of 1e-13 is its accuracy;
 smaller errors have no meaning. The drift of energy needs no reference. With closed loops or driven joints, the
-reference is Radau collocation with five stages, and only methods that keep loops closed are measured.
+reference is Radau collocation with five stages, and only methods that keep loops closed are measured. With rigid stops
+or dry friction, two pairs that go from event to event are the reference; time stepping is measured beside them.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ EXTENT = Extent((*FUNCTIONS, "energy", "power", "frames"), 1, optional=(*CLOSING
 TIGHT = 1e-13  # the tolerance of the check of the reference
 ANGLE = 0.2  # the share of the range of a coordinate in which a motion starts
 
+SWITCHED_TITLE = "DOP853 from event to event, against RK45, both at 1e-13"
 CLOSED_TITLE = "Radau collocation, five stages, against DOP853 at 1e-13"
 
 IMPL, SEMI, EXP1, EXP2 = Formulation
@@ -55,6 +57,12 @@ FAMILIES: tuple[tuple[str, Formulation], ...] = (
     *((method, formulation) for method in ("gauss", "radau-iia") for formulation in Formulation),
     ("generalized-alpha", IMPL),
     ("variational", IMPL),
+)
+
+
+SWITCHING: tuple[tuple[str, Formulation], ...] = (  # of models whose joints switch; one formulation stands for all
+    *((method, EXP2) for method in ("euler", "rk4", "rk45", "dop853")),
+    ("moreau", IMPL),
 )
 
 
@@ -149,7 +157,7 @@ def draw_course(mechanism: Mechanism, duration: float) -> Course:
 def read_course(model: Path, file: Path | None, duration: float | None) -> Course:
     """Read the motion of a settings file, or draw one without a file. Raises InputError."""
     mechanism = load(model) if model.is_dir() else Mechanism(find_folder(model, EXTENT))
-    demand_smooth(mechanism.manifest, "a chart of methods", stops=True)
+    _demand_reference(mechanism.manifest)
     if file is None:
         return draw_course(mechanism, duration or 2.0)
     statement = read_statement(file, {}, mechanism.manifest)
@@ -158,6 +166,12 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
     settings = statement.settings
     q, qd, _ = close_start(mechanism, statement.start, statement.course)
     return Course(mechanism, q, qd, statement.drive, settings.duration, repr(facts), statement.course)
+
+
+def _demand_reference(manifest: Manifest) -> None:
+    """Refuse rigid contacts, and joints that switch beside driven ones: no two methods integrate these to all digits."""
+    if manifest.rigid or (manifest.switching and is_constrained(manifest)):
+        demand_smooth(manifest, "a chart of methods", stops=True)
 
 
 def measure_motions(
@@ -170,7 +184,8 @@ def measure_motions(
     """Integrate with all methods of `scope`; earlier measurements are read from the store."""
     points: list[MotionPoint] = []
     compiler = Variant().compiler()
-    families, begin = [x for x in scope.families if _takes(x, course)], time.monotonic()
+    chosen = SWITCHING if course.mechanism.manifest.switching else scope.families
+    families, begin = [x for x in chosen if _takes(x, course)], time.monotonic()
     for done, (method, formulation) in enumerate(families):
         if time.monotonic() - begin > scope.seconds:
             break
@@ -190,6 +205,11 @@ def find_standard(course: Course) -> Standard:
     step, is_closed = course.duration / (4 * max(pace, 10)), is_constrained(course.mechanism.manifest)
     method, stages = ("radau-iia", 5) if is_closed else ("gauss", 6)
     manifest = course.mechanism.manifest
+    if manifest.switching:
+        other = _end(_reach(course, Settings(course.duration, "rk45", rtol=TIGHT, atol=TIGHT)), manifest)
+        state = _end(check, manifest)
+        accuracy = float(np.abs(other - state).max())
+        return Standard(state, accuracy, max(pace, 10), course.duration, SWITCHED_TITLE)
     state = _end(_reach(course, Settings(course.duration, method, Formulation.IMPL, step, stages=stages)), manifest)
     standard = Standard(state, float(np.abs(state - _end(check, manifest)).max()), max(pace, 10), course.duration)
     return replace(standard, title=CLOSED_TITLE) if is_closed else standard
@@ -254,7 +274,8 @@ class MethodSeries:
 def _list_levels(method: str, standard: Standard, scope: MotionScope) -> list[tuple[float, Settings]]:
     if METHODS[method].family is Family.ADAPTIVE:
         return [(x, Settings(standard.duration, method, rtol=x, atol=x)) for x in scope.tolerances]
-    divisions = scope.shorter if METHODS[method].family is Family.EXPLICIT else scope.divisions
+    is_cheap = METHODS[method].family is Family.EXPLICIT or METHODS[method].strikes
+    divisions = scope.shorter if is_cheap else scope.divisions
     steps = [standard.duration / (standard.steps * x) for x in divisions]
     return [(x, Settings(standard.duration, method, step=x)) for x in steps]
 

@@ -16,6 +16,7 @@ from mbsrun.measuring.motions import EXTENT, Course, MotionScope, NoReferenceErr
 from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.models import find_folder
+from mbsrun.simulation.drive import hold
 from mbsrun.simulation.methods import Formulation
 
 PENDULUM = """
@@ -126,3 +127,20 @@ def test_motions_with_loops_are_measured_by_the_methods_that_take_them(tmp_path:
     assert [(p.method, p.finding) for p in points] == [("rk4", "")]
     assert points[0].error is not None
     assert points[0].error < 1e-5
+
+
+def test_time_stepping_stands_beside_the_way_from_event_to_event(tmp_path: Path) -> None:
+    """A pendulum that hits a stop: errors fall with the step, or with the tolerance, which gives more digits."""
+    file = tmp_path / "stopped.yaml"
+    file.write_text(
+        PENDULUM.replace("axis: y", "axis: y, limits: [-0.5, 2], stops: {restitution: 0.5}"), encoding="utf-8"
+    )
+    course = Course(Mechanism(find_folder(file, EXTENT)), np.array([1.0]), np.zeros(1), hold([]), 1.3, "stopped")
+    standard = motions.find_standard(course)
+    assert standard.accuracy < 1e-10
+    scope = MotionScope(divisions=(1, 4), shorter=(4, 256), tolerances=(1e-4, 1e-9), rounds=1)
+    points = motions.measure_motions(course, standard, scope, Store(tmp_path / "store.jsonl", MotionPoint), quiet)
+    errors = {method: [p.error for p in points if p.method == method] for method in ("moreau", "dop853")}
+    assert errors["moreau"][1] < errors["moreau"][0] / 10
+    assert errors["dop853"][1] < 1e-7
+    assert {p.method for p in points} == {"euler", "rk4", "rk45", "dop853", "moreau"}
