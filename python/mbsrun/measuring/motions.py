@@ -169,7 +169,7 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
 
 
 def _demand_reference(manifest: Manifest) -> None:
-    """Refuse rigid contacts, and joints that switch beside driven ones: no two methods integrate these to all digits."""
+    """Refuse rigid contacts, and joints that switch beside driven ones: no two methods have all digits of these."""
     if manifest.rigid or (manifest.switching and is_constrained(manifest)):
         demand_smooth(manifest, "a chart of methods", stops=True)
 

@@ -289,6 +289,15 @@ def test_feedback_is_asked_once_a_step(make: Make) -> None:
     assert motion.is_complete
 
 
+def test_a_clutch_lets_a_joint_move_one_way(make: Make) -> None:
+    """Pulled back it stands still; pulled on it has F/m."""
+    text = "name: cart\ngravity: [0, 0, -9.81]\nbodies:\n  - {name: cart, joint: {type: prismatic, axis: x, "
+    cart = make(text + "friction: {torque: 0, one_way: -1}}, mass: 2}\n")
+    for force, speed in ((3.0, 0.0), (-3.0, -1.5)):
+        motion = simulate(cart, hold([force]), [0.0], [0.0], Settings(1.0, "moreau", step=1e-2))
+        assert motion.qd[-1] == pytest.approx(speed, abs=1e-13)
+
+
 def test_what_does_not_fit_is_refused(make: Make, tmp_path: Path) -> None:
     """Other methods, starts inside the ground, and numbers of contacts."""
     ball = make(BALL)
