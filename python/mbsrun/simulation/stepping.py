@@ -154,10 +154,8 @@ class Stepper:
             for side, level in ((1.0, joints.lower[i]), (-1.0, joints.upper[i]))
             if np.isfinite(level)
         ]
-        clutches = np.flatnonzero(joints.one_way)  # stops that are always touched
-        stops += [
-            (0, int(i), float(side), float(side) * np.inf, 0.0) for i in clutches for side in (joints.one_way[i],)
-        ]
+        ways = {int(i): float(joints.one_way[i]) for i in np.flatnonzero(joints.one_way)}
+        stops += [(0, i, way, way * np.inf, 0.0) for i, way in ways.items()]  # clutches: always touched
         slowness = np.divide(1.0, joints.stribeck, out=np.zeros_like(joints.stribeck), where=joints.stribeck > 0)
         fall = np.where(joints.stribeck > 0, joints.static - joints.torque, 0.0)
         brakes = [
