@@ -181,9 +181,6 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
     if contact.is_rigid:
         yield from _check_rigid(place, contact, valuation)
         return
-    if contact.stiffness == ZERO:
-        yield Finding(place, "neither stiffness nor restitution", "give stiffness, or restitution of a rigid contact")
-        return
     yield from _check_positive((*place, "stiffness"), contact.stiffness, valuation)
     yield from _check_not_negative((*place, "dissipation"), contact.dissipation, valuation)
     exponent = valuation.constant((*place, "exponent"), contact.exponent)

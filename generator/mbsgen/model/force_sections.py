@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from mbsgen.documents import Section
+from mbsgen.expressions import Number
 from mbsgen.model.loops import LoopEndSection
 from mbsgen.model.model import (
     BASE,
@@ -97,6 +98,9 @@ class MuscleSection(Section):
         )
 
 
+ABSENT = Number(1.0)  # a stiffness that is missing, which the reader refuses
+
+
 class ForceSection(Section):
     """A force along the line through frames: a spring and damper, a cable, or a muscle."""
 
@@ -182,7 +186,7 @@ class ContactSection(PlacementSection):
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
-    stiffness: NumberField = Field(ZERO, examples=[1e5], description="of a compliant contact, N/m**exponent")
+    stiffness: NumberField | None = Field(None, examples=[1e5], description="of a compliant contact, N/m**exponent")
     restitution: NumberField | None = Field(
         None, examples=[None], description="of a rigid contact, in place of a stiffness: 0 to 1"
     )
@@ -210,7 +214,7 @@ class ContactSection(PlacementSection):
         return Contact(
             self.name,
             self.body,
-            self.stiffness,
+            (ZERO if self.restitution is not None else ABSENT) if self.stiffness is None else self.stiffness,
             self.placement,
             self.radius,
             self.size,

@@ -144,6 +144,8 @@ def _check_joints(section: schema.ModelSection) -> Iterator[Finding]:
 
 def _check_contacts(section: schema.ModelSection) -> Iterator[Finding]:
     for i, contact in enumerate(section.contacts):
+        if contact.stiffness is None and contact.restitution is None:
+            yield Finding(("contacts", i, "stiffness"), "missing", "give it, or restitution of a rigid contact")
         sides = {"plane": contact.plane, "sphere": contact.sphere, "box": contact.box}
         given = [key for key, side in sides.items() if side is not None]
         if len(given) > 1:

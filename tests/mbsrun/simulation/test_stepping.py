@@ -311,7 +311,7 @@ def test_what_does_not_fit_is_refused(make: Make, tmp_path: Path) -> None:
         "restitution: 0.5, friction: {coefficient: -1}": "found -1; give 0 or more",
         "restitution: 0.5, friction: {coefficient: 1, speed: 0.1}": "smoothed friction of a rigid contact",
         "stiffness: 100, friction: {coefficient: 1}": "dry friction of a compliant contact; give a speed",
-        "radius: 0.1": "neither stiffness nor restitution; give stiffness",
+        "radius: 0.1": "stiffness: missing; give it, or restitution",
     }
     for law, message in wrong.items():
         file = tmp_path / "wrong.yaml"
