@@ -20,7 +20,7 @@ from mbsrun.simulation.drive import hold
 
 Array = NDArray[np.float64]
 
-FILE = Path(__file__).parents[3] / "models" / "bicycle.yaml"
+FILE = Path(__file__).parents[3] / "models" / "switching" / "bicycle.yaml"
 REAR, FRONT = 0.3, 0.35  # radii [m]
 
 # Meijaard, Papadopoulos, Ruina, Schwab (2007): M q'' + v C1 q' + (g K0 + v^2 K2) q = 0 of roll and steer
