@@ -56,6 +56,11 @@ def add_up_friction(joints: Joints, chunk: Chunk) -> Array:
     sliding = [i for i, mode in enumerate(chunk.segment.modes) if abs(mode) == 1 and joints.is_dry[i]]
     for i in sliding:
         lost += joints.torque[i] * np.abs(np.diff(chunk.q[:, joints.place[i]]))
+    if chunk.segment.push is not None:
+        t = chunk.t[:-1, None] + length[:, None] * NODES
+        state = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
+        power = chunk.segment.push(t.ravel(), *state)[2]
+        lost += length * (power.reshape(t.shape) @ WEIGHTS)
     if any(joints.stribeck[i] > 0 for i in sliding):
         t = chunk.t[:-1, None] + length[:, None] * NODES
         qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))[1]

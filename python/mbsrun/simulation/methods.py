@@ -138,9 +138,11 @@ def find_idle(settings: Settings, given: Collection[str]) -> Iterator[tuple[str,
 def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
     """Find what a model's loops and driven joints forbid: the setting, the finding and the remedy."""
     method = METHODS[settings.method]
-    if manifest.rigid and not method.strikes:
+    if manifest.rigid and method.stability is not None:
+        yield from _refuse_contacts(settings, manifest)
+    elif manifest.rigid and not method.strikes:
         finding = f"{settings.method} takes no rigid contacts, which the model has: {manifest.rigid[0].name}"
-        yield "method", finding, "give moreau; or give contacts a stiffness in place of a restitution"
+        yield "method", finding, "give moreau or dop853; or give contacts a stiffness in place of a restitution"
     elif manifest.switching and not method.strikes:
         yield from _refuse_switching(settings, manifest)
     if not (manifest.loops or manifest.driven):
@@ -162,6 +164,14 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
         if method.has_fixed_steps and gain * settings.step > 1:
             finding = f"the gain {gain:g} 1/s times the step {settings.step:g} s is {gain * settings.step:.3g}"
             yield "step", finding, "keep it below 1, else the loops' own motion diverges"
+
+
+def _refuse_contacts(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
+    others = {"loops": manifest.loops, "driven joints": manifest.driven, "stops or friction": manifest.switching}
+    for what, found in others.items():
+        if found:
+            finding = f"{settings.method} takes no rigid contacts beside {what}, which the model has"
+            yield "method", finding, "give moreau; or give contacts a stiffness in place of a restitution"
 
 
 def _refuse_switching(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:

@@ -113,6 +113,11 @@ class Guard:
 PLACE, SPEED, FORCE = 0, 1, 2  # kinds of guards
 
 
+# times (K,) and states (K, nq), (K, n) of a mode -> accelerations (K, n), forces (K, 3 points) of rigid contacts in the
+# base frame [N], and the power that their friction takes (K,) [W]
+Push = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+
+
 @dataclass(frozen=True)
 class Segment:
     """The mode of some steps, and what happened at their start."""
@@ -123,6 +128,7 @@ class Segment:
     driven: float = 0.0  # J: work of driven joints in impacts
     guards: tuple[Guard, ...] = ()  # that fell to 0
     jumps: tuple[Jump, ...] = ()
+    push: Push | None = None  # of a model with rigid contacts
 
 
 @dataclass(frozen=True)

@@ -177,11 +177,11 @@ def draw_motion(motion: Motion, manifest: Manifest) -> Figure:
         Curve(Panel(title, symbol, unit), name, plot(t, values, color=COLORS[places[name] % len(COLORS)]))
         for title, symbol, name, unit, values in shown
     ]
-    strips = 0 if motion.modes is None else 1
+    strips = int(motion.modes is not None and bool(manifest.switching))
     figure, axes = draw_curves(curves, (float(t[0]), float(t[-1]) or 1.0), more=2 + strips)
     _plot_energy(axes[-2], motion)
     _plot_drift(axes[-1], motion)
-    if motion.modes is not None:
+    if motion.modes is not None and manifest.switching:
         _plot_modes(axes[0], motion, motion.modes, _list_switching(manifest), manifest)
     figure.suptitle(plain(manifest.model) + ("" if motion.halt is None else f": incomplete\n{plain(str(motion.halt))}"))
     return figure

@@ -37,6 +37,7 @@ from mbsrun.simulation.motion import (
     HaltError,
     Keeping,
     Motion,
+    Push,
     Segment,
     Settings,
     Strikes,
@@ -180,7 +181,8 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
-        needed |= {"semi", "semi_res"} if kernels.manifest.switching and is_explicit else set()
+        switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
+        needed |= {"semi", "semi_res"} if switches and is_explicit else set()
         needed |= {"touching"} if kernels.manifest.rigid else set()
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
@@ -244,6 +246,8 @@ class _Record:
         chunk, chosen = self.outputs.choose(chunk)
         if chunk.segment is not None:
             self._add_losses(chunk, chunk.segment, chosen)
+        if chunk.segment is not None and chunk.segment.push is not None:
+            self._add_pushes(chunk, chunk.segment.push, chosen)
         if chunk.strikes is not None:
             self._add_strikes(chunk.strikes, chosen)
         work = self.done + np.concatenate(([0.0], np.cumsum(self._add_up(chunk))))
@@ -297,8 +301,10 @@ class _Record:
     def _find_accelerations(
         self, t: Array, q: Array, qd: Array, inputs: Array, modes: NDArray[np.int_] | None
     ) -> Array:
+        if self.rates:
+            return np.array(self.rates).reshape(-1, qd.shape[1])
         if self.strikes and self.switches:
-            return np.array(self.rates).reshape(-1, qd.shape[1]) if self.rates else np.full(qd.shape, np.nan)
+            return np.full(qd.shape, np.nan)
         if modes is None:
             return self.observer.find_accelerations(t, q, qd, inputs)
         return self.forces.find_all(t, q, qd, inputs, modes)[0]
@@ -311,6 +317,15 @@ class _Record:
         forces = np.array(self.pushes).reshape(-1, 3 * points) if self.pushes else np.full((len(q), 3 * points), np.nan)
         normals = self.kernels("touching", q=q)["direction"]
         return forces, np.einsum("kip,kpi->kp", normals, forces.reshape(-1, points, 3))
+
+    def _add_pushes(self, chunk: Chunk, push: Push, chosen: NDArray[np.intp]) -> None:
+        """Note accelerations and forces of rigid contacts between events."""
+        rates, forces, _ = push(chunk.t, chunk.q, chunk.qd)
+        if not self.rates:  # the start
+            self.rates, self.pushes = [rates[0]], [forces[0]]
+        self.rates += list(rates[chosen])
+        self.pushes += list(forces[chosen])
+        self.ends = [rates[-1], forces[-1]]
 
     def _add_strikes(self, strikes: Strikes, chosen: NDArray[np.intp]) -> None:
         """Add the losses of time stepping; note accelerations and forces, of the step before each state."""

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation import explicit
+from mbsrun.simulation import explicit, touching
 from mbsrun.simulation.complementarity import NOISE, WITHIN, ComplementarityError, solve_bounded, solve_redundant
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
@@ -69,6 +69,9 @@ def integrate(
 
     Raises HaltError where a kernel fails, switches do not end, or the allowance is used up.
     """
+    if dynamics.kernels.manifest.rigid:
+        yield from touching.integrate(pair, dynamics, piece, q, qd, settings, allowance)
+        return
     if not dynamics.kernels.manifest.switching:
         yield from explicit.integrate(pair, dynamics, piece, q, qd, settings, allowance)
         return

@@ -1,0 +1,193 @@
+"""Rigid contacts from event to event: closed forms of impacts, slip, stick and lift-off, and Painleve's paradox."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from mbsrun import Mechanism, load
+from mbsrun.models import Extent
+from mbsrun.simulation import Kind, Motion, Settings, simulate
+from mbsrun.simulation.drive import hold
+
+Array = NDArray[np.float64]
+Make = Callable[[str], Mechanism]
+
+G = 9.81
+NEEDED = Extent(("exp2", "impl", "semi", "semi_res", "energy", "power", "frames", "touching", "distances"), 1)
+TIGHT = {"rtol": 1e-12, "atol": 1e-12}
+PLANAR = """
+name: planar
+gravity: [gx, 0, gz]
+parameters: {{gx: {{value: 0, kind: runtime}}, gz: {{value: -9.81, kind: runtime}}}}
+bodies:
+  - name: body
+    joint:
+      - {{name: x, type: prismatic, axis: x, actuated: false}}
+      - {{name: z, type: prismatic, axis: z, actuated: false}}
+      - {{name: turn, type: revolute, axis: y, actuated: false}}
+    mass: 1
+    inertia: [1, {inertia}, 1]
+contacts:
+"""
+POINT = (
+    "  - {{name: {}, body: body, position: [{}, 0, {}], radius: {}, restitution: 0, friction: {{coefficient: 0}}}}\n"
+)
+WIDTH, HEIGHT = 0.1, 0.3  # halves of the block
+BLOCK = PLANAR.format(inertia=(WIDTH**2 + HEIGHT**2) / 3) + "".join(
+    POINT.format(name, x, -HEIGHT, 0) for name, x in (("left", -WIDTH), ("right", WIDTH))
+)
+RADIUS = 0.2
+DISC = PLANAR.format(inertia=RADIUS**2 / 2) + POINT.format("rim", 0, 0, RADIUS)
+HALF = 0.5  # of the rod
+ROD = PLANAR.format(inertia=HALF**2 / 3) + POINT.format("tip", 0, -HALF, 0)
+
+
+@pytest.fixture(scope="session")
+def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
+    """Return a function that loads a model from its text, each text once."""
+    known: dict[str, Mechanism] = {}
+
+    def build(text: str) -> Mechanism:
+        if text not in known:
+            file = tmp_path_factory.mktemp("model") / "model.yaml"
+            file.write_text(text, encoding="utf-8")
+            known[text] = load(file, extent=NEEDED)
+        return known[text]
+
+    return build
+
+
+def grip(kernels: Mechanism, coefficient: float, restitution: float = 0.0) -> Mechanism:
+    """Change the laws of all contacts, of which the kernels know nothing."""
+    found, laws = copy.copy(kernels), {"coefficient": coefficient, "restitution": restitution}
+    points = tuple(point.model_copy(update=laws) for point in kernels.manifest.rigid)
+    found.manifest = kernels.manifest.model_copy(update={"rigid": points})
+    return found
+
+
+def tilt(kernels: Mechanism, slope: float) -> Mechanism:
+    """Turn gravity, so that x leads down a slope of an angle."""
+    return kernels.with_parameters(gx=G * np.sin(slope), gz=-G * np.cos(slope))
+
+
+def move(kernels: Mechanism, q: list[float], qd: list[float], duration: float) -> Motion:
+    settings = Settings(duration, output_step=duration / 8, **TIGHT)
+    motion = simulate(kernels, hold([]), q, qd, settings)
+    energy = motion.energy
+    assert energy is not None
+    assert energy.friction is not None
+    assert energy.impacts is not None
+    assert min(np.diff(energy.friction).min(initial=0), np.diff(energy.impacts).min(initial=0)) >= -1e-14
+    assert kernels("touching", q=motion.q)["clearance"].min() >= -1e-13
+    return motion
+
+
+def times(motion: Motion, kind: Kind) -> list[float]:
+    return [event.time for event in motion.events if event.kind is kind]
+
+
+def test_a_ball_bounces_up_to_its_accumulation_point(make: Make) -> None:
+    """It hits at t0 (1 + 2 (e + e^2 + ...)), and rests from t0 (1 + e)/(1 - e) on, while it goes on along x."""
+    e, t0 = 0.5, np.sqrt(2 / G)
+    motion = move(grip(make(DISC), 0, e), [0, 1 + RADIUS, 0], [0.3, 0, 0.2], 1.5)
+    assert times(motion, Kind.IMPACT)[:12] == pytest.approx(
+        t0 * (1 + 2 * np.cumsum([0, *e ** np.arange(1, 12)])), abs=1e-12
+    )
+    assert times(motion, Kind.REST) == pytest.approx([t0 * (1 + e) / (1 - e)], abs=1e-9)
+    assert motion.q[-1] == pytest.approx([0.45, RADIUS, 0.3], abs=1e-12)
+
+
+def test_a_block_on_a_slope_sticks_or_slips_to_rest(make: Make) -> None:
+    """It sticks for 10^4 s where tan(slope) < mu; from a speed v it comes to rest after v/(g (mu cos - sin))."""
+    slope, mu, v = 0.3, 0.4, 1.0
+    block = tilt(grip(make(BLOCK), mu), slope)
+    motion = move(block, [0, HEIGHT, 0], [0, 0, 0], 1e4)
+    assert motion.events == ()
+    assert np.ptp(motion.q, axis=0).max() < 1e-13
+    brake = G * (mu * np.cos(slope) - np.sin(slope))
+    motion = move(block, [0, HEIGHT, 0], [v, 0, 0], 2.0)
+    assert times(motion, Kind.STICK) == pytest.approx([v / brake] * 2, abs=1e-12)
+    assert motion.q[-1] == pytest.approx([v**2 / 2 / brake, HEIGHT, 0], abs=1e-12)
+    assert motion.contacts is not None
+    assert motion.contacts[1][-1].sum() == pytest.approx(G * np.cos(slope), abs=1e-12)
+    slipping = move(tilt(grip(make(BLOCK), 0.2), slope), [0, HEIGHT, 0], [0, 0, 0], 1.0)
+    assert slipping.q[-1, 0] == pytest.approx(G * (np.sin(slope) - 0.2 * np.cos(slope)) / 2, abs=1e-12)
+    assert slipping.energy is not None
+    assert np.abs(slipping.energy.drift).max() < 1e-12
+
+
+def test_a_block_rocks_as_housner_says(make: Make) -> None:
+    """Each impact leaves 1 - 3/2 sin(a)^2 of the angular velocity; a quarter swing takes an elliptic integral."""
+    block, start, reach = grip(make(BLOCK), 0.8), 0.1, np.hypot(WIDTH, HEIGHT)
+    a, p = np.arctan(WIDTH / HEIGHT), np.sqrt(3 * G / 4 / reach)
+    x = WIDTH - (WIDTH * np.cos(start) - HEIGHT * np.sin(start))
+    z = WIDTH * np.sin(start) + HEIGHT * np.cos(start)
+    motion = move(block, [x, z, start], [0, 0, 0], 0.6)
+    hits = [event for event in motion.events if event.kind is Kind.IMPACT]
+
+    def slowness(s: float) -> float:  # of the angle start (1 - s^2), times its derivative by s
+        angle = start * (1 - s * s)
+        return float(2 * start * s / (p * np.sqrt(2 * (np.cos(a - start) - np.cos(a - angle)))))
+
+    assert hits[0].time == pytest.approx(quad(slowness, 0, 1, epsabs=1e-13)[0], abs=1e-10)
+    speeds = [2 * WIDTH * p * np.sqrt(2 * (np.cos(a - start) - np.cos(a)))]
+    speeds.append(speeds[0] * (1 - 1.5 * np.sin(a) ** 2))
+    assert [-event.before for event in hits[:2]] == pytest.approx(speeds, abs=1e-11)
+    assert [event.joint for event in hits[:2]] == ["left", "right"]
+
+
+def test_a_disc_slips_until_it_rolls(make: Make) -> None:
+    """Of a speed v it keeps 2/3, after v/(3 mu g); down a slope it rolls at 2/3 g sin, or slips where 3 mu < tan."""
+    mu, v, slope = 0.15, 1.2, 0.2
+    disc = grip(make(DISC), mu)
+    motion = move(disc, [0, RADIUS, 0], [v, 0, 0], 1.0)
+    assert times(motion, Kind.STICK) == pytest.approx([v / (3 * mu * G)], abs=1e-12)
+    assert motion.qd[-1] == pytest.approx([2 / 3 * v, 0, 2 / 3 * v / RADIUS], abs=1e-12)
+    rolling = move(tilt(disc, slope), [0, RADIUS, 0], [0, 0, 0], 1.0)
+    assert rolling.qd[-1, 0] == pytest.approx(2 / 3 * G * np.sin(slope), abs=1e-12)
+    slipping = move(tilt(grip(disc, 0.05), slope), [0, RADIUS, 0], [0, 0, 0], 1.0)
+    assert slipping.qd[-1, 0] == pytest.approx(G * (np.sin(slope) - 0.05 * np.cos(slope)), abs=1e-12)
+    assert slipping.qd[-1, 2] == pytest.approx(2 * 0.05 * G * np.cos(slope) / RADIUS, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("spin", "message"), [(0.0, "no motion obeys the laws"), (5.0, "2 motions obey the laws"), (-1.0, "")]
+)
+def test_painleves_rod_has_no_motion_or_two(spin: float, message: str, make: Make) -> None:
+    """The normal force needs 1 + 3 s (s - mu c) > 0 where the rod leans by an angle; else its weight decides."""
+    angle, mu, v = 0.6, 2.0, 1.0
+    s, c = np.sin(angle), np.cos(angle)
+    assert 1 + 3 * s * (s - mu * c) < 0
+    assert 1 + 3 * s * (s + mu * c) > 0
+    lean = -angle if message else angle
+    q = [HALF * np.sin(lean), HALF * np.cos(lean), lean]
+    qd = [v + q[1] * spin, -q[0] * spin, spin]
+    motion = move(grip(make(ROD), mu), q, qd, 0.02)
+    assert (motion.halt is None) == (not message)
+    if motion.halt is not None:
+        assert message in motion.halt.finding
+        assert "Painleve's paradox" in motion.halt.finding
+        assert (HALF * spin**2 * c > G) == message.startswith("2")
+
+
+def test_balls_in_a_row_pass_the_velocity_on(make: Make) -> None:
+    """Newton's cradle: equal balls exchange velocities; of three that touch, two take 2/3 of the first one's each."""
+    text = "name: cradle\ngravity: [0, 0, 0]\nbodies:\n"
+    for name in "abc":
+        text += f"  - {{name: {name}, joint: {{type: prismatic, axis: x, actuated: false}}, mass: 1}}\n"
+    text += "contacts:\n"
+    for one, other in ("ab", "bc"):
+        sides = f"body: {one}, radius: 0.1, sphere: {{body: {other}, radius: 0.1}}"
+        text += f"  - {{name: {one}{other}, {sides}, restitution: 1}}\n"
+    cradle = make(text)
+    motion = move(cradle, [0, 1.0, 2.0], [1, 0, 0], 2.0)
+    assert motion.qd[-1] == pytest.approx([0, 0, 1], abs=1e-14)
+    assert times(motion, Kind.IMPACT) == pytest.approx([0.8, 1.6], abs=1e-13)
+    motion = move(cradle, [0.5, 1.0, 1.2], [1, 0, 0], 1.0)
+    assert motion.qd[-1] == pytest.approx([-1 / 3, 2 / 3, 2 / 3], abs=1e-13)
