@@ -9,7 +9,7 @@ rows J, the directions G of their forces, and beta = Jd qd,
 
     M qdd = f + G lam,    J qdd + beta = 0,    J M^-1 G lam = -(J M^-1 f + beta).
 
-Where points share their forces in many ways, those in proportion to the normal forces are taken. With friction, the
+Where points can share their load in many ways, they share it in proportion to their normal forces. With friction, the
 conditions of no mode may hold, or of several: Painleve's paradox, which is said. Impacts obey the same conditions, of
 impulses and of velocities after them, with w+ = -e w- along the normal (Newton).
 
@@ -36,13 +36,13 @@ RANK = 1e-10  # of the singular values of J M^-1 G: smaller ones are 0
 NEAR = 1e-9  # of the size of a condition's terms: what is as near to 0 may be either
 TURNS = 60  # of the direction in which a point starts to slip
 FIXED = 1e-13  # a change of the direction that ends them
-MOST = 729  # modes that are tried, to tell whether there are several
+MOST = 729  # modes that are tried, to see whether there are several
 STRIDE = 0.02  # rad, m: of coordinates, for time derivatives by differences of order 8
 WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 
 
 class State(IntEnum):
-    """What a point of contact does."""
+    """The state of a point of contact."""
 
     OPEN = 0
     STICK = 1
@@ -55,7 +55,7 @@ class ParadoxError(MbsError):
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """The states of P points, and the directions in which those that slip began to."""
+    """The states of P points, and the directions in which slipping ones began to slip."""
 
     states: tuple[State, ...]
     ways: Array  # (P, 3)
@@ -242,7 +242,7 @@ class Search:
         return found[0]
 
     def _list(self) -> Iterator[tuple[State, ...]]:
-        """List modes, those with most points that touch first."""
+        """List modes, from all points closed to all open."""
         options = [
             (State.OPEN,)
             if k not in self.near

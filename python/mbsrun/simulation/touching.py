@@ -1,10 +1,9 @@
 """Motions with rigid contacts, from event to event: points touch, slip, stick and leave; methods keep their order.
 
-Between events the points keep their mode (`contacts`), and steps of the explicit method are taken in its equations;
-after each, coordinates and velocities are put back on what the points that touch require. An event is where a distance,
-a normal force, a slip, or what friction has left to hold falls below 0. It is found to rounding, by steps from the start
-of the step in which it lies. Impacts obey Newton's hypothesis, with friction. A rebound that rises by less than REBOUND
-is the last one.
+Between events the points keep their mode (`contacts`), and the explicit method takes steps in its equations. After each,
+coordinates and velocities are put back on the equations of closed points. An event is where a distance, a normal force,
+a slip, or the reserve of friction falls below 0. Steps from the start of the step in which it lies find it to rounding.
+Impacts obey Newton's hypothesis, with friction. A rebound that rises by less than REBOUND is the last one.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class Bound(Enum):
     GAP = "the distance of an open point"
     PRESS = "the normal force of a closed one"
     SLIP = "the velocity of a slipping one, along the way in which it began"
-    HOLD = "what friction could hold beyond the load of one that sticks"
+    HOLD = "the reserve of friction of one that sticks"
 
 
 @dataclass(frozen=True)
@@ -260,7 +259,7 @@ class _Course:
         return self.finish(mode, x + h[:, None] * np.tensordot(self.b, stages, 1)), stages
 
     def finish(self, mode: Mode, x: Array) -> Array:
-        """Put states back on what points that touch require."""
+        """Put states back on the equations of closed points."""
         closed = mode.closed
         if not closed:
             return x
