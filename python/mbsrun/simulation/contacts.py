@@ -60,6 +60,7 @@ class Mode:
     states: tuple[State, ...]
     ways: Array  # (P, 3)
     shares: Array  # (P,): forces in proportion to which points share their load
+    is_locked: bool = False  # no joint can move
 
     @property
     def closed(self) -> list[int]:

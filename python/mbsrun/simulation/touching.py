@@ -1,9 +1,9 @@
 """Motions with rigid contacts, from event to event: points touch, slip, stick and leave; methods keep their order.
 
-Between events the points keep their mode (`contacts`), and the explicit method takes steps in its equations. After each,
-coordinates and velocities are put back on the equations of closed points. An event is where a distance, a normal force,
-a slip, or the reserve of friction falls below 0. Steps from the start of the step in which it lies find it to rounding.
-Impacts obey Newton's hypothesis, with friction. A rebound that rises by less than REBOUND is the last one.
+Between events the points keep their mode (`contacts`), and the explicit method takes steps in its equations. After
+each, coordinates and velocities are put back on the equations of closed points. An event is where a distance, a normal
+force, a slip, or the reserve of friction falls below 0. Steps from the start of the step in which it lies find it to
+rounding. Impacts obey Newton's hypothesis, with friction. A rebound that rises by less than REBOUND is the last one.
 """
 
 from __future__ import annotations
@@ -217,7 +217,10 @@ class _Course:
         touch = self.contacts.touch(q[None], qd[None])
         inertia = self.contacts.find_free(q[None], qd[None], piece.at(time, q, qd)[None])
         slipping = self.find_slipping(touch, points)
-        return Search(self.contacts, touch, inertia, points, slipping, self.released).find()[0]
+        mode = Search(self.contacts, touch, inertia, points, slipping, self.released).find()[0]
+        rows = self.list_rows(touch, mode)
+        is_locked = bool(rows) and np.linalg.matrix_rank(np.array(rows), tol=1e-9) == self.dynamics.size
+        return replace(mode, is_locked=is_locked)
 
     def find_slipping(self, touch: Touch, points: list[int]) -> list[int]:
         """List the points that slip."""
@@ -253,6 +256,8 @@ class _Course:
     def step(self, piece: Piece, mode: Mode, t: Array, x: Array, h: Array) -> tuple[Array, Array]:
         """Take steps of lengths (K,) from states at times (K,); return their ends and the stages."""
         stages = np.zeros((len(self.b), *x.shape))
+        if mode.is_locked:
+            return x.copy(), stages
         for i, row in enumerate(self.A):
             y = x + h[:, None] * np.tensordot(row[:i], stages[:i], 1) if i else x
             stages[i] = self.move(piece, mode, t + self.c[i] * h, y)
@@ -267,15 +272,18 @@ class _Course:
         ends = np.empty_like(x)
         for i in range(len(x)):
             place = self.place(q[i], closed)
-            touch = self.contacts.touch(place[None], qd[i][None])
-            rows = list[Array]()
-            for k in closed:
-                n, S = touch.normal[0, k], touch.slide[0, k]
-                sticks = mode.states[k] == State.STICK and self.contacts.coefficient[k] > 0
-                rows += list(S) if sticks else [n @ S]
-            J = np.array(rows)
+            J = np.array(self.list_rows(self.contacts.touch(place[None], qd[i][None]), mode))
             ends[i] = np.concatenate((place, qd[i] - np.linalg.lstsq(J, J @ qd[i], rcond=1e-10)[0]))
         return ends
+
+    def list_rows(self, touch: Touch, mode: Mode) -> list[Array]:
+        """List the derivatives by qd of the velocities that a mode keeps at 0, (n,) each."""
+        rows = list[Array]()
+        for k in mode.closed:
+            S = touch.slide[0, k]
+            sticks = mode.states[k] == State.STICK and self.contacts.coefficient[k] > 0
+            rows += list(S) if sticks else [touch.normal[0, k] @ S]
+        return rows
 
     def run(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
         """Integrate until an event or the end of the piece."""
