@@ -154,7 +154,7 @@ class Contacts:
         rows, ends, weights = list[Array](), list[Array](), list[float]()
         units = list[tuple[int, Array]]()  # of each row, the point, and the force on it of 1 (K, 3)
         for k in closed:
-            n, S, share = touch.normal[:, k], touch.slide[:, k], float(mode.shares[k])
+            n, S, share = touch.normal[:, k], touch.slide[:, k], float(np.sqrt(mode.shares[k]))
             is_stuck = mode.states[k] == State.STICK
             units.append((k, n if is_stuck else n - self.coefficient[k] * find_way(touch, mode, k)))
             rows.append(np.einsum("ki,kin->kn", n, S))
@@ -255,7 +255,7 @@ class Search:
         yield from itertools.product(*options)
 
     def _is_same(self, one: Loads, other: Loads) -> bool:
-        size = np.abs(one.qdd).max() + np.abs(other.qdd).max() + 1e-300
+        size = np.abs(one.qdd).max() + np.abs(other.qdd).max() + np.abs(self.free).max()
         return bool(np.abs(one.qdd - other.qdd).max() <= 1e-6 * size)
 
     def _try(self, states: tuple[State, ...]) -> tuple[Mode, Loads] | None:
