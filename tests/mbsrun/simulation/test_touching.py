@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from mbsgen.manifest import Stops
 from mbsrun import Mechanism, load
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
@@ -191,3 +192,12 @@ def test_balls_in_a_row_pass_the_velocity_on(make: Make) -> None:
     assert times(motion, Kind.IMPACT) == pytest.approx([0.8, 1.6], abs=1e-13)
     motion = move(cradle, [0.5, 1.0, 1.2], [1, 0, 0], 1.0)
     assert motion.qd[-1] == pytest.approx([-1 / 3, 2 / 3, 2 / 3], abs=1e-13)
+
+
+def test_contacts_beside_stops_are_refused(make: Make) -> None:
+    disc = copy.copy(make(DISC))
+    stops = Stops(lower=0.0, upper=None, restitution=0.5)
+    first = disc.manifest.coordinates[0].model_copy(update={"stops": stops})
+    disc.manifest = disc.manifest.model_copy(update={"coordinates": (first, *disc.manifest.coordinates[1:])})
+    with pytest.raises(ValueError, match="dop853 takes no rigid contacts beside stops or friction"):
+        simulate(disc, hold([]), [0, 1, 0], [0, 0, 0], Settings(1.0))
