@@ -178,7 +178,7 @@ golden: $(VENV)/installed-dev
 
 schema: $(VENV)/installed-dev
 	@mkdir -p build
-	$(BIN)/python -m mbsgen.model.schema > build/model.schema.json
+	$(BIN)/python -m mbsgen.model.file.schema > build/model.schema.json
 	mv build/model.schema.json models/model.schema.json
 	for kind in problem simulation trial; do \
 		$(BIN)/python -m mbsrun.schemas $$kind > build/$$kind.schema.json && \

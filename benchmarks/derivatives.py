@@ -23,11 +23,11 @@ import mbsrun
 from benchmarks.compilation import describe_machine
 from benchmarks.pages import tabulate
 from mbsgen.errors import MbsError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.optima.movement import Movement
 from mbsrun.ocp.optima.point import find_optimum
 from mbsrun.ocp.optima.status import SMOOTH
-from mbsrun.ocp.trajectory import Trajectory
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.derivatives import PARTS, Derivatives
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases

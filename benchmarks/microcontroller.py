@@ -27,7 +27,7 @@ from mbsrun.controllers.emulation import Emulation, emulate
 from mbsrun.controllers.making import make
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
 from mbsrun.models import find_folder
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[1] / "models"
 ARM = MODELS / "arm_pendulum.yaml"

@@ -17,8 +17,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbsgen.importing import Imported
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import FREE, Body, Fixed, Joint, Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.formulations.poses import build_frames
+from mbsgen.formulations.results.poses import build_frames
 from mbsgen.model.tree import LoopFrame, Sensor, Tree
 from mbsgen.tape.interpreter import evaluate
 from tests.random_trees import values_of

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import Expression, Number, parse
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.model.changes.scene import Scene
 from mbsgen.model.construction import (
     Setting,
     ball,
@@ -27,7 +28,6 @@ from mbsgen.model.construction import (
 )
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import BASE, Body, Fixed, Joint, Model
-from mbsgen.model.scene import Scene
 from mbsgen.model.topology import find_carriers
 from tests.random_trees import random_inertia
 

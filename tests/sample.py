@@ -16,7 +16,7 @@ from mbsgen.formulations import ports
 from mbsgen.manifest import Coordinate, Frame, Manifest, Parameter
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.types import Sparsity, Tape
-from mbsgen.targets.c import Sources, write_c
+from mbsgen.targets.c.files import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.names import mangle
 from mbsgen.targets.parts import LENGTH

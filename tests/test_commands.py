@@ -14,9 +14,9 @@ import mbsgen.cli
 import mbsrun.cli
 from mbsgen.equations import FORMATS
 from mbsgen.targets.languages import TARGETS
-from mbsrun.ocp import pictures as solutions
+from mbsrun.ocp.showing import pictures as solutions
 from mbsrun.simulation import record as simulation
-from mbsrun.simulation.methods import METHODS
+from mbsrun.simulation.integration.methods import METHODS
 from tests.model_kinds import KINDS, Kind, write_model, write_problem
 
 pytestmark = pytest.mark.filterwarnings(  # a user would see the ones of libraries

@@ -64,7 +64,7 @@ def test_the_comparison_sees_another_spring(tmp_path: Path, monkeypatch: pytest.
     body = '<body><joint name="joint1" axis="0 1 0" stiffness="3"/><geom size="0.1" pos="1 0 0"/></body>'
     (tmp_path / "machine.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     assert mjcf_files.examine(tmp_path / "machine.xml") == ""
-    monkeypatch.setattr("mbsgen.importing.mjcf.make_law", lambda *_: Law())
+    monkeypatch.setattr("mbsgen.importing.mjcf.reading.make_law", lambda *_: Law())
     assert "residual" in mjcf_files.examine(tmp_path / "machine.xml")
 
 

@@ -52,7 +52,7 @@ COPIED = (
 )
 UNSWEPT: tuple[str, ...] = (
     *COPIED,
-    "python/mbsrun/ocp/record.py",  # the name of a column of its files
+    "python/mbsrun/ocp/solution/record.py",  # the name of a column of its files
 )
 
 

@@ -19,17 +19,17 @@ from benchmarks.classics.problems import CLASSICS, Classic
 from benchmarks.compilation import describe_machine
 from benchmarks.ocp.peer import Effort
 from mbsrun import load
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.guessing.state_guess import complete
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.statement import read_problem
 
 FILES = Path(__file__).parents[2] / "models" / "classics"
 QUICK = ("brachistochrone", "van_der_pol", "car", "cart_pole")

@@ -18,7 +18,7 @@ from benchmarks.kkt.problems import PROBLEMS
 from benchmarks.kkt.solving import LIMIT, LONG, Case, measure
 from benchmarks.kkt.transcription import SCHEMES, Problem, Scheme, admits
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.linear import compile_own
+from mbsrun.ocp.ground.linear import compile_own
 
 QUICK = ("van der Pol", "brachistochrone", "gas oil")
 PRECISE = "Radau 3"  # the scheme by which optima are compared with published ones

@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 
 from benchmarks.kkt.transcription import Problem, Program, Scheme, transcribe
-from mbsrun.ocp.linear import MUMPS, OWN, set_up
+from mbsrun.ocp.ground.linear import MUMPS, OWN, set_up
 
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 SAME = 1e-6  # relative difference of costs within which two optima are one

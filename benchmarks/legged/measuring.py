@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from benchmarks.legged.cases import Case
 from benchmarks.legged.chains import Mechanism
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.guess import Unreached, guess_phases
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants, equip_phases
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import PhasedSolver, resimulate_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.guessing.phases import Unreached, guess_phases
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solving.phases import PhasedSolver, resimulate_phases
+from mbsrun.ocp.statement.phases import read_phased_problem
 
 LIMIT = 20.0  # s of the processor, for a solve of a plain program
 LONG = 5.0  # s: such a solve is not repeated

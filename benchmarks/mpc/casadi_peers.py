@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Task
 from mbsrun.external import OnDemand
-from mbsrun.ocp.linear import OWN, set_up
+from mbsrun.ocp.ground.linear import OWN, set_up
 
 MODEL = Path(__file__).parents[1] / "models" / "panda.yaml"
 QUIET: Mapping[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False}

@@ -21,10 +21,10 @@ from scipy import sparse
 from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Task, wait
 from mbsgen.expressions import parse
 from mbsrun.external import OnDemand
-from mbsrun.ocp.functions import Formula, Input, KernelResult
-from mbsrun.ocp.program import Block, Program, Stages
-from mbsrun.ocp.stages.binding import Numbers, Tables, Workspace, fill, set_bounds
-from mbsrun.ocp.stages.building import build
+from mbsrun.ocp.evaluation.stages.binding import Numbers, Tables, Workspace, fill, set_bounds
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.ground.functions import Formula, Input, KernelResult
+from mbsrun.ocp.ground.program import Block, Program, Stages
 
 LEAST_BARRIER = 1e-5  # of real-time steps
 SIZE = STATES + 2 * JOINTS  # of a stage: q, qd, a, u

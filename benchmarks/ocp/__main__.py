@@ -28,16 +28,16 @@ from mbsgen.pipeline import read_tree
 from mbsrun import Mechanism, load
 from mbsrun.measuring.store import Store
 from mbsrun.models import Extent, find_folder, fingerprint_generator
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.linear import LINEAR_SOLVERS, OWN
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.linear import LINEAR_SOLVERS, OWN
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
 from mbsrun.ocp.methods.ipopt import LINEAR_SOLVER
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Form, Problem, Representation, find_conflicts
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[2] / "models"
 MODEL = MODELS / "arm_pendulum.yaml"

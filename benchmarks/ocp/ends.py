@@ -21,12 +21,12 @@ from rich.console import Console
 
 from mbsrun.external import load_on_demand
 from mbsrun.lab.ends import KINDS, draw
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 METHODS = ("mbs", "ipopt")
 Options = tuple[tuple[str, float], ...]

@@ -36,15 +36,15 @@ from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from mbsrun.closure import Closure
 from mbsrun.external import load_on_demand
-from mbsrun.ocp import schemes
-from mbsrun.ocp.driving import find_point_forces
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Loops, Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.driving import find_point_forces
+from mbsrun.ocp.problem.problem import Loops, Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.statement import read_problem
 
 Array = NDArray[np.float64]
 MODELS = Path(__file__).parents[2] / "models"

@@ -18,7 +18,7 @@ import numpy as np
 
 import mbsrun
 from benchmarks.compilation import describe_machine
-from mbsrun.ocp.study import Targets
+from mbsrun.ocp.searching.study import Targets
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.many import change
 

@@ -18,16 +18,16 @@ import numpy as np
 from rich.console import Console
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
-from mbsrun.ocp.study import Targets
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.searching.study import Targets
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[2] / "models"
 ARM = MODELS / "arm_reach.ocp.yaml"

@@ -23,16 +23,16 @@ from rich.console import Console
 
 from benchmarks.pages import tabulate
 from mbsrun.external import load_on_demand
-from mbsrun.ocp import schemes
-from mbsrun.ocp.integrators import SECOND_ORDER
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import Constant, integrate
-from mbsrun.ocp.schemes import Family, Scheme, read_basis
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family, Scheme, read_basis
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import Constant, integrate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 Array = NDArray[np.float64]
 MODELS = Path(__file__).parents[2] / "models"

@@ -27,9 +27,9 @@ from benchmarks.newton_euler import write_functions
 from mbsgen.manifest import Kernel, Manifest
 from mbsgen.model.tree import Tree
 from mbsrun.library import find_compiler
-from mbsrun.ocp.plant import Plant, Unchangeable
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant, Unchangeable
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Problem
 
 Array = NDArray[np.float64]
 

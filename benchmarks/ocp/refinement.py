@@ -19,13 +19,13 @@ from rich.console import Console
 
 from benchmarks.pages import tabulate
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Refinement
-from mbsrun.ocp.refinement import refine
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem, Refinement
+from mbsrun.ocp.searching.refinement import refine
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[2] / "models"
 PROBLEMS = (

@@ -22,13 +22,13 @@ import numpy as np
 
 from mbsgen.errors import MbsError
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError, check_problem
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Loops, Problem, Representation
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.problem.problem import Form, Loops, Problem, Representation
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError, check_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[2] / "models"
 TOLERANCE = 1e-8

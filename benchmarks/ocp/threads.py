@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.statement import read_problem
 
 ARM = Path(__file__).parents[2] / "models" / "arm_reach.ocp.yaml"
 INTERVALS = 100

@@ -32,6 +32,7 @@ from mbsgen.manifest import (
     Tension,
     Touch,
 )
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import (
     BASE,
     HERE,
@@ -52,7 +53,6 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.placements import centre_inertia
 from mbsgen.model.quantities import find_read_frames
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import IDENTITY, Kind, Matrix, Sensor, Tree, Vector
 

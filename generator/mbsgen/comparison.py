@@ -24,7 +24,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, import_model
-from mbsgen.model.reduction import build_tree
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.symbols import to_double
 from mbsgen.model.tree import NO_FORCE, ZERO, Tree
 from mbsgen.procedure.procedure import straight

@@ -29,7 +29,7 @@ from sympy import Expr
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import write_chain
 from mbsgen.formulations.coupling import couple
-from mbsgen.formulations.poses import build_frames
+from mbsgen.formulations.results.poses import build_frames
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.symbols import exact, round_number, to_double, total
 from mbsgen.model.tree import Cut, Kind, Loop, LoopFrame, Motion, Sensor, Tree

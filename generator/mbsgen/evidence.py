@@ -21,9 +21,9 @@ from mbsgen.families import write_families
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import EVERYTHING, Scene, stage
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import EVERYTHING, Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.valuation import Valuation
 from mbsgen.procedure.procedure import straight

@@ -29,7 +29,7 @@ from mbsgen.tape.counts import count
 from mbsgen.tape.forward import propagate
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import LITERALS, Op, Sparsity, Tape
-from mbsgen.targets.c_stages import write_stages
+from mbsgen.targets.c.stages import write_stages
 from mbsgen.targets.layout import lay_out
 
 _FUNCTIONS: Mapping[str, Op] = {

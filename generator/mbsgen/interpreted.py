@@ -16,8 +16,8 @@ from sympy import Integer
 from mbsgen.assembly import assemble
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape.interpreter import evaluate, find_failure
 

@@ -21,8 +21,8 @@ from mbsgen.formulations.coupling import couple
 from mbsgen.formulations.reductions import ALL
 from mbsgen.formulations.states import declare_state
 from mbsgen.formulations.textbook import residual
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape.builder import Builder

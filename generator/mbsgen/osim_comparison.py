@@ -30,8 +30,8 @@ from mbsgen.expressions import FLOATS, Algebra, Expression, Name, Number, evalua
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Imported, import_model
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
-from mbsgen.model.reduction import build_tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.roles import Role
 from mbsgen.tape.types import Tape

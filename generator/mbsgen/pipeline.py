@@ -27,12 +27,12 @@ from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
 from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, RigidPoint, Stops, Wrench
-from mbsgen.model.checks import find_faults
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import EVERYTHING, Scene, apply_kinds, read_scene, stage
+from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import EVERYTHING, Scene, apply_kinds, read_scene, stage
 from mbsgen.model.symbols import exact, to_double, total
 from mbsgen.model.tree import IDENTITY, NO_FORCE, Kind, Motion, Tree, Vector
 from mbsgen.model.writer import write_model
@@ -41,12 +41,12 @@ from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.renumbering import Changes, Numbers
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.request import DEFAULT, OptionError, Options, Request, merge
-from mbsgen.targets.c import Sources, write_c
+from mbsgen.targets.c.files import Sources, write_c
+from mbsgen.targets.c.symbols import check_prefix
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import list_groups
 from mbsgen.targets.languages import find_targets
 from mbsgen.targets.names import mangle
-from mbsgen.targets.symbols import check_prefix
 from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import Verification, verify
 

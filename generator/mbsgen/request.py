@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mbsgen.errors import MbsError
 from mbsgen.formulations.reductions import ALL, Reductions
-from mbsgen.model.scene import EVERYTHING, LARGEST_TOLERANCE, Scene
+from mbsgen.model.changes.scene import EVERYTHING, LARGEST_TOLERANCE, Scene
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ MEASURED = CodeSize()
 class Options:
     """The outputs to generate, besides the C of every function."""
 
-    runtime: bool = False  # every number of the model a run-time parameter, see `model.releasing`
+    runtime: bool = False  # every number of the model a run-time parameter, see `model.changes.releasing`
     zeros: bool = False  # with `runtime`: also numbers that are 0
     targets: tuple[str, ...] = ()  # beside C, see `targets.languages`
     count: bool = True  # the formulations, for the report; they are written once more for this

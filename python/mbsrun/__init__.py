@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from mbsrun.identification.excitation import excite
     from mbsrun.identification.identify import identify
     from mbsrun.motions import Motions, simulate_many
-    from mbsrun.ocp.checks import ProblemError
+    from mbsrun.ocp.statement.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
     from mbsrun.rollouts import rollout
 
@@ -34,7 +34,7 @@ __all__ = [
 _MODULES = {
     **dict.fromkeys(("Controller", "controller"), "controllers.loading"),
     **dict.fromkeys(("Mechanism", "load"), "external"),
-    "ProblemError": "ocp.checks",
+    "ProblemError": "ocp.statement.checks",
     "excite": "identification.excitation",
     "identify": "identification.identify",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),

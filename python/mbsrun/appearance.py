@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, names, parse, spell
 from mbsgen.manifest import Appearance, Formula, Manifest, Mass
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 
 Entry = TypeVar("Entry", bound=BaseModel)
 

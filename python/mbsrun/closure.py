@@ -27,7 +27,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.kernel import Kernels
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.quaternions import list_entries, list_quaternions, normalise
 
 Array = NDArray[np.float64]

@@ -27,14 +27,14 @@ from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
 from mbsrun.simulation.drive import Drive, DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.explicit import Plant
-from mbsrun.simulation.method import Family
-from mbsrun.simulation.methods import METHODS, complete_settings
+from mbsrun.simulation.integration.explicit import Plant
+from mbsrun.simulation.integration.method import Family
+from mbsrun.simulation.integration.methods import METHODS, complete_settings
+from mbsrun.simulation.integration.steps import count_steps, place_steps
+from mbsrun.simulation.integration.tableaus import FIXED
 from mbsrun.simulation.motion import Halt, HaltError, Settings
 from mbsrun.simulation.outputs import SAME, Outputs, find_stride, list_times
 from mbsrun.simulation.simulate import check_inputs, check_settings, check_start
-from mbsrun.simulation.steps import count_steps, place_steps
-from mbsrun.simulation.tableaus import FIXED
 
 Array = NDArray[np.float64]
 Show = Callable[[int], None]

@@ -1,4 +1,4 @@
-"""The names of a motion's quantities in expressions: see `mbsrun.ocp.quantities` and `mbsrun.simulation.drive`.
+"""The names of a motion's quantities in expressions: see `ocp.transcription.quantities`, `simulation.drive`.
 
 A problem of optimal control adds names: its own states and controls, the components of open wrenches, and the forces
 of driven joints.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.memory import Memory
+from mbsrun.ocp.ground.memory import Memory
 
 _AXES = ("x", "y", "z")
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_li
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
-from mbsrun.simulation.tableaus import FIXED, Tableau
+from mbsrun.simulation.integration.tableaus import FIXED, Tableau
 
 _DECLARED = """
 typedef struct {{ const double *first; long long step, pace, stage_pace, numbers, place, rates_place; }} mbs_course;

@@ -17,9 +17,9 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from mbsgen.documents import Section
 from mbsgen.expressions import Number
-from mbsrun.ocp.phases.sections import PhaseSection, WholeSection
-from mbsrun.ocp.phases.statement import SHARED
-from mbsrun.ocp.sections import ProblemSection
+from mbsrun.ocp.statement.phase_sections import PhaseSection, WholeSection
+from mbsrun.ocp.statement.phases import SHARED
+from mbsrun.ocp.statement.sections import ProblemSection
 from mbsrun.simulation.statement import SettingsSection
 from mbsrun.tracking.statement import TrialSection
 

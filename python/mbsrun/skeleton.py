@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Frame, Loop
 from mbsrun.appearance import complete_manifest
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 
 Array = NDArray[np.float64]
 

@@ -25,14 +25,14 @@ from mbsrun.environment import describe_environment
 from mbsrun.external import Mechanism
 from mbsrun.measuring.sections import Cell, Section, Table
 from mbsrun.models import Extent, find_folder, fingerprint_generator
-from mbsrun.ocp.executor import LocalExecutor
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.record import Attempt, Record, Task, open_record
-from mbsrun.ocp.search import Executor, OutOfTimeError, Search
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.study import Study, Targets, Weights, describe, identify
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.trials import ProtocolName
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.searching.executor import LocalExecutor
+from mbsrun.ocp.searching.search import Executor, OutOfTimeError, Search
+from mbsrun.ocp.searching.study import Study, Targets, Weights, describe, identify
+from mbsrun.ocp.searching.trials import ProtocolName
+from mbsrun.ocp.solution.record import Attempt, Record, Task, open_record
+from mbsrun.ocp.statement.statement import read_problem
 from studies.docquier import questions, spread
 from studies.docquier.differentiated import WAYS, Differentiated
 from studies.docquier.earlier import read_page

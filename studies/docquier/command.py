@@ -25,13 +25,13 @@ from rich.progress import (
 from mbsgen.errors import MbsError
 from mbsrun.measuring.page import render_page
 from mbsrun.measuring.sections import Section, distinguish, read_folders, write_csv, write_section
-from mbsrun.ocp.cluster import open_workers
-from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS
-from mbsrun.ocp.mirror import find_mirror
-from mbsrun.ocp.problem import Representation, find_conflicts
-from mbsrun.ocp.starts import list_turning
-from mbsrun.ocp.study import Study, Targets, Weights
-from mbsrun.ocp.trials import ProtocolName
+from mbsrun.ocp.ground.linear import LINEAR_SOLVERS, MUMPS
+from mbsrun.ocp.guessing.mirror import find_mirror
+from mbsrun.ocp.guessing.starts import list_turning
+from mbsrun.ocp.problem.problem import Representation, find_conflicts
+from mbsrun.ocp.searching.cluster import open_workers
+from mbsrun.ocp.searching.study import Study, Targets, Weights
+from mbsrun.ocp.searching.trials import ProtocolName
 from studies.docquier.campaign import (
     QUESTIONS,
     SETS,

@@ -23,7 +23,7 @@ from mbsrun.measuring.candidates import load_equations, trace
 from mbsrun.measuring.functions import Variant
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.models import Extent
-from mbsrun.ocp.plant import Plant, Unchangeable
+from mbsrun.ocp.ground.plant import Plant, Unchangeable
 
 Way = Literal["generated", "CasADi's AD, compiled", "CasADi's AD, interpreted"]
 WAYS: tuple[Way, ...] = ("generated", "CasADi's AD, compiled", "CasADi's AD, interpreted")

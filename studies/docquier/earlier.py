@@ -18,9 +18,9 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from mbsgen.errors import Fault, InputError
-from mbsrun.ocp.certificate import Certificate
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.study import Targets
+from mbsrun.ocp.searching.study import Targets
+from mbsrun.ocp.solution.record import Attempt, Task
+from mbsrun.ocp.solving.certificate import Certificate
 from studies.docquier.export import ATTEMPTS, list_columns
 from studies.docquier.markdown import ARCHIVE
 from studies.docquier.optima import BEYOND, COLUMNS, OPTIMA, UNCHECKED, name_beyond, name_known

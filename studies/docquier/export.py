@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 from mbsgen.errors import MbsError
-from mbsrun.ocp.record import Attempt
-from mbsrun.ocp.study import Study
+from mbsrun.ocp.searching.study import Study
+from mbsrun.ocp.solution.record import Attempt
 
 ATTEMPTS = "attempts"  # the table's name
 Form = Literal["csv", "parquet"]

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsgen.style import BAD, DOTS, METADATA, PALETTE, styled
 from mbsrun.measuring.sections import KINDS, Picture
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.record import Attempt
-from mbsrun.ocp.study import Weights
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.searching.study import Weights
+from mbsrun.ocp.solution.record import Attempt
 from studies.docquier.judges import list_grids, mean_iterations
 from studies.docquier.results import Results
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp.study import Place, Weights
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.searching.study import Place, Weights
 from studies.docquier.published import EFFORTS
 from studies.docquier.results import Results, find_outliers, is_dae_of_explicit
 

@@ -16,10 +16,10 @@ from itertools import product
 import numpy as np
 
 from mbsrun.measuring.sections import Section, Table
-from mbsrun.ocp.functions import Indices
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.ground.functions import Indices
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.solving.solve import Solver
 from studies.docquier.published import SIZES
 
 HESSIAN = 3  # the place of its nonzeros in SIZES

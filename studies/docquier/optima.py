@@ -1,7 +1,8 @@
 """The lowest optimum of every target and cost in a record, with a certificate of its optimality.
 
 Others can compare their optima with these. A certificate checks the conditions of first and second order at the stored
-motion, with its own multipliers: see `mbsrun.ocp.certificate`. It shows a local minimum; a lower one may exist. Motions
+motion, with its own multipliers: see `mbsrun.ocp.solving.certificate`. It shows a local minimum; a lower one may
+exist. Motions
 with whole turns of joints without limits are listed apart: the paper's motions make none. For all motions, the table
 shows how far such joints go beyond their starts and ends, and come back.
 
@@ -25,17 +26,17 @@ from pydantic import TypeAdapter
 
 from mbsrun import ocp
 from mbsrun.measuring.sections import Cell, Section, Table
-from mbsrun.ocp.attempts import INDEPENDENT, is_higher
-from mbsrun.ocp.certificate import Certificate, certify_motion
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.record import Attempt, Record, Task
-from mbsrun.ocp.search import LostMotionError, OutOfTimeError
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.starts import list_turning
-from mbsrun.ocp.structure import Structure, structure
-from mbsrun.ocp.study import Place, Study, Weights
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.starts import list_turning
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.problem.structure import Structure, structure
+from mbsrun.ocp.searching.attempts import INDEPENDENT, is_higher
+from mbsrun.ocp.searching.search import LostMotionError, OutOfTimeError
+from mbsrun.ocp.searching.study import Place, Study, Weights
+from mbsrun.ocp.solution.record import Attempt, Record, Task
+from mbsrun.ocp.solving.certificate import Certificate, certify_motion
+from mbsrun.ocp.solving.solve import Solver
 
 OPTIMA = "optima.csv"  # the file
 UNCHECKED = "not checked"  # for want of time, or of the motion

@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from mbsrun.measuring.sections import Cell, Picture, Section, Table
-from mbsrun.ocp.attempts import is_higher
-from mbsrun.ocp.integrators import IntegratorName
-from mbsrun.ocp.problem import Form, Problem, Representation, find_conflicts
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.study import ONE, Place, Study, Weights
-from mbsrun.ocp.trials import Interpolation, Trial, list_interpolations
+from mbsrun.ocp.ground.integrators import IntegratorName
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Form, Problem, Representation, find_conflicts
+from mbsrun.ocp.searching.attempts import is_higher
+from mbsrun.ocp.searching.study import ONE, Place, Study, Weights
+from mbsrun.ocp.searching.trials import Interpolation, Trial, list_interpolations
+from mbsrun.ocp.solution.record import Attempt, Task
 from studies.docquier.differentiated import WAYS, Way
 from studies.docquier.figures import draw_parts, draw_ratios, draw_scatter, name_set
 from studies.docquier.judgement import SHOWN

@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp.attempts import find_lowest
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import SAME, Attempt, Task
-from mbsrun.ocp.study import Place, Study, Weights
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.searching.attempts import find_lowest
+from mbsrun.ocp.searching.study import Place, Study, Weights
+from mbsrun.ocp.solution.record import SAME, Attempt, Task
 from studies.docquier.growth import Growth
 from studies.docquier.spread import Spread
 

@@ -10,12 +10,12 @@ from itertools import product
 import numpy as np
 
 from mbsrun.measuring.sections import Cell, Section, Table
-from mbsrun.ocp.attempts import count_finds, find_lowest, is_higher, list_turned, summarise
-from mbsrun.ocp.record import SAME, Attempt, Record, Task
-from mbsrun.ocp.search import Progress, find_progress
-from mbsrun.ocp.starts import describe_turns
-from mbsrun.ocp.study import Place, Study, Targets, Weights
-from mbsrun.ocp.trials import COUNTS
+from mbsrun.ocp.guessing.starts import describe_turns
+from mbsrun.ocp.searching.attempts import count_finds, find_lowest, is_higher, list_turned, summarise
+from mbsrun.ocp.searching.search import Progress, find_progress
+from mbsrun.ocp.searching.study import Place, Study, Targets, Weights
+from mbsrun.ocp.searching.trials import COUNTS
+from mbsrun.ocp.solution.record import SAME, Attempt, Record, Task
 from studies.docquier.figures import name_set
 from studies.docquier.judgement import SHOWN
 from studies.docquier.results import ROBUST, Results

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.study import Targets, Weights
+from mbsrun.ocp.searching.study import Targets, Weights
+from mbsrun.ocp.solution.record import Attempt, Task
 
 DIFFER = 0.1  # share of pairs whose iterations must differ; where rounding is mirrored too, pairs show no scatter
 MIRRORED = 1e-6  # relative difference of costs up to which a pair of optima is one optimum and its mirror image

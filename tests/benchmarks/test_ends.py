@@ -14,8 +14,8 @@ from benchmarks.ocp import ends, quadratics
 from benchmarks.ocp.ends import Solve
 from mbsrun.external import load_on_demand
 from mbsrun.lab.ends import KINDS, draw
-from mbsrun.ocp.problem import Problem, find_conflicts
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Problem, find_conflicts
+from mbsrun.ocp.statement.statement import read_problem
 from tests.csrc.stages import Library, compile_solver
 
 

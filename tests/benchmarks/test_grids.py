@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.ocp import horizons, orders, refinement
-from mbsrun.ocp import schemes
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from benchmarks.kkt.__main__ import Figures, main, write_figures
 from benchmarks.kkt.problems import PROBLEMS
 from benchmarks.kkt.solving import Case, Row, measure
 from benchmarks.kkt.transcription import SCHEMES, Problem, admits, make_mesh
-from mbsrun.ocp.linear import OWN
+from mbsrun.ocp.ground.linear import OWN
 
 BY_NAME = {problem.name: problem for problem in PROBLEMS}
 

@@ -16,9 +16,9 @@ from mbsgen.formulations import impl
 from mbsgen.pipeline import read_tree
 from mbsgen.tape.interpreter import evaluate
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.statement.phases import read_phased_problem
 from tests.random_trees import values_of
 
 MECHANISMS: dict[str, Callable[[], Mechanism]] = {

@@ -33,11 +33,11 @@ from benchmarks.ocp.rows import (
 from benchmarks.study import DisagreementError
 from mbsgen.pipeline import read_tree
 from mbsrun.measuring.store import Store
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.peer_arm import peer_arm
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbsgen.resources import folder
 from mbsrun.library import find_compiler
-from mbsrun.ocp.linear import compile_own
+from mbsrun.ocp.ground.linear import compile_own
 from tests.mbsgen.targets.compilation import STRICT, run
 
 Array = NDArray[np.float64]

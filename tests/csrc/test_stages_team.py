@@ -15,7 +15,7 @@ import pytest
 
 from mbsgen.resources import folder
 from mbsrun.library import find_compiler
-from mbsrun.ocp.stages.interface import read_declarations
+from mbsrun.ocp.evaluation.stages.interface import read_declarations
 from mbsrun.stack import TASKS
 from tests.csrc.stage_arm import arm
 from tests.csrc.stage_problems import chain, collocated, fastest, nonlinear, steep, too_weak, turning

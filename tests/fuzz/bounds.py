@@ -32,7 +32,7 @@ from mbsgen.roles import Order, Role
 from mbsgen.tape.interpreter import Numbers, evaluate
 from mbsgen.tape.rounding import PREFIX, add_bounds, name_bound
 from mbsgen.tape.types import FUNCTIONS, LITERALS, Op, Tape
-from mbsgen.targets.c import write_c
+from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.unit import Unit
 from mbsrun.lab.mechanisms import describe_elbow, describe_lock, describe_spatial, describe_straight

@@ -33,11 +33,11 @@ from mbsgen.importing import import_model
 from mbsgen.pipeline import Options, generate, make, read_tree
 from mbsrun.external import Mechanism
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.solution.solution import CostTerms, Run, Size, Solution, Violation, read_solution, write_solution
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.recordings import Treatment, fit, read_column, read_recording
 from mbsrun.simulation.statement import read_statement
 from mbsrun.tracking.statement import TrialStatement

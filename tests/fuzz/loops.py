@@ -25,8 +25,8 @@ from mbsgen.assembly import assemble
 from mbsgen.errors import MbsError
 from mbsgen.families import write_families
 from mbsgen.formulations.catalogue import FUNCTIONS, list_results
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import read_scene, stage
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import read_scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import build_parametric
 from mbsgen.procedure.procedure import Computation, as_procedure, evaluate

@@ -27,10 +27,10 @@ from mbsgen.errors import MbsError
 from mbsgen.families import write_families
 from mbsgen.formulations.catalogue import FUNCTIONS, list_results
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import Scene, read_scene, stage
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import Scene, read_scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import build_parametric, make
 from mbsgen.request import Options, merge

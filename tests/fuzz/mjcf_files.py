@@ -26,10 +26,10 @@ from mbsgen.expressions import FLOATS, Expression, evaluate
 from mbsgen.formulations import impl
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Imported, import_model
-from mbsgen.importing.mjcf_schema import TABLE, Use
+from mbsgen.importing.mjcf.schema import TABLE, Use
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import Body, Fixed, Joint, Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.tape.interpreter import evaluate as run
 from tests.fuzz.mechanisms import Tally
 from tests.import_peers import MujocoPeer, State

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.guess import solve_links
-from mbsrun.ocp.phases.linking import Defined
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Guess
-from mbsrun.ocp.phases.solve import PhasedSolver
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.guessing.phases import solve_links
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants
+from mbsrun.ocp.solution.phases import Guess
+from mbsrun.ocp.solving.phases import PhasedSolver
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.transcription.linking import Defined
 from tests.fuzz import own_delays
 from tests.fuzz.formulas import write
 from tests.fuzz.mechanisms import Tally

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mbsrun.ocp.backends.casadi import Functions
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.stages.binding import Evaluator, Tables
-from mbsrun.ocp.stages.building import build
-from tests.mbsrun.ocp.stages.stage_functions import compare
+from mbsrun.ocp.evaluation.backends.casadi import Functions
+from mbsrun.ocp.evaluation.stages.binding import Evaluator, Tables
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solving.solve import Solver
+from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
 
 Array = NDArray[np.float64]
 

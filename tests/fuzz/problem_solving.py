@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem as Stated
-from mbsrun.ocp.problem import Representation, find_conflicts
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem as Stated
+from mbsrun.ocp.problem.problem import Representation, find_conflicts
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver, solve
 from tests.fuzz.formulas import Formula
 from tests.fuzz.own_motion import Motion
 from tests.fuzz.own_problem import Problem

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem as Stated
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Problem as Stated
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from tests.fuzz import loops, mechanisms
 from tests.fuzz.formulas import write
 from tests.fuzz.mechanisms import Tally

@@ -24,8 +24,8 @@ from mbsgen.expressions import evaluate as evaluate_number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
-from mbsgen.model.reduction import build_tree
 from mbsgen.tape.interpreter import evaluate
 from tests import peers
 from tests.fuzz.mechanisms import Tally

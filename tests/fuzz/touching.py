@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from mbsgen.errors import InputError
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.checks import ProblemError
 from tests.fuzz.formulas import Formula
 from tests.fuzz.mechanisms import Tally
 from tests.fuzz.own_links import AXES, POINT, Linking

@@ -16,11 +16,11 @@ from mbsgen.expressions import Number, Operation
 from mbsgen.formulations import semi
 from mbsgen.formulations.closure import list_equations
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import joint
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import Body, Loop, LoopEnd, Model, Placement
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Closure, Cut, Motion, Tree
 from mbsgen.pipeline import read_tree
 from mbsgen.tape.interpreter import evaluate

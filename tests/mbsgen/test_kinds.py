@@ -12,9 +12,9 @@ from click.testing import CliRunner
 
 from mbsgen.cli import cli
 from mbsgen.errors import InputError
+from mbsgen.model.changes.scene import read_scene
 from mbsgen.model.reader import read_model
-from mbsgen.model.scene import read_scene
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.simulation.statement import read_statement
 from mbsrun.tracking.statement import TrialStatement
 

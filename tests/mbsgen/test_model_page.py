@@ -13,11 +13,11 @@ import yaml
 
 from mbsgen.expressions import FUNCTIONS
 from mbsgen.formulations.closure import EQUATIONS
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.file.loops import WORDS
 from mbsgen.model.joints import list_joint_types
-from mbsgen.model.loops import WORDS
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Cut
 from mbsgen.model.writer import write_model
 

@@ -11,8 +11,8 @@ import pytest
 from mbsgen.errors import InputError
 from mbsgen.evidence import gather
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import stage
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import stage
 from mbsgen.pipeline import make
 from mbsgen.request import Options, merge
 from tests.fuzz import mechanisms

@@ -15,11 +15,11 @@ from mbsgen.families import write_families
 from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import list_results, select_functions
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.construction import body, frame, make_model, prismatic, revolute
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import EVERYTHING, Scene, read_scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.pipeline import make
 from mbsgen.request import OptionError, Options, Request, merge

@@ -12,11 +12,11 @@ from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.errors import InputError
 from mbsgen.expressions import parse
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, runtime
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import Scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.pipeline import Options, build_parametric, make, read_tree
 

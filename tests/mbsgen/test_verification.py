@@ -14,6 +14,7 @@ import pytest
 from mbsgen import pipeline
 from mbsgen.families import Functions, write_families, write_functions
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import (
     ball,
     body,
@@ -28,7 +29,6 @@ from mbsgen.model.construction import (
 )
 from mbsgen.model.model import Joint, Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.request import Options, Request
 from mbsgen.roles import Role

@@ -13,7 +13,7 @@ from mbsgen.formulations import ports
 from mbsgen.manifest import FORMAT, Argument, Coordinate, Flops, Frame, Kernel, Manifest
 from mbsgen.roles import Role, split_kernel
 from mbsgen.tape.ports import Port
-from mbsrun.ocp.plant import Unchangeable
+from mbsrun.ocp.ground.plant import Unchangeable
 
 _NAMES_OF_RESIDUAL = (["q", "qd", "qdd", "u"], ["Phi"])
 FREE = {"lower": None, "upper": None}

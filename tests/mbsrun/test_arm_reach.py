@@ -11,12 +11,12 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun import Mechanism, load
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from tests.mbsrun.ocp.programs import TABLE_3, functions_of
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
+from tests.mbsrun.ocp.cases.programs import TABLE_3, functions_of
 from tests.mbsrun.peer import Peer
 from tests.mbsrun.peer_arm import peer_arm
 

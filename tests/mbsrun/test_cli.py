@@ -24,13 +24,13 @@ from mbsrun.commands import simulate, sweep
 from mbsrun.commands import solve as solving
 from mbsrun.commands.cache import DAY
 from mbsrun.limits import Limits
-from mbsrun.ocp import pictures
-from mbsrun.ocp.phases import solve as phases_solve
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.problem import Form, Refinement
-from mbsrun.ocp.solution import read_solution
-from mbsrun.ocp.status import ACCEPTABLE
-from mbsrun.ocp.trials import COUNTS
+from mbsrun.ocp.ground.status import ACCEPTABLE
+from mbsrun.ocp.problem.problem import Form, Refinement
+from mbsrun.ocp.searching.trials import COUNTS
+from mbsrun.ocp.showing import pictures
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import read_solution
+from mbsrun.ocp.solving import phases as phases_solve
 from tests.mbsrun.peer_arm import peer_arm
 from tests.picture_kinds import find_kind
 from tests.sample import write_sample
@@ -292,8 +292,8 @@ SWEEP = ("sweep", "task.ocp.yaml", "--radius", "0.64", "--azimuths", "0", "0.02"
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search from few random starts."""
-    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", {kind: (int(kind == "bumps"),) * 2 for kind in COUNTS})
-    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (1, 1))
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.COUNTS", {kind: (int(kind == "bumps"),) * 2 for kind in COUNTS})
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.HOPS", (1, 1))
 
 
 @pytest.mark.usefixtures("few")

@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation
 
 from mbsrun import Mechanism, load
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.problem import Loops
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import state_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Loops
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import state_problem
 from mbsrun.simulation import Formulation, Keeping, Settings, simulate
 from mbsrun.simulation.drive import hold
 

@@ -17,9 +17,9 @@ from mbsrun.appearance import complete_manifest
 from mbsrun.commands.animated import read_motion
 from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.solution import Solution, read_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution, read_solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.recordings import read_recording
 from mbsrun.skeleton import place
 from tests.mbsrun.carousel import CAROUSEL

@@ -27,7 +27,7 @@ from mbsrun.library import (
     write_graphs,
 )
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.stages import interface
+from mbsrun.ocp.evaluation.stages import interface
 from mbsrun.stack import read_graphs
 from tests.sample import write_sample
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mbsgen.formulations import catalogue, ports, poses, textbook
+from mbsgen.formulations import catalogue, ports, textbook
 from mbsgen.formulations.catalogue import SENSORS, Entry, Row, project
 from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.parsimony.elimination import factorise
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.results import poses
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import Tree
 from mbsgen.output import write_folder

@@ -12,12 +12,12 @@ import pytest
 
 from mbsgen.manifest import Manifest
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -14,24 +14,25 @@ from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 from mbsgen.errors import InputError
 from mbsrun import cli, load
-from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.integrators import INTEGRATORS, Kind
+from mbsrun.ocp.ground import integrators, schemes
+from mbsrun.ocp.ground.integrators import INTEGRATORS, Kind
+from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.methods import METHODS, Amount, Answer, Assignment, Instance, Iterate, Method, Solver
-from mbsrun.ocp.problem import Form, Representation, SolverOptions
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import SOLVED
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.problem.problem import Form, Representation, SolverOptions
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
 from mbsrun.simulation import METHODS as SIMULATED
-from mbsrun.simulation import Settings, explicit, simulate
+from mbsrun.simulation import Settings, simulate
 from mbsrun.simulation.drive import hold
-from mbsrun.simulation.methods import Family
-from mbsrun.simulation.methods import Method as SimulationMethod
+from mbsrun.simulation.integration import explicit
+from mbsrun.simulation.integration.methods import Family
+from mbsrun.simulation.integration.methods import Method as SimulationMethod
+from tests.mbsrun.ocp.cases.programs import functions_of
 from tests.mbsrun.ocp.plants import push
-from tests.mbsrun.ocp.programs import functions_of
 from tests.mbsrun.peer import double_integrator
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
-from mbsrun.ocp.phases.sections import PhaseSection, WholeSection
+from mbsrun.ocp.statement.phase_sections import PhaseSection, WholeSection
 from mbsrun.schemas import KINDS, write_schema
 
 ROOT = Path(__file__).parents[2]

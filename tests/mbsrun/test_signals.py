@@ -13,11 +13,11 @@ from mbsrun import Mechanism, load
 from mbsrun.controllers.making import make
 from mbsrun.kernel import ArgumentError
 from mbsrun.linearisation.equations import check_kernels
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import read_statement
 

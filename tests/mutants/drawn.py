@@ -34,12 +34,12 @@ SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a 
     ("python/mbsrun/tracking/compiled.py", ("tests/mbsrun/tracking/test_compiled.py",)),
     ("python/mbsrun/tracking/*.py", ("tests/mbsrun/tracking",)),
     ("python/mbsrun/controllers/*.py", ("tests/mbsrun/controllers",)),
-    ("python/mbsrun/simulation/*.py", (MOTIONS,)),
+    ("python/mbsrun/simulation/**/*.py", (MOTIONS,)),
     ("python/mbsrun/linearisation/*.py", ("tests/mbsrun/linearisation",)),
     ("python/mbsrun/recordings/*.py", ("tests/mbsrun/recordings",)),
-    ("python/mbsrun/ocp/stages/*.py", (f"{OCP}/stages", f"{OCP}/test_methods.py")),
-    ("python/mbsrun/ocp/phases/*.py", (f"{OCP}/phases",)),
-    ("python/mbsrun/ocp/*.py", (OCP,)),
+    ("python/mbsrun/ocp/evaluation/stages/*.py", (f"{OCP}/stages", f"{OCP}/test_methods.py")),
+    ("python/mbsrun/ocp/*/*phase*.py", (f"{OCP}/phases",)),
+    ("python/mbsrun/ocp/*/**/*.py", (OCP,)),
 )
 
 SWAPS = {

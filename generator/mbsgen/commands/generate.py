@@ -17,12 +17,12 @@ from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.help import ModelCommand
 from mbsgen.importing import Choices
-from mbsgen.model.scene import EVERYTHING
+from mbsgen.model.changes.scene import EVERYTHING
 from mbsgen.output import find_differences, write_folder
 from mbsgen.pipeline import Options, make
 from mbsgen.roles import ACCELERATING, QUICKEST
+from mbsgen.targets.c.symbols import describe_mangling
 from mbsgen.targets.languages import TARGETS
-from mbsgen.targets.symbols import describe_mangling
 
 SWITCHES = {
     name.replace("_", "-"): name

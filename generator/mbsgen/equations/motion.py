@@ -21,10 +21,11 @@ from mbsgen.equations.named import Forces, Number, name_forces
 from mbsgen.equations.sums import LARGEST, MOST, SUMS, Key, SizeError, Sum, variable
 from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError
-from mbsgen.formulations import closure, coupling, impl, poses
+from mbsgen.formulations import closure, coupling, impl
 from mbsgen.formulations.reductions import NONE
+from mbsgen.formulations.results import poses
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.interpreter import evaluate

@@ -16,8 +16,9 @@ import sympy as sp
 from mbsgen.equations.lines import Given, Writer
 from mbsgen.equations.motion import Motion, keep_used, list_values, name_symbols
 from mbsgen.equations.named import Forces, name_forces
-from mbsgen.formulations import closure, coupling, impl, poses
+from mbsgen.formulations import closure, coupling, impl
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.results import poses
 from mbsgen.model.tree import NO_FORCE, ZERO, Body, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.types import Tape

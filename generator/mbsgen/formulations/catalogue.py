@@ -17,29 +17,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from mbsgen.formulations import (
-    closing,
-    closure,
-    condition,
-    coupling,
-    elements,
-    energy,
-    exp1,
-    exp2,
-    impl,
-    ports,
-    poses,
-    projection,
-    rates,
-    reactions,
-    reduced,
-    regressor,
-    semi,
-    touching,
-    velocities,
-)
+from mbsgen.formulations import closure, condition, coupling, exp1, exp2, impl, ports, rates, semi
+from mbsgen.formulations.loops import closing, projection, reduced
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.results import elements, energy, poses, reactions, regressor, touching, velocities
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.roles import Role

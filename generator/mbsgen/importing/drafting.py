@@ -24,7 +24,8 @@ from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
-from mbsgen.model.checks import find_faults
+from mbsgen.model.checks.checks import find_faults
+from mbsgen.model.checks.naming import MAX_LENGTH
 from mbsgen.model.following import list_joints
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.model import (
@@ -51,7 +52,6 @@ from mbsgen.model.model import (
     Visual,
 )
 from mbsgen.model.muscles import Muscle
-from mbsgen.model.naming import MAX_LENGTH
 from mbsgen.model.orientations import turn
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion

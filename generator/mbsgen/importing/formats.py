@@ -60,25 +60,25 @@ def make_markup_format(name: str, tag: str, read: Callable[[Element, Choices, Fi
 
 
 def _read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    from mbsgen.importing.urdf import read_urdf  # here and below: most models are no robots' files
+    from mbsgen.importing.urdf.reading import read_urdf  # here and below: most models are no robots' files
 
     return read_urdf(root, choices, findings)
 
 
 def _read_mjcf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    from mbsgen.importing.mjcf import read_mjcf
+    from mbsgen.importing.mjcf.reading import read_mjcf
 
     return read_mjcf(root, choices, findings)
 
 
 def _read_sdf(root: Element, choices: Choices, findings: Findings) -> Imported:
-    from mbsgen.importing.sdf import read_sdf
+    from mbsgen.importing.sdf.reading import read_sdf
 
     return read_sdf(root, choices, findings)
 
 
 def _read_osim(root: Element, choices: Choices, findings: Findings) -> Imported:
-    from mbsgen.importing.osim import read_osim
+    from mbsgen.importing.osim.reading import read_osim
 
     return read_osim(root, choices, findings)
 

@@ -19,11 +19,11 @@ from typing import Literal, TypedDict, Unpack
 from mbsgen.documents import Data, WrongValueError, abbreviate, refuse, take, write_path
 from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, write
-from mbsgen.model.checks import find_faults
+from mbsgen.model.checks.checks import find_faults
+from mbsgen.model.file.loops import read_cut
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.joints.dh import DhSection
 from mbsgen.model.joints.section import JointSection
-from mbsgen.model.loops import read_cut
 from mbsgen.model.model import (
     BASE,
     GROUND,

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from mbsgen.documents import Finding, Place, examine, expect, read_document, refuse
 from mbsgen.expressions import Expression
-from mbsgen.model import schema
-from mbsgen.model.checks import find_doubts, find_faults
+from mbsgen.model.checks.checks import find_doubts, find_faults
+from mbsgen.model.file import schema
+from mbsgen.model.file.visual_sections import make_visuals
 from mbsgen.model.joints.dh import DhSection, place_tail
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Row, Triple, Wrench
 from mbsgen.model.tree import Kind
-from mbsgen.model.visual_sections import make_visuals
 
 
 def read_model(path: Path) -> Model:

@@ -23,8 +23,8 @@ from mbsgen.targets.fmu import pack_source
 from mbsgen.targets.julia import write_julia
 from mbsgen.targets.lanes import WIDTHS, list_lane_headers, write_lanes
 from mbsgen.targets.matlab import write_matlab
-from mbsgen.targets.python import write_python
-from mbsgen.targets.rust import write_rust
+from mbsgen.targets.python.module import write_python
+from mbsgen.targets.rust.crate import write_rust
 from mbsgen.targets.unit import Unit
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbsrun.animation.film import Film, Marker
 from mbsrun.animation.motions import MAX_PICTURES, RATE, Motion, Part, Wanted, choose_times, make_film
 from mbsrun.animation.page import write_page
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 
 __all__ = [
     "MAX_PICTURES",

@@ -30,7 +30,7 @@ from mbsgen.expressions import Algebra, evaluate, parse
 from mbsgen.manifest import Appearance, Element, Given, Grip, Point, Reading, Tension, Touch
 from mbsrun.animation.film import Force
 from mbsrun.appearance import complete_appearance, name_parameters
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 
 Array = NDArray[np.float64]

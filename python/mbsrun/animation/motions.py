@@ -15,7 +15,7 @@ from mbsrun.animation.film import Actor, Arrow, Film, Force, Marker, Plane, Trac
 from mbsrun.animation.forces import Load, find_loads
 from mbsrun.animation.visuals import Visual, show_drawings
 from mbsrun.appearance import complete_manifest
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.skeleton import Skeleton, place
 
 Array = NDArray[np.float64]

@@ -18,12 +18,12 @@ from mbsgen.manifest import Manifest
 from mbsrun.animation import Marker, Motion, Part
 from mbsrun.external import Mechanism, load
 from mbsrun.models import Extent
-from mbsrun.ocp.phases.files import shift_phases
-from mbsrun.ocp.phases.solution import FORMAT as PHASES
-from mbsrun.ocp.phases.solution import read_phased_solution
-from mbsrun.ocp.pictures import list_targets, make_part
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solution import Solution, read_solution
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.showing.files import shift_phases
+from mbsrun.ocp.showing.pictures import list_targets, make_part
+from mbsrun.ocp.solution.phases import FORMAT as PHASES
+from mbsrun.ocp.solution.phases import read_phased_solution
+from mbsrun.ocp.solution.solution import Solution, read_solution
 from mbsrun.quaternions import find_rates
 from mbsrun.recordings import Recording, find_column, name_coordinate, read_column, read_recording
 from mbsrun.recordings.reading import refuse_column

@@ -22,12 +22,12 @@ from rich.table import Table
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import print_table, say, show_progress
-from mbsrun.ocp.cases import Case, CaseSolver, solve_cases
-from mbsrun.ocp.cluster import open_client
-from mbsrun.ocp.dispatch import solve_elsewhere
-from mbsrun.ocp.multistart import end_at_interrupt
-from mbsrun.ocp.record import open_record
-from mbsrun.ocp.told import Told, name_case, read_told, tell, write_told
+from mbsrun.ocp.cases.cases import Case, CaseSolver, solve_cases
+from mbsrun.ocp.cases.dispatch import solve_elsewhere
+from mbsrun.ocp.cases.told import Told, name_case, read_told, tell, write_told
+from mbsrun.ocp.searching.cluster import open_client
+from mbsrun.ocp.searching.multistart import end_at_interrupt
+from mbsrun.ocp.solution.record import open_record
 from mbsrun.optimal.control import read_problem
 from mbsrun.optimal.many import Family, Values
 
@@ -256,7 +256,7 @@ def _spell(value: Any, digits: int = 6) -> str:
 
 def _draw(values: Sequence[Values], found: Mapping[int, Told], name: str) -> Callable[[Path], None] | None:
     """Return what draws the cost over one key, or over two; None where keys are no numbers or more than two."""
-    from mbsrun.ocp.pictures import plot_cases
+    from mbsrun.ocp.showing.pictures import plot_cases
 
     keys = [key for key in _list_keys(values) if len({case.get(key) for case in values}) > 1]
     columns = [[values[k].get(key) for k in found] for key in keys]

@@ -21,9 +21,9 @@ from mbsrun.measuring.fidelity import FidelityPoint
 from mbsrun.measuring.overview import Sources, draw_overview, list_layers, title_overview, write_course
 from mbsrun.measuring.points import MotionPoint, SolvePoint, write_points
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.checks import LEAST_TOLERANCE
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.statement.checks import LEAST_TOLERANCE
+from mbsrun.ocp.statement.statement import read_problem
 
 CHART_HELP = """Measure speed against accuracy, and draw it.
 

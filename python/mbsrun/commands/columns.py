@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import click
 
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.quantities import list_quantities
 from mbsrun.results import Numbers
 

@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsgen.style import FORMATS, in_format, picture_format
-from mbsrun.ocp.problem import Problem, find_conflicts
+from mbsrun.ocp.problem.problem import Problem, find_conflicts
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,7 +12,7 @@ import click
 
 from mbsrun.commands.console import NOT_SOLVED, NumberType, list_written, output_folder, say, show_status
 from mbsrun.commands.failures import print_failure
-from mbsrun.ocp.summary import write_line
+from mbsrun.ocp.showing.summary import write_line
 
 if TYPE_CHECKING:
     from mbsrun.optimal.continuation import Stop
@@ -50,9 +50,9 @@ def continue_command(
     context: click.Context, /, file: Path, number: str, value: float, guess: Path | None, out: Path | None
 ) -> None:
     """Read, follow, write, print."""
-    from mbsrun.ocp.phases.files import write_files  # here, and late: these take long to load
-    from mbsrun.ocp.phases.problem import Plants
-    from mbsrun.ocp.phases.solution import list_solution
+    from mbsrun.ocp.problem.phases import Plants
+    from mbsrun.ocp.showing.files import write_files  # here, and late: these take long to load
+    from mbsrun.ocp.solution.phases import list_solution
     from mbsrun.optimal.control import read_problem
     from mbsrun.optimal.result import Solved, Unsolved
 

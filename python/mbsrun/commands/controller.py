@@ -11,9 +11,9 @@ from mbsrun.commands.console import NOT_SOLVED, keep_grid, output_folder, say, s
 from mbsrun.controllers.making import Made, UnsolvedError, describe_name, make
 from mbsrun.controllers.refusals import find_refusals, locate
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
-from mbsrun.ocp.phases.placing import name_lines
-from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.statement import name_problem, read_problem
+from mbsrun.ocp.guessing.recorded import find_guess
+from mbsrun.ocp.solving.placing import name_lines
+from mbsrun.ocp.statement.statement import name_problem, read_problem
 
 CONTROLLER_HELP = """Write a model predictive controller for the problem of the file PROBLEM, in C.
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbsrun.ocp.optima.status import SENTENCES, SMOOTH
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.solution.phases import PhasedSolution
 
 if TYPE_CHECKING:
     from mbsrun.optimal.control import OptimalControl

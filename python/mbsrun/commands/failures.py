@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbsrun.commands.console import say
-from mbsrun.ocp.phases.placing import name_place
-from mbsrun.ocp.solution import SOLUTION
+from mbsrun.ocp.solution.solution import SOLUTION
+from mbsrun.ocp.solving.placing import name_place
 
 if TYPE_CHECKING:
-    from mbsrun.ocp.solution import Failure
+    from mbsrun.ocp.solution.solution import Failure
 
 
 def print_failure(failure: Failure, file: Path, out: Path) -> None:

@@ -12,9 +12,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mbsrun.commands.console import open_messages, print_table
-from mbsrun.ocp.multistart import Watch
-from mbsrun.ocp.solution import Starts
-from mbsrun.ocp.starts import describe_turns
+from mbsrun.ocp.guessing.starts import describe_turns
+from mbsrun.ocp.searching.multistart import Watch
+from mbsrun.ocp.solution.solution import Starts
 
 SHOWN = 10  # minima that are printed
 

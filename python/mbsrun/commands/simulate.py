@@ -28,14 +28,14 @@ from mbsrun.commands.robots import accept_robots
 from mbsrun.commands.starts import Wish, simulate_starts
 from mbsrun.external import load
 from mbsrun.models import INTEGRATED
-from mbsrun.ocp.driving import HORIZON
-from mbsrun.ocp.solution import Solution, read_solution
+from mbsrun.ocp.problem.driving import HORIZON
+from mbsrun.ocp.solution.solution import Solution, read_solution
 from mbsrun.quantities import Added, list_quantities
 from mbsrun.recordings import find_column, read_column, read_recording
 from mbsrun.results import Numbers
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import follow_polynomials, hold_steps
-from mbsrun.simulation.methods import METHODS, Family, Formulation
+from mbsrun.simulation.integration.methods import METHODS, Family, Formulation
 from mbsrun.simulation.motion import Keeping, Motion
 from mbsrun.simulation.record import FILES as MOTION_FILES
 from mbsrun.simulation.record import describe_settings, write_motion

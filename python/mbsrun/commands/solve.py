@@ -26,27 +26,27 @@ from mbsrun.commands.console import (
 from mbsrun.commands.derived import ALL, differentiate, list_gaps, list_rows, read_control, write_derivatives
 from mbsrun.commands.failures import print_failure
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
-from mbsrun.ocp.integrators import INTEGRATORS
+from mbsrun.ocp.ground.integrators import INTEGRATORS
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.guessing.recorded import find_guess
+from mbsrun.ocp.guessing.recorded_phases import find_phased_guess
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.placing import name_guesses, name_lines, naming_guess
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants, list_one
-from mbsrun.ocp.phases.recorded import find_phased_guess
-from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution, list_solution
-from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.phases.statement import has_phases, read_phased_problem
-from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Inputs, Loops, Problem, Refinement, Representation, SolverName, cylindrical
-from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import STARTS, Failure, Round, Solution
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import write_line
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants, list_one
+from mbsrun.ocp.problem.problem import Form, Inputs, Loops, Problem, Refinement, Representation, SolverName, cylindrical
+from mbsrun.ocp.showing.phase_summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.showing.summary import write_line
+from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution, list_solution
+from mbsrun.ocp.solution.solution import STARTS, Failure, Round, Solution
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.solving.placing import name_guesses, name_lines, naming_guess
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.statement.checks import LEAST_ACCURACY, MAX_STEPS, MAX_THREADS
+from mbsrun.ocp.statement.phases import has_phases, read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 if TYPE_CHECKING:
-    from mbsrun.ocp.multistart import Wish
+    from mbsrun.ocp.searching.multistart import Wish
 
 MAX_STARTS = 100_000
 
@@ -192,7 +192,7 @@ def solve_command(
         raise click.UsageError("--hops, --seed, --minutes and --workers belong to a search; give --starts too")
     wish = None
     if starts is not None:
-        from mbsrun.ocp.multistart import Wish  # here and below: what takes long to load, and few solves need
+        from mbsrun.ocp.searching.multistart import Wish  # here and below: what takes long to load, and few solves need
 
         wish = Wish(starts, seed or 0, math.inf if minutes is None else 60 * minutes, workers or 0, hops or 0)
     is_phased = has_phases(file)
@@ -225,11 +225,11 @@ def solve_command(
     with show_status("integrating again") as status:
         outcome = resimulate_phases(outcome, plants)
         if any(own.problem.refine is not None for own in problem.phases):
-            from mbsrun.ocp.refinement import refine_phases
+            from mbsrun.ocp.searching.refinement import refine_phases
 
             outcome = refine_phases(outcome, plants, lambda name, last: status.update(_describe_round(name, last)))
         if sensitivities:
-            from mbsrun.ocp.sensitivity import find_phased_sensitivities
+            from mbsrun.ocp.optima.sensitivity import find_phased_sensitivities
 
             status.update("differentiating the cost")
             outcome = find_phased_sensitivities(outcome, plants)
@@ -238,7 +238,7 @@ def solve_command(
             status.update("differentiating the solution")
             derivatives = differentiate(control, outcome, plants, by)
         status.update("drawing")
-        from mbsrun.ocp.phases.files import write_files
+        from mbsrun.ocp.showing.files import write_files
 
         written = write_files(outcome, plants, out, columns)
         if derivatives is not None:
@@ -376,8 +376,8 @@ def _search(
 ) -> PhasedSolution | Failure | None:
     """Solve from many starts, and show how many ended and the best cost; without phases, a file keeps the starts."""
     from mbsrun.commands.searching import print_starts, show_search
-    from mbsrun.ocp.multistart import solve_from_many
-    from mbsrun.ocp.phases.multistart import solve_phases_from_many
+    from mbsrun.ocp.searching.multistart import solve_from_many
+    from mbsrun.ocp.searching.phases import solve_phases_from_many
 
     with show_search(wish.starts) as watch:
         if not problem.is_single:

@@ -27,18 +27,18 @@ from mbsrun.commands.console import (
 )
 from mbsrun.environment import describe_environment
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.attempts import Summary, describe_search, list_open_tasks, summarise
-from mbsrun.ocp.checks import MAX_THREADS
-from mbsrun.ocp.executor import LocalExecutor
-from mbsrun.ocp.mirror import find_mirror
-from mbsrun.ocp.phases.placing import name_lines
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, open_record
-from mbsrun.ocp.search import OutOfTimeError, Search
-from mbsrun.ocp.starts import list_turning
-from mbsrun.ocp.statement import name_problem, read_problem
-from mbsrun.ocp.study import Study, Targets, describe, identify
-from mbsrun.ocp.trials import ProtocolName
+from mbsrun.ocp.guessing.mirror import find_mirror
+from mbsrun.ocp.guessing.starts import list_turning
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.searching.attempts import Summary, describe_search, list_open_tasks, summarise
+from mbsrun.ocp.searching.executor import LocalExecutor
+from mbsrun.ocp.searching.search import OutOfTimeError, Search
+from mbsrun.ocp.searching.study import Study, Targets, describe, identify
+from mbsrun.ocp.searching.trials import ProtocolName
+from mbsrun.ocp.solution.record import Attempt, open_record
+from mbsrun.ocp.solving.placing import name_lines
+from mbsrun.ocp.statement.checks import MAX_THREADS
+from mbsrun.ocp.statement.statement import name_problem, read_problem
 
 SWEEP_HELP = """Solve PROBLEM for a grid of targets, in several representations, and sum up.
 

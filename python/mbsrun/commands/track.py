@@ -29,15 +29,15 @@ from mbsrun.controllers.loading import controller as load_controller
 from mbsrun.controllers.making import hash_problem
 from mbsrun.controllers.writing import BARRIER
 from mbsrun.external import Mechanism, OnDemand, load_on_demand
-from mbsrun.ocp.checks import MAX_THREADS
-from mbsrun.ocp.design import equip
-from mbsrun.ocp.fixing import fix_numbers
 from mbsrun.ocp.methods import METHODS as SOLVERS
-from mbsrun.ocp.phases.placing import name_lines
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.statement import read_problem
-from mbsrun.simulation.methods import METHODS
+from mbsrun.ocp.problem.design import equip
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.fixing import fix_numbers
+from mbsrun.ocp.solving.placing import name_lines
+from mbsrun.ocp.statement.checks import MAX_THREADS
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.simulation.integration.methods import METHODS
 from mbsrun.tracking.analysis import Margin
 from mbsrun.tracking.compiled import CompiledController, Stepping, find_wrong_rate, list_misfits, remembers
 from mbsrun.tracking.controller import Controller

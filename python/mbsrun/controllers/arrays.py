@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbsrun.ocp.functions import Array, Indices
-from mbsrun.ocp.stages.tables import Call, Kind, Nonzeros, Script, StageProgram, Step, Terms
+from mbsrun.ocp.evaluation.stages.tables import Call, Kind, Nonzeros, Script, StageProgram, Step, Terms
+from mbsrun.ocp.ground.functions import Array, Indices
 
 INFINITE = 1e20  # written for a bound that is not there
 Wrap = Callable[[Iterable[str]], tuple[str, ...]]

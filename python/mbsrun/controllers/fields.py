@@ -15,8 +15,9 @@ import numpy as np
 from mbsgen.manifest import Manifest
 from mbsgen.roles import Role
 from mbsrun.external import Mechanism
-from mbsrun.ocp.functions import Array, Indices
-from mbsrun.ocp.problem import (
+from mbsrun.ocp.evaluation.stages.tables import StageProgram
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.problem.problem import (
     Bounds,
     Constraint,
     Cost,
@@ -29,9 +30,8 @@ from mbsrun.ocp.problem import (
     Term,
     count_delayed,
 )
-from mbsrun.ocp.stages.tables import StageProgram
-from mbsrun.ocp.structure import list_bounded
-from mbsrun.ocp.transcription import Transcription
+from mbsrun.ocp.problem.structure import list_bounded
+from mbsrun.ocp.transcription.transcription import Transcription
 
 MARK = 2.0**40  # number k is marked by MARK + k: far above any number of a problem, and exact
 AXES = ("x", "y", "z")

@@ -35,25 +35,25 @@ from mbsrun.controllers.writing import Design, choose_barrier, name_functions, s
 from mbsrun.external import Mechanism, OnDemand
 from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder, is_model
-from mbsrun.ocp import schemes
-from mbsrun.ocp.backends import numpy as functions
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.design import equip
-from mbsrun.ocp.fixing import fix_numbers
-from mbsrun.ocp.functions import Array, Formula, KernelResult
-from mbsrun.ocp.guess import Pose, adapt, make_guess
-from mbsrun.ocp.preparation import settle
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.program import Program
-from mbsrun.ocp.scales import find_scales
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.stages.building import build
-from mbsrun.ocp.stages.calls import name_called
-from mbsrun.ocp.stages.tables import KernelFunction, StageProgram
-from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import Transcription
+from mbsrun.ocp.evaluation.backends import numpy as functions
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.evaluation.stages.calls import name_called
+from mbsrun.ocp.evaluation.stages.tables import KernelFunction, StageProgram
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.functions import Array, Formula, KernelResult
+from mbsrun.ocp.ground.program import Program
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import Pose, adapt, make_guess
+from mbsrun.ocp.guessing.state_guess import complete
+from mbsrun.ocp.problem.design import equip
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.fixing import fix_numbers
+from mbsrun.ocp.solving.preparation import settle
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.transcription.scales import find_scales
+from mbsrun.ocp.transcription.transcription import Transcription
 
 Mask = NDArray[np.bool_]
 
@@ -177,8 +177,8 @@ def _load(made: Made, place: Path) -> Controller:
 
 def _assemble(design: Design, copied: Mapping[str, str], figures: Figures) -> Made:
     """Put all files together, with the manifest, the report and the files of builds."""
+    from mbsgen.targets.c.symbols import seal
     from mbsgen.targets.layout import lay_out
-    from mbsgen.targets.symbols import seal
 
     files, symbols = seal(merge(copied, write_files(design, figures.cost)), design.name)
     programs = {f"{design.name}_{program}.c" for program in ("main", "check")}
@@ -276,8 +276,8 @@ def describe(
 
 def choose_name(problem: str, model: str, prefix: str | None = None) -> str:
     """Return the name of a controller in C; no name of its model begins as it does. Raises OptionError for a prefix."""
+    from mbsgen.targets.c.symbols import check_prefix
     from mbsgen.targets.names import mangle
-    from mbsgen.targets.symbols import check_prefix
 
     if prefix is not None:
         return check_prefix(prefix, model, _list_words())
@@ -308,7 +308,7 @@ strcmp strcpy strlen system tan tanh tmpfile trunc ungetc
 
 def describe_name(made: Made) -> str:
     """Return a notice where the names in C do not begin with the problem's name; else an empty text."""
-    from mbsgen.targets.symbols import describe_mangling
+    from mbsgen.targets.c.symbols import describe_mangling
 
     return describe_mangling(made.manifest.problem, made.manifest.prefix)
 

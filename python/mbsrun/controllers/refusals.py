@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from mbsgen.documents import Data, Document, Place
 from mbsgen.errors import Fault
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.fixing import list_numbers
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.rewriting import INPUT
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.problem.rewriting import INPUT
+from mbsrun.ocp.solving.fixing import list_numbers
 from mbsrun.quantities import SIGNAL
 
 EVERY = "*"  # in a place: each key of a mapping, each entry of a list

@@ -22,9 +22,9 @@ from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import Emulation
 from mbsrun.controllers.sources import PLAIN
 from mbsrun.library import CompileError, Compiler, compile_library, write_graphs
-from mbsrun.ocp.stages import formulas
-from mbsrun.ocp.stages.calls import name_called
-from mbsrun.ocp.stages.tables import FormulaFunction, Kind, Script, StageProgram
+from mbsrun.ocp.evaluation.stages import formulas
+from mbsrun.ocp.evaluation.stages.calls import name_called
+from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, Kind, Script, StageProgram
 from mbsrun.stack import Rules, find_deepest, list_tasks, read_graphs
 
 

@@ -14,7 +14,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import Kernel, Manifest
 
 ABI = "mbs_abi.h"
-PRIVATE = "mbs_private.h"  # as in `mbsgen.targets.symbols`
+PRIVATE = "mbs_private.h"  # as in `mbsgen.targets.c.symbols`
 PLAIN = {PRIVATE: ""}  # with this one in its place, the solver is compiled once for all controllers
 THREADS = "mbs_threads.c"
 INTERFACE = "mbs_stages.h"
@@ -47,7 +47,7 @@ def read_solver() -> dict[str, str]:
 
 def list_shared() -> tuple[str, ...]:
     """List the functions of the solver, the evaluator of tables and the team of threads."""
-    from mbsgen.targets.symbols import find_declared
+    from mbsgen.targets.c.symbols import find_declared
 
     headers = (text for name, text in read_solver().items() if name.endswith(".h"))
     return find_declared("mbs", headers)
@@ -55,7 +55,7 @@ def list_shared() -> tuple[str, ...]:
 
 def identify_solver() -> str:
     """Return the tag of the solver's interface: headers of two folders agree where it is the same."""
-    from mbsgen.targets.symbols import hash_text
+    from mbsgen.targets.c.symbols import hash_text
 
     return hash_text((resources.folder("csrc") / "stages" / INTERFACE).read_text(encoding="utf-8"))
 

@@ -27,13 +27,13 @@ from mbsrun.controllers.fields import (
     list_histories,
 )
 from mbsrun.controllers.sources import PRIVATE, identify_solver, list_shared, name_kernel
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.evaluation.stages import formulas
+from mbsrun.ocp.evaluation.stages.calls import name_called
+from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, StageProgram
+from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.methods import choose
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.stages import formulas
-from mbsrun.ocp.stages.calls import name_called
-from mbsrun.ocp.stages.tables import FormulaFunction, StageProgram
-from mbsrun.ocp.transcription import Transcription
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.transcription.transcription import Transcription
 
 METHOD = "mbs"  # of a problem file: the solver that controllers have
 BARRIER = 3e-4  # of steps in real time, beside the optimum of the problem file: smaller ones diverge earlier
@@ -60,7 +60,7 @@ class Design:
     @property
     def symbols(self) -> str:
         """Return the beginning of all symbols, with the place of the tag."""
-        from mbsgen.targets.symbols import tag
+        from mbsgen.targets.c.symbols import tag
 
         return tag(self.name)
 
@@ -155,10 +155,10 @@ class _Prediction:
 
 def write_files(design: Design, cost: float) -> dict[str, str]:
     """Write the files that are the controller's own; `cost` is the optimum that its check expects."""
+    from mbsgen.targets.c.symbols import OPEN
     from mbsgen.targets.entries import identify
     from mbsgen.targets.layout import lay_out
     from mbsgen.targets.statements import wrap
-    from mbsgen.targets.symbols import OPEN
 
     name, sources, tables, problem = design.name, design.sources, design.tables, design.problem
     layout, manifest = design.transcription.layout, design.manifest
@@ -270,7 +270,7 @@ def tag_names(texts: Sequence[str], name: str, tagged: str) -> list[tuple[str, s
 
 
 def _list_declared(name: str, parts: Mapping[str, str]) -> tuple[str, ...]:
-    from mbsgen.targets.symbols import find_declared
+    from mbsgen.targets.c.symbols import find_declared
 
     return find_declared(name, (parts[f"{name}.h"], parts[f"{name}_tables.h"]))
 

@@ -23,7 +23,7 @@ from mbsgen.roles import QUICKEST, Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces.face import VALUES, Face
 from mbsrun.faces.operators import Operator
-from mbsrun.simulation.tableaus import FIXED, Tableau
+from mbsrun.simulation.integration.tableaus import FIXED, Tableau
 
 A = TypeVar("A")  # an array of the library
 Policy = Callable[[Any, Any, Any], Mapping[str, Any]]  # of the number of the step, q and qd: further inputs

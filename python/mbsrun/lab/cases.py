@@ -24,7 +24,7 @@ from mbsrun.lab import (
     orientations,
 )
 from mbsrun.lab.case import Case, Trial
-from mbsrun.ocp.problem import Representation
+from mbsrun.ocp.problem.problem import Representation
 
 LONG = (100, 200, 500, 1000)  # links of chains that are not written in C
 LOOPS = (

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mbsrun.lab.mechanisms import write
-from mbsrun.ocp.problem import Form, Representation
+from mbsrun.ocp.problem.problem import Form, Representation
 
 Rng = np.random.Generator
 Problem = dict[str, Any]  # as its file says it

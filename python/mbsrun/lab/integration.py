@@ -22,7 +22,7 @@ from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tel
 from mbsrun.lab.mechanisms import SLIDER_AND_BOB, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.drive import hold
-from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.integration.methods import Formulation
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
 

@@ -14,12 +14,22 @@ from mbsrun.external import load_on_demand
 from mbsrun.lab.case import Finding, Workspace, check, demand, tell
 from mbsrun.lab.ends import RAILS, draw
 from mbsrun.lab.mechanisms import write
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Range, Representation, SolverOptions
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import (
+    Bounds,
+    Constraint,
+    Cost,
+    End,
+    Form,
+    Problem,
+    Range,
+    Representation,
+    SolverOptions,
+)
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 FREE: Range = (-float("inf"), float("inf"))
 WAYS, MASSES, DURATION = (1.0, 2.0), (1.0, 2.0), 2.0

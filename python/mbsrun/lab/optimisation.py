@@ -16,9 +16,12 @@ from mbsrun.forms import DIFFERENTIATED
 from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
 from mbsrun.lab.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import (
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.status import BAD_GUESS, SOLVED
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import interpolate
+from mbsrun.ocp.problem.problem import (
     Bounds,
     Constraint,
     Cost,
@@ -31,12 +34,9 @@ from mbsrun.ocp.problem import (
     SolverOptions,
     Term,
 )
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.status import BAD_GUESS, SOLVED
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
 
 Array = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
 from mbsrun.lab.digits import EXPLICIT, RESIDUAL
 from mbsrun.lab.mechanisms import write
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Range, Representation
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.guessing.guess import interpolate
+from mbsrun.ocp.problem.problem import Bounds, Constraint, Cost, End, Problem, Range, Representation
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.solve import Solver
 from mbsrun.simulation import Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
 

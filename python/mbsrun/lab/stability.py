@@ -37,7 +37,7 @@ from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.models import Extent
 from mbsrun.simulation.course import is_constrained
-from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.integration.methods import Formulation
 
 Array = NDArray[np.float64]
 States = dict[str, Array]

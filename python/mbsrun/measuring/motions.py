@@ -34,7 +34,7 @@ from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.course import Course as Guide
 from mbsrun.simulation.course import is_constrained
 from mbsrun.simulation.drive import Drive, hold
-from mbsrun.simulation.methods import METHODS, Family, Formulation, complete_settings, find_refusals
+from mbsrun.simulation.integration.methods import METHODS, Family, Formulation, complete_settings, find_refusals
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
 from mbsrun.simulation.statement import read_statement

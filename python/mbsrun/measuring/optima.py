@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from mbsrun.measuring.points import Cost, SolvePoint
 from mbsrun.measuring.solves import Case, measure_solve
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.problem import Form, Problem, Representation
-from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Form, Problem, Representation
 
 EXACT = 9  # degree of the reference
 TIGHT = 1e-11  # its solver's tolerance

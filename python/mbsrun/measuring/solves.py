@@ -25,13 +25,13 @@ from mbsrun.measuring.mechanisms import list_ranges
 from mbsrun.measuring.points import SolvePoint
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import sum_up
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Representation
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.quaternions import neutral
 
 Array = NDArray[np.float64]

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.optima.movement import STEP
 from mbsrun.ocp.optima.neighbours import predict
 from mbsrun.ocp.optima.status import SMOOTH
-from mbsrun.ocp.phases.solution import Guess
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.solution.phases import Guess
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal import display
 from mbsrun.optimal.derivatives import Derivatives
 from mbsrun.optimal.result import Solved, Unsolved

@@ -14,25 +14,25 @@ import casadi as ca
 
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
-from mbsrun.ocp import statement
-from mbsrun.ocp.cases import Case, Outcome
-from mbsrun.ocp.checks import ProblemError, check_problem
-from mbsrun.ocp.multistart import Wish, solve_from_many
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.cases.cases import Case, Outcome
+from mbsrun.ocp.cases.programs import Programs
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.recorded import find_guess
 from mbsrun.ocp.optima.family import make_family
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants, list_one
-from mbsrun.ocp.phases.solution import Guess, list_solution
-from mbsrun.ocp.phases.statement import has_phases, read_phased_problem, state_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Symbolic
-from mbsrun.ocp.programs import Programs
-from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.refinement import refine
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.runs import Watch
-from mbsrun.ocp.solution import Failure, Run, Starts, read_guess, read_solution
-from mbsrun.ocp.solve import read_one, solve
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants, list_one
+from mbsrun.ocp.problem.problem import Problem, Symbolic
+from mbsrun.ocp.searching.multistart import Wish, solve_from_many
+from mbsrun.ocp.searching.refinement import refine
+from mbsrun.ocp.solution.phases import Guess, list_solution
+from mbsrun.ocp.solution.solution import Failure, Run, Starts, read_guess, read_solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.runs import Watch
+from mbsrun.ocp.solving.solve import read_one, solve
+from mbsrun.ocp.statement import statement
+from mbsrun.ocp.statement.checks import ProblemError, check_problem
+from mbsrun.ocp.statement.phases import has_phases, read_phased_problem, state_phases
 from mbsrun.optimal import display
 from mbsrun.optimal.continuation import Continued, Stop, follow
 from mbsrun.optimal.derivatives import Derivatives, differentiate_solution

@@ -12,18 +12,18 @@ import numpy as np
 
 from mbsgen.documents import nearest
 from mbsgen.errors import MbsError
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.optima.movement import measure_step, take_differences
 from mbsrun.ocp.optima.neighbours import Moved as Change
 from mbsrun.ocp.optima.neighbours import move_one_sided, predict
 from mbsrun.ocp.optima.questions import Answer, ask
 from mbsrun.ocp.optima.status import SENTENCES, SMOOTH
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import Make
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import Transcription
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solving.phases import Make
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.transcription.transcription import Transcription
 from mbsrun.optimal import display
 from mbsrun.optimal.naming import Source
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.methods import choose
-from mbsrun.ocp.problem import Aims, Delay, Form, Problem, Range, Target, WrenchComponent
+from mbsrun.ocp.problem.problem import Aims, Delay, Form, Problem, Range, Target, WrenchComponent
 from mbsrun.quantities import SIGNAL
 
 LONGEST = 12  # parts of one line; more are counted

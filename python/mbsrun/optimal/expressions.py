@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Constraint, Problem, Range, Symbolic, Term
+from mbsrun.ocp.problem.problem import Constraint, Problem, Range, Symbolic, Term
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.quantities import make_functions
 
 Stretch = Literal["path", "end"]

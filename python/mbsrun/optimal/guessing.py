@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.recorded import find_guess, recall
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.recorded import find_guess, recall
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.recalling import make_recording
 from mbsrun.optimal.result import Solved
 

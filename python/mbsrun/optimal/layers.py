@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.optima.family import Family, Member
 from mbsrun.ocp.optima.movement import Movement
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal import display
 from mbsrun.optimal.derivatives import PARTS, Derivatives
 from mbsrun.optimal.result import MissingPackageError

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.documents import Data, abbreviate
-from mbsrun.ocp.cases import Case, Outcome, solve_cases
-from mbsrun.ocp.checks import Line, ProblemError
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.solution import Run
+from mbsrun.ocp.cases.cases import Case, Outcome, solve_cases
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.solution.solution import Run
+from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.optimal import display
 from mbsrun.optimal.naming import WrongPlaceError, put_at
 from mbsrun.optimal.plain import make_plain

@@ -16,11 +16,11 @@ from typing import Any
 
 from mbsgen.documents import Data, Place, WrongValueError, nearest, read_number
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate
-from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.optima.questions import Number
-from mbsrun.ocp.phases.problem import PhasedProblem
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.phases import PhasedProblem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.checks import ProblemError
 
 _INDEX = re.compile(r"\[(\d+)\]")
 _KEY = re.compile(r"[^.\[]*")

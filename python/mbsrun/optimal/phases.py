@@ -16,14 +16,17 @@ import numpy as np
 
 from mbsgen.documents import Data
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.cases import Case, Outcome
-from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.cases.cases import Case, Outcome
+from mbsrun.ocp.cases.programs import Programs
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.guessing.recorded_phases import find_phased_guess
 from mbsrun.ocp.methods import choose
-from mbsrun.ocp.phases.checks import check_phases
-from mbsrun.ocp.phases.files import shift_phases
-from mbsrun.ocp.phases.problem import Link, PhasedProblem, Plants, equip_phases
-from mbsrun.ocp.phases.recorded import find_phased_guess
-from mbsrun.ocp.phases.solution import (
+from mbsrun.ocp.problem.phases import Link, PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.searching.refinement import refine_phases
+from mbsrun.ocp.showing.files import shift_phases
+from mbsrun.ocp.showing.phase_summary import list_phased_shortcomings, summarise_phases
+from mbsrun.ocp.solution.phases import (
     Guess,
     LinkValues,
     PartialGuess,
@@ -32,15 +35,12 @@ from mbsrun.ocp.phases.solution import (
     read_phased_solution,
     write_phased_solution,
 )
-from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.phases.statement import state_phases
-from mbsrun.ocp.phases.summary import list_phased_shortcomings, summarise_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.programs import Programs
-from mbsrun.ocp.refinement import refine_phases
-from mbsrun.ocp.runs import Watch
-from mbsrun.ocp.solution import Failure
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.solving.runs import Watch
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.phase_checks import check_phases
+from mbsrun.ocp.statement.phases import state_phases
 from mbsrun.optimal import display
 from mbsrun.optimal.continuation import Continued, Stop, follow
 from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
@@ -133,19 +133,19 @@ class SolvedPhases:
 
     def plot(self) -> Picture:
         """Plot coordinates, velocities and inputs of all phases over time."""
-        from mbsrun.ocp.phases.pictures import make_phased_trajectories
+        from mbsrun.ocp.showing.phase_pictures import make_phased_trajectories
 
         return Picture(make_phased_trajectories(self.solution, self._shifted, self.plants))
 
     def draw(self) -> Picture:
         """Draw the mechanisms of all phases on their way."""
-        from mbsrun.ocp.phases.pictures import make_phased_mechanism
+        from mbsrun.ocp.showing.phase_pictures import make_phased_mechanism
 
         return Picture(make_phased_mechanism(self.solution, self._shifted, self.plants))
 
     def animate(self) -> Page:
         """Return a page that plays all phases. Raises ProblemError where they do not follow each other."""
-        from mbsrun.ocp.phases.pictures import make_animations
+        from mbsrun.ocp.showing.phase_pictures import make_animations
 
         pages = make_animations(self.solution, self._shifted, self.plants)
         if len(pages) != 1:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbsgen.documents import Data, Place, write_path
-from mbsrun.ocp.checks import Line, ProblemError
+from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.reading import overlay
 
 

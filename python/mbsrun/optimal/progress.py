@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from mbsrun.ocp.runs import Progress, Watch
+from mbsrun.ocp.solving.runs import Progress, Watch
 from mbsrun.optimal.display import write_table
 
 PAUSE = 0.2  # s between two displays in a notebook

@@ -22,9 +22,9 @@ from mbsgen.manifest import Argument, Manifest
 from mbsgen.roles import Role
 from mbsrun.kernel import Kernels
 from mbsrun.models import Extent, find_folder, is_model
-from mbsrun.ocp.backends import symbolic
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Symbolic
+from mbsrun.ocp.evaluation.backends import symbolic
+from mbsrun.ocp.problem.problem import Symbolic
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.quantities import Quantity
 from mbsrun.results import UnknownNameError
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbsgen.documents import nearest
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import Line, ProblemError
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import Column, Recording
 from mbsrun.results import list_results

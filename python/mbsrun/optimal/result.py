@@ -16,11 +16,11 @@ from mbsgen.errors import MbsError
 from mbsgen.expressions import evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.solution import Failure, Margin, Solution, write_solution
-from mbsrun.ocp.summary import list_shortcomings, summarise
-from mbsrun.ocp.table import measure, write_table
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.showing.summary import list_shortcomings, summarise
+from mbsrun.ocp.solution.solution import Failure, Margin, Solution, write_solution
+from mbsrun.ocp.solution.table import measure, write_table
 from mbsrun.optimal import display
 from mbsrun.optimal.display import Page, Picture
 from mbsrun.results import Numbers
@@ -182,7 +182,7 @@ class Solved:
 
         Names may be patterns, such as `tension_*`. Raises UnknownNameError.
         """
-        from mbsrun.ocp import pictures
+        from mbsrun.ocp.showing import pictures
 
         if not names:
             return Picture(pictures.make_trajectories(self.solution, self.plant.manifest))
@@ -191,13 +191,13 @@ class Solved:
 
     def draw(self) -> Picture:
         """Draw the mechanism on its way."""
-        from mbsrun.ocp import pictures
+        from mbsrun.ocp.showing import pictures
 
         return Picture(pictures.make_mechanism(self.solution, self.plant))
 
     def animate(self) -> Page:
         """Return a page that plays the motion."""
-        from mbsrun.ocp import pictures
+        from mbsrun.ocp.showing import pictures
 
         return Page(pictures.make_animation(self.solution, self.plant))
 

@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 
 from mbsgen.documents import Data
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Problem, Range
-from mbsrun.ocp.rewriting import RATE
+from mbsrun.ocp.problem.problem import Problem, Range
+from mbsrun.ocp.problem.rewriting import RATE
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.many import Over, change, list_cases
 from mbsrun.quantities import name_quantities
 

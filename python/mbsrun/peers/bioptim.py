@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.optimal.quantities import Quantities
 from mbsrun.peers.peer import PeerError, check_states
 from mbsrun.quantities import list_quantities

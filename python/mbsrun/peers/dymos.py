@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_derivative, name_kernel
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.plant import Plant
+from mbsrun.ocp.ground.plant import Plant
 from mbsrun.peers.peer import PeerError, check_states
 from mbsrun.quantities import Quantity, list_quantities
 

@@ -26,7 +26,7 @@ from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.quantities import Quantity, find_unit, list_input_units
 from mbsrun.quaternions import find_rates
-from mbsrun.simulation.methods import METHODS
+from mbsrun.simulation.integration.methods import METHODS
 from mbsrun.simulation.motion import ClosureRecord, Keeping, Kind, Mode, Motion, Settings
 
 Array = NDArray[np.float64]

@@ -27,11 +27,11 @@ from mbsrun.kernel import Kernels
 from mbsrun.simulation.drive import Drive, Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.joints import HELD, Joints
-from mbsrun.simulation.methods import METHODS
+from mbsrun.simulation.integration.joints import HELD, Joints
+from mbsrun.simulation.integration.methods import METHODS
+from mbsrun.simulation.integration.tableaus import DOP853, EULER, RK4, RK45, Pair
 from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Chunk, Guard, Jump, Motion, Segment, Settings
 from mbsrun.simulation.simulate import simulate
-from mbsrun.simulation.tableaus import DOP853, EULER, RK4, RK45, Pair
 
 Array = NDArray[np.float64]
 

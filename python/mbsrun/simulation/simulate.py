@@ -14,17 +14,17 @@ from mbsrun.closure import Closure
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
-from mbsrun.simulation import adaptive
 from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
 from mbsrun.simulation.drive import Drive, DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.energy import add_up_friction, add_up_work
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.holding import Forces
-from mbsrun.simulation.joints import Joints
-from mbsrun.simulation.method import Family
-from mbsrun.simulation.methods import METHODS, complete_settings, find_refusals, takes_too_many_steps
+from mbsrun.simulation.integration import adaptive
+from mbsrun.simulation.integration.energy import add_up_friction, add_up_work
+from mbsrun.simulation.integration.holding import Forces
+from mbsrun.simulation.integration.joints import Joints
+from mbsrun.simulation.integration.method import Family
+from mbsrun.simulation.integration.methods import METHODS, complete_settings, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import (
     SINGULAR,
     STORED,

@@ -29,15 +29,15 @@ from mbsgen.documents import (
 )
 from mbsgen.expressions import Expression, Number, is_free_name
 from mbsgen.manifest import Manifest, Wrench
-from mbsrun.ocp.schemes import DEGREES
+from mbsrun.ocp.ground.schemes import DEGREES
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.closing import Start
 from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
-from mbsrun.simulation.joints import Joints
-from mbsrun.simulation.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
+from mbsrun.simulation.integration.joints import Joints
+from mbsrun.simulation.integration.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
 from mbsrun.simulation.motion import Keeping, Settings
 
 Array = NDArray[np.float64]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.limits import Allowance, LimitError, Limits
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import Step, integrate
-from mbsrun.ocp.values import Values
+from mbsrun.ocp.evaluation.values import Values
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solving.resimulation import Step, integrate
 from mbsrun.tracking.trial import Trial
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import Expression, evaluate, names, parse
 from mbsrun.external import Mechanism
-from mbsrun.ocp.margins import find_tolerated
-from mbsrun.ocp.problem import Problem, Range
+from mbsrun.ocp.problem.problem import Problem, Range
+from mbsrun.ocp.solving.margins import find_tolerated
 from mbsrun.quantities import list_quantities, name_quantities
 from mbsrun.simulation.drive import ARRAYS, STATE, measure
 from mbsrun.tracking.loop import Track

@@ -21,8 +21,8 @@ from mbsrun.controllers.fields import BEFORE, GIVEN, START_STATES
 from mbsrun.controllers.folder import Data, Manifest
 from mbsrun.controllers.loading import Controller, Step
 from mbsrun.controllers.writing import BARRIER
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.trajectory import average_inputs
+from mbsrun.ocp.ground.trajectory import average_inputs
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.tracking.controller import Decision
 
 Array = NDArray[np.float64]

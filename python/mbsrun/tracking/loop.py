@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.expressions import ExpressionError
 from mbsrun.external import Mechanism
-from mbsrun.ocp.problem import Bounds
+from mbsrun.ocp.problem.problem import Bounds
 from mbsrun.quaternions import normalise
 from mbsrun.simulation.drive import hold_steps
 from mbsrun.simulation.motion import Halt

@@ -8,8 +8,8 @@ from pathlib import Path
 from mbsgen.manifest import Manifest
 from mbsrun.external import Mechanism, load, load_on_demand
 from mbsrun.models import INTEGRATED, Extent
-from mbsrun.ocp.design import equip
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.design import equip
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.smoothness import demand_smooth
 
 SIMULATED = ("exp2", "impl", "energy", "power", "frames")  # as the simulation needs them, without loops

@@ -15,7 +15,7 @@ from mbsgen.manifest import Manifest
 from mbsgen.style import BAD, PALETTE, save_plot, styled
 from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
 from mbsrun.external import Mechanism
-from mbsrun.ocp.problem import Problem, Range
+from mbsrun.ocp.problem.problem import Problem, Range
 from mbsrun.quantities import Quantity, find_unit, list_quantities
 from mbsrun.tracking.analysis import TAIL, Margin, Measured, Times, follow_references, read_quantities
 from mbsrun.tracking.loop import Track

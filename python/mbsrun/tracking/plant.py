@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbsrun.closure import find_closure
 from mbsrun.external import Mechanism
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.quaternions import list_quaternions, normalise
 from mbsrun.simulation.drive import Drive, control, hold
 from mbsrun.simulation.motion import Halt

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Manifest
 from mbsrun.animation import write_animation
 from mbsrun.external import Mechanism
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.quaternions import find_rates
 from mbsrun.tracking.analysis import Margin, Measured, Times, find_margins, measure_track
 from mbsrun.tracking.loop import Track

@@ -14,15 +14,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.ocp import methods, schemes
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.guess import Pose, make_guess
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.preparation import settle
-from mbsrun.ocp.problem import Problem, Range, State
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.solve import Solver, choose_method
-from mbsrun.ocp.trajectory import Trajectory, average_inputs, move_ahead
+from mbsrun.ocp import methods
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory, average_inputs, move_ahead
+from mbsrun.ocp.guessing.guess import Pose, make_guess
+from mbsrun.ocp.problem.problem import Problem, Range, State
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.preparation import settle
+from mbsrun.ocp.solving.solve import Solver, choose_method
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.tracking.added import is_interval, list_lines
 from mbsrun.tracking.controller import Decision
 from mbsrun.tracking.trial import Horizon

@@ -31,12 +31,12 @@ from mbsgen.documents import (
 from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, Number, is_free_name, names
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.problem import Problem
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.quantities import list_quantities, name_quantities
 from mbsrun.quaternions import normalise
 from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.drive import STATE
-from mbsrun.simulation.methods import METHODS, find_idle
+from mbsrun.simulation.integration.methods import METHODS, find_idle
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking.trial import TIME, Fallback, Horizon, Kick, Measure, Noise, Push, Trial
 

@@ -15,13 +15,14 @@ from mbsgen.approximation.cuts import release
 from mbsgen.approximation.effects import LEAST_INERTIA
 from mbsgen.approximation.states import Array, draw
 from mbsgen.errors import InputError
-from mbsgen.formulations import energy, impl, ports, semi
+from mbsgen.formulations import impl, ports, semi
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.results import energy
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.scene import EVERYTHING, Scene
 from mbsgen.model.construction import body, make_model, revolute
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.scene import EVERYTHING, Scene
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import make
 from mbsgen.request import OptionError, Options, merge

@@ -17,6 +17,7 @@ from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import (
     body,
     constraint,
@@ -32,7 +33,6 @@ from mbsgen.model.construction import (
     runtime,
 )
 from mbsgen.model.model import Body, Follow, Loop, Model, Parameter
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import Options, make, read_tree
 from mbsgen.procedure.procedure import evaluate

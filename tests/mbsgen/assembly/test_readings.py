@@ -10,11 +10,11 @@ import pytest
 from mbsgen.assembly import AssemblyError, assemble, describe, list_redundant
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, rod
 from mbsgen.model.digits import LARGEST, LEAST, find_tolerance
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import read_tree
 from mbsgen.procedure.procedure import straight

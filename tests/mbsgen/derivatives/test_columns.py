@@ -13,7 +13,7 @@ import pytest
 
 import mbsrun
 from mbsgen.families import write_families
-from mbsgen.model.scene import EVERYTHING
+from mbsgen.model.changes.scene import EVERYTHING
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, generate
 from mbsgen.procedure.procedure import evaluate

@@ -8,9 +8,9 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import differentiable, differentiate
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, differentiated, frame, make_model, revolute, runtime
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
 from tests.mbsgen.derivatives.evaluation import all_of, differences, matrix

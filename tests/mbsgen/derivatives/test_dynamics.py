@@ -13,8 +13,8 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.formulations import exp1, exp2, impl, semi
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.roles import Order
 from mbsgen.tape.counts import count

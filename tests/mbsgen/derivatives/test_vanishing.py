@@ -9,8 +9,8 @@ import pytest
 from mbsgen.derivatives.kernels import differentiate
 from mbsgen.derivatives.vanishing import drop_vanishing
 from mbsgen.formulations import impl
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.counts import count

@@ -27,7 +27,8 @@ from mbsgen.equations import (
     sums,
     write_lines,
 )
-from mbsgen.formulations import closure, impl, poses
+from mbsgen.formulations import closure, impl
+from mbsgen.formulations.results import poses
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import read, read_tree
 from mbsgen.tape.interpreter import DECIMALS, evaluate, fifty_digits

@@ -10,8 +10,8 @@ import pytest
 from sympy import Integer, Symbol
 
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Parameter, Tree
 from tests.mbsgen.failures.mechanisms import (
     EXPLICIT,

@@ -16,8 +16,8 @@ from mbsgen.assembly.mechanism import Mechanism
 from mbsgen.assembly.poses import close
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, evaluate
 

@@ -13,8 +13,8 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.drawing import pose
 from mbsgen.formulations import exp2, impl
 from mbsgen.formulations.reductions import ALL, NONE
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import build_parametric, write_families
 from mbsgen.request import Request

@@ -23,13 +23,13 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.locking import lock
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import EVERYTHING
 from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute, runtime
-from mbsgen.model.locking import lock
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import EVERYTHING
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Coupling, Kind, Tree
 from mbsgen.model.writer import write_model

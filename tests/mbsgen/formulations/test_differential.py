@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
 from mbsgen.formulations.catalogue import FUNCTIONS
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, constraint, make_model, revolute
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, make
 from mbsgen.tape.counts import count

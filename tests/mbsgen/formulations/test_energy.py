@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from sympy import Expr, Integer, Symbol
 
-from mbsgen.formulations import energy, exp2, impl
+from mbsgen.formulations import exp2, impl
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import NONE
+from mbsgen.formulations.results import energy
 from mbsgen.model.tree import Kind, Parameter, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from tests.random_trees import Pinocchio, random_tree, values_of, with_laws, with_wrenches

@@ -19,6 +19,8 @@ from mbsgen.formulations import closure
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.closure import kept_equations
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.model.changes.locking import lock
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import (
     body,
     differentiated,
@@ -31,9 +33,7 @@ from mbsgen.model.construction import (
     revolute,
     runtime,
 )
-from mbsgen.model.locking import lock
 from mbsgen.model.model import Model, Parameter
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, make
 from mbsgen.procedure import procedure

@@ -10,8 +10,8 @@ from mbsgen.assembly import assemble
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, end, loop, make_model, prismatic, revolute, rod
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape.interpreter import find_failure

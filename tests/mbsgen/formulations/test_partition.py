@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import TapeError
-from mbsgen.formulations.partition import Joined, Many, Pair, Partition, Single, Triple, find_blocks
+from mbsgen.formulations.loops.partition import Joined, Many, Pair, Partition, Single, Triple, find_blocks
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import evaluate, find_failure
 from mbsgen.tape.types import Sparsity, Tape

@@ -21,9 +21,9 @@ from mbsgen.formulations.parsimony.writing import begin
 from mbsgen.formulations.planning import PlanTrials
 from mbsgen.formulations.reductions import ALL
 from mbsgen.formulations.states import declare_state
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import ball, body, free, inertia, make_model, prismatic, revolute
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, evaluate

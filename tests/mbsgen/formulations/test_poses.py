@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbsgen.formulations import poses
+from mbsgen.formulations.results import poses
 from mbsgen.tape.interpreter import evaluate
 from tests.random_trees import Pinocchio, floats, random_tree
 

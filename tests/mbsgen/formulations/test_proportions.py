@@ -13,8 +13,8 @@ from mbsgen.formulations.parsimony.regrouping import restrain
 from mbsgen.formulations.parsimony.segments import Moments
 from mbsgen.formulations.planning import PlanTrials, find_plans
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from tests.mbsgen.failures.mechanisms import draw_state, elbow, error_of, spatial_chain, straight_chain
 
 REDUCED = Reductions(trials=1)

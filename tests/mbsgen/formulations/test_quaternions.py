@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import differentiable, differentiate
-from mbsgen.formulations import condition, energy, exp1, exp2, impl, poses, rates, semi, velocities
+from mbsgen.formulations import condition, exp1, exp2, impl, rates, semi
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.results import energy, poses, velocities
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import ball, body, fixed, frame, free, inertia, make_model, prismatic, revolute
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Motion, Tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape

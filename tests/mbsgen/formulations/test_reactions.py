@@ -14,8 +14,8 @@ from mbsgen.families import write_families
 from mbsgen.formulations import catalogue
 from mbsgen.formulations.closure import kept_equations
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.request import Request

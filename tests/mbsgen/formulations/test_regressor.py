@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from mbsgen.families import write_families
-from mbsgen.formulations import regressor
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.results import regressor
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import ball, body, make_model, revolute
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import straight
 from mbsgen.request import Request

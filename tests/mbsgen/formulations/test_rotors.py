@@ -11,8 +11,9 @@ from sympy import Float, Integer, Rational
 
 from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import Derivatives, differentiable
-from mbsgen.formulations import condition, energy, exp1, exp2, impl
+from mbsgen.formulations import condition, exp1, exp2, impl
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
+from mbsgen.formulations.results import energy
 from mbsgen.model.tree import Motion, Tree
 from mbsgen.tape.interpreter import DIGITS, evaluate, find_failure
 from tests.mbsgen.derivatives.evaluation import EXACTLY, TO_ROUNDING, all_of, assert_same

@@ -12,8 +12,8 @@ from mbsgen.formulations.catalogue import write_row
 from mbsgen.formulations.parsimony.plan import Meeting
 from mbsgen.formulations.planning import dynamics_alone, find_plans
 from mbsgen.formulations.reductions import ALL, Reductions
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
 from mbsgen.tape.counts import count_paper
 from tests.mbsgen.failures.mechanisms import (

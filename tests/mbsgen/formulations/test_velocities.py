@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sympy import Integer
 
 from mbsgen.derivatives.kernels import differentiate
-from mbsgen.formulations import poses, velocities
 from mbsgen.formulations.catalogue import FUNCTIONS, LOOPS, select_functions
+from mbsgen.formulations.results import poses, velocities
 from mbsgen.model.tree import Quaternion, Sensor, Tree
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape

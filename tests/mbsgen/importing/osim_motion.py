@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from mbsgen.expressions import Algebra, Expression, Name, Number, evaluate, list_operands, names, substitute
 from mbsgen.importing import Imported
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
-from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate as run_tape

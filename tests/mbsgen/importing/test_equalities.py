@@ -16,9 +16,9 @@ from mbsgen.formulations import closure, ports
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Follow, Joint
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Cut, Tree
 from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import MujocoPeer, State, strip_forces

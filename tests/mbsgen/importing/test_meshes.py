@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.importing import import_model
-from mbsgen.importing.mesh_solids import RULES, Rule, measure
+from mbsgen.importing.mjcf.mesh_solids import RULES, Rule, measure
 from tests.import_peers import Kernels, MujocoPeer, largest_miss
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ from mbsgen.formulations import semi
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
 from mbsgen.importing.poses import place
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import Body, Fixed, Friction, Joint, Law
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import read
 from mbsgen.tape.interpreter import evaluate
 from tests.import_peers import Kernels, MujocoPeer, State, largest_miss

@@ -14,7 +14,7 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.importing import import_model
-from mbsgen.importing.mjcf_schema import TABLE, Entry, Use
+from mbsgen.importing.mjcf.schema import TABLE, Entry, Use
 from mbsgen.model.model import Model
 
 OLDER = {  # what MuJoCo 4.0 has no more, or has outside of its schema

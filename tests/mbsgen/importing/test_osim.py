@@ -20,10 +20,10 @@ from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Number, evaluate
 from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.importing.osim_functions import write_polygon, write_spline
+from mbsgen.importing.osim.functions import write_polygon, write_spline
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Fixed, Joint
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from tests import peers
 from tests.mbsgen.importing.osim_files import (
     ARC,

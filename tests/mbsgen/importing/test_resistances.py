@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from mbsgen.importing import Choices, import_model
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate

@@ -16,7 +16,7 @@ from mbsgen.cli import main
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import import_model
-from mbsgen.model.reduction import build_tree
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.tree import Closure
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape.interpreter import evaluate

@@ -18,9 +18,9 @@ from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import NONE
 from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Follow
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Cut
 from mbsgen.tape.interpreter import evaluate
 from tests.loop_ends import open_loops, place_ends

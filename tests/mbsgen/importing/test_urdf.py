@@ -14,9 +14,9 @@ from mbsgen.expressions import Number
 from mbsgen.importing import Choices, Imported, Notice, import_model, write_imported
 from mbsgen.importing.poses import Pose
 from mbsgen.importing.solids import Solid
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Body, DryFriction, Fixed, Follow, Friction, Joint, Stops
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.pipeline import write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import evaluate

@@ -12,9 +12,9 @@ from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number, write
 from mbsgen.importing import Choices, Imported, import_model, write_imported
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Follow, Joint
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Cut
 from tests.loop_ends import place_ends
 from tests.mbsgen.importing.urdf_files import LIMIT, joint, link

@@ -11,8 +11,8 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.importing import Imported, import_model
-from mbsgen.importing.sdf_vocabulary import choose_vocabulary
-from mbsgen.importing.urdf_vocabulary import VOCABULARY
+from mbsgen.importing.sdf.vocabulary import choose_vocabulary
+from mbsgen.importing.urdf.vocabulary import VOCABULARY
 from mbsgen.importing.vocabulary import TEXT, Part, Treatment, Vocabulary
 from tests.mbsgen.importing import schemas
 

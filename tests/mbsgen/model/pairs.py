@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from mbsgen.errors import InputError
 from mbsgen.formulations import catalogue
 from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, free, make_model
 from mbsgen.model.model import Contact
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.interpreter import evaluate
 from tests.fuzz import mechanisms

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from sympy import Expr
 
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Kind, Tree
 from tests.reference_models import ARM, tree_from_reference

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, box, contact, make_model, number, plane, prismatic
 from mbsgen.model.model import Block, Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import Scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.model.writer import write_model
 from tests.fuzz import mechanisms

@@ -11,15 +11,16 @@ import pytest
 
 from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
-from mbsgen.formulations import catalogue, exp2, impl, poses
+from mbsgen.formulations import catalogue, exp2, impl
 from mbsgen.formulations.reductions import ALL
+from mbsgen.formulations.results import poses
 from mbsgen.manifest import FIRST_LENGTH
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, cable, contact, end, frame, make_model, plane, prismatic, spring, wrench
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import Scene, stage
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight

@@ -9,11 +9,11 @@ import pytest
 from sympy import Symbol, sin
 
 from mbsgen.expressions import Name
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, constraint, differentiated, make_model, revolute, runtime
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.model import Model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.symbols import to_double
 from mbsgen.model.tree import Kind, coordinate_symbol
 

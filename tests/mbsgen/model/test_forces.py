@@ -12,8 +12,8 @@ import pytest
 from sympy import Expr, Symbol
 
 from mbsgen.formulations import exp2, impl
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import COORDINATE, NO_FORCE, RATE, Kind, Tree
 from mbsgen.pipeline import build_parametric

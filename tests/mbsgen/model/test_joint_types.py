@@ -16,16 +16,16 @@ from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model import joints
+from mbsgen.model.changes.locking import lock
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, joint, make_model, revolute
+from mbsgen.model.file.schema import write_schema
 from mbsgen.model.following import list_joints
 from mbsgen.model.joints.compound import slide, turn
 from mbsgen.model.joints.section import Description, JointSection
-from mbsgen.model.locking import lock
 from mbsgen.model.model import Carrier, Follow, Joint, Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.schema import write_schema
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, make
 from mbsgen.tape.interpreter import evaluate

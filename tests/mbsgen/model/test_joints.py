@@ -11,8 +11,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 from sympy import Symbol
 
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Body, Motion, Tree
 from tests.mbsgen.model.descriptions import (

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from sympy import Integer, Symbol, cos, sin
 
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, constraint, end, loop, make_model, revolute, rod, runtime
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Cut, Kind, LoopFrame, Tree, coordinate_symbol
 from tests.mbsgen.model.descriptions import (

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from mbsgen.documents import WrongValueError
 from mbsgen.errors import InputError
-from mbsgen.formulations import impl, poses
+from mbsgen.formulations import impl
+from mbsgen.formulations.results import poses
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, joint
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import IDENTITY
 from mbsgen.model.writer import write_model
 from mbsgen.tape.interpreter import evaluate

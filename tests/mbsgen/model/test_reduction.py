@@ -13,9 +13,9 @@ from mpmath.libmp import dps_to_prec
 from sympy import Float, Integer, Rational, Symbol
 
 from mbsgen.drawing import pose
-from mbsgen.formulations.poses import build_frames
+from mbsgen.formulations.results.poses import build_frames
+from mbsgen.model.changes.reduction import align
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import align
 from mbsgen.model.symbols import exact
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.pipeline import build_parametric
@@ -200,7 +200,7 @@ def test_a_tree_does_not_depend_on_the_hash_seed(tmp_path: Path) -> None:
     script = (
         "import sys, pathlib\n"
         "from mbsgen.model.reader import read_model\n"
-        "from mbsgen.model.reduction import build_tree\n"
+        "from mbsgen.model.changes.reduction import build_tree\n"
         "print(build_tree(read_model(pathlib.Path(sys.argv[1]))))"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "model.yaml")]

@@ -15,10 +15,10 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.formulations import impl
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL, NONE
+from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, fixed, frame, make_model, revolute
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import Options, build_parametric, make

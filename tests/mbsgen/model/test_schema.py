@@ -13,7 +13,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
-from mbsgen.model.schema import write_schema
+from mbsgen.model.file.schema import write_schema
 from tests.mbsgen.model.files import GOOD, ROOT, WALKER
 from tests.shipped import MODELS
 
@@ -24,7 +24,7 @@ VALIDATOR = Draft202012Validator(json.loads(write_schema()))
 def test_the_file_is_up_to_date() -> None:
     """If the change is meant: `make schema`."""
     assert FILE.read_text(encoding="utf-8") == write_schema()
-    command = [sys.executable, "-m", "mbsgen.model.schema"]
+    command = [sys.executable, "-m", "mbsgen.model.file.schema"]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == write_schema()
 
 

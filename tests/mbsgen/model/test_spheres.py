@@ -15,12 +15,12 @@ from mbsgen.errors import InputError
 from mbsgen.formulations import catalogue
 from mbsgen.formulations.reductions import ALL
 from mbsgen.manifest import FIRST_LENGTH
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, contact, make_model, number, plane, prismatic, sphere
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
-from mbsgen.model.scene import Scene, stage
 from mbsgen.model.tree import Kind
 from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight

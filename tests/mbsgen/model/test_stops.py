@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from mbsgen.drawing import describe_joint
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, make_model, prismatic
 from mbsgen.model.reader import read_model
-from mbsgen.model.reduction import build_tree
-from mbsgen.model.releasing import with_runtime_numbers
 from mbsgen.model.tree import COORDINATE, RATE, DryFriction, Stops, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import generate

@@ -11,12 +11,12 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.formulations import exp1, exp2, semi
 from mbsgen.formulations.reductions import NONE
-from mbsgen.model.checks import find_faults
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.checks.checks import find_faults
+from mbsgen.model.checks.undetermined import check_undetermined_joints
 from mbsgen.model.construction import ball, body, cardan, fixed, make_model, planar, prismatic, revolute
 from mbsgen.model.model import BASE, Body, Fixed, Joint, Model
-from mbsgen.model.reduction import build_tree
 from mbsgen.model.tree import Tree
-from mbsgen.model.undetermined import check_undetermined_joints
 from mbsgen.pipeline import Options, make
 from mbsgen.tape.interpreter import evaluate
 

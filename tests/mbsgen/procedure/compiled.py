@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mbsgen.procedure.procedure import Procedure
-from mbsgen.targets.c import Sources, write_c
+from mbsgen.targets.c.files import Sources, write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.parts import LENGTH
 from mbsgen.targets.unit import Unit

@@ -23,10 +23,11 @@ from mbsgen.procedure.wires import Wire
 from mbsgen.tape.counts import Counts
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Op, Sparsity
-from mbsgen.targets import c_stages, python_stages
-from mbsgen.targets.c import write_c
+from mbsgen.targets.c import stages as c_stages
+from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family
-from mbsgen.targets.python import write_python
+from mbsgen.targets.python import stages as python_stages
+from mbsgen.targets.python.module import write_python
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.procedure.examples import X
 

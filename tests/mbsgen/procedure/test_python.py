@@ -14,7 +14,7 @@ import pytest
 
 from mbsgen.procedure.procedure import evaluate, interpret
 from mbsgen.tape.interpreter import DIGITS, FLOATS
-from mbsgen.targets.python import write_python
+from mbsgen.targets.python.module import write_python
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.procedure.examples import CLOSED, EXAMPLES, FAMILIES, POINT, complete, convert
 

@@ -26,7 +26,7 @@ from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.lowering import lower
 from mbsgen.tape.types import EVEN, FUNCTIONS, ODD, Op, Sparsity, Tape
 from mbsgen.targets.contract import Family
-from mbsgen.targets.python import write_python
+from mbsgen.targets.python.module import write_python
 from mbsgen.targets.unit import Unit
 from tests.sample import write_sample
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsgen.model.scene import Scene
+from mbsgen.model.changes.scene import Scene
 from mbsgen.pipeline import OptionError, Options, generate, make, read_tree, write_families
 from mbsgen.request import Request
 from mbsgen.tape.interpreter import DIGITS, evaluate

@@ -21,7 +21,7 @@ from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
-from mbsgen.targets.c import write_c
+from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family, faces
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.compilation import STRICT, Requires, run

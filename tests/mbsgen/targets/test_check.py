@@ -13,13 +13,13 @@ import pytest
 
 from mbsgen.families import write_families
 from mbsgen.formulations import ports
-from mbsgen.model.scene import Scene
+from mbsgen.model.changes.scene import Scene
 from mbsgen.pipeline import generate, read_tree
 from mbsgen.request import Options, merge
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.replay import declare_inputs, replay
 from mbsgen.tape.types import Tape
-from mbsgen.targets.agreement import compare
+from mbsgen.targets.c.agreement import compare
 from mbsgen.targets.contract import Family
 from mbsgen.verification.states import draw
 from tests.mbsgen.targets.compilation import Requires, run

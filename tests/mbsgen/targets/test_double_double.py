@@ -19,7 +19,7 @@ from mbsgen.roles import Role, name_low, name_precise
 from mbsgen.tape.interpreter import DIGITS
 from mbsgen.tape.ports import Function
 from mbsgen.tape.types import Tape
-from mbsgen.targets.c import write_c
+from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.double_double import add_double_double
 from mbsgen.targets.unit import Unit

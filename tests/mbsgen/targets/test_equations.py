@@ -10,7 +10,7 @@ import pytest
 from mbsgen.formulations import exp1, impl
 from mbsgen.pipeline import Options, make
 from mbsgen.scaling import ONE_PLAN, make_chain
-from mbsgen.targets.c import write_c
+from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.guarded import guarded_tape

@@ -27,7 +27,7 @@ from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
 from mbsgen.targets.contract import Family
-from mbsgen.targets.python import write_python
+from mbsgen.targets.python.module import write_python
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mbsgen.pipeline import Options, generate
-from mbsgen.targets import rust_stages
 from mbsgen.targets.parts import divide
-from mbsgen.targets.rust import name_item, write_string
+from mbsgen.targets.rust import stages as rust_stages
+from mbsgen.targets.rust.crate import name_item, write_string
 from mbsrun import load
 from tests.mbsgen.targets.compilation import Requires, run
 

@@ -14,7 +14,7 @@ from mbsgen.cli import cli
 from mbsgen.manifest import FILE_NAME, read
 from mbsgen.pipeline import Options, generate
 from mbsgen.request import OptionError
-from mbsgen.targets.symbols import check_prefix, describe_mangling
+from mbsgen.targets.c.symbols import check_prefix, describe_mangling
 from tests.mbsgen.targets.programs import read_numbers, run
 
 CC = ("cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0")

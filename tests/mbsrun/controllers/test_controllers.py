@@ -33,14 +33,14 @@ from mbsrun.controllers.writing import BARRIER, choose_barrier
 from mbsrun.external import Mechanism, OnDemand, load, load_on_demand
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.models import Extent
-from mbsrun.ocp import schemes
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.problem import Bounds, Control, Delay, Force, Problem, Symbolic, Unknown
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Force, Problem, Symbolic, Unknown
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import Solver
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.optimal.control import OptimalControl
 
 Requires = Callable[[str], str]

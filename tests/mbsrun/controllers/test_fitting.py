@@ -14,7 +14,7 @@ from mbsrun import bare
 from mbsrun.controllers.making import Made, make
 from mbsrun.external import load_on_demand
 from mbsrun.library import find_compiler
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 MODEL = """\
 name: pendulum

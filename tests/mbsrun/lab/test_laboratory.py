@@ -40,12 +40,12 @@ from mbsrun.lab.mechanisms import LOCKS, describe_lock, describe_spatial, draw, 
 from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
 from mbsrun.measuring.sections import read_folders
 from mbsrun.models import find_folder
+from mbsrun.ocp.ground.status import INFEASIBLE
 from mbsrun.ocp.methods import Answer
-from mbsrun.ocp.phases.solve import PhasedSolver
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.solution import Failure, Run, Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.status import INFEASIBLE
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.solution.solution import Failure, Run, Solution
+from mbsrun.ocp.solving.phases import PhasedSolver
+from mbsrun.ocp.solving.solve import solve
 from tests.picture_kinds import find_kind
 
 Measure = Callable[[Workspace], list[Finding]]

@@ -16,8 +16,8 @@ from mbsrun.measuring import solves
 from mbsrun.measuring.advice import Advice, Option
 from mbsrun.measuring.points import Cost, SolvePoint
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Representation
 from tests.picture_kinds import find_kind
 
 ROD = """

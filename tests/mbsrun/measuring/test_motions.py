@@ -17,7 +17,7 @@ from mbsrun.measuring.points import MotionPoint
 from mbsrun.measuring.store import Store
 from mbsrun.models import find_folder
 from mbsrun.simulation.drive import hold
-from mbsrun.simulation.methods import Formulation
+from mbsrun.simulation.integration.methods import Formulation
 
 PENDULUM = """
 name: pendulum

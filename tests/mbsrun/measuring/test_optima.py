@@ -18,8 +18,8 @@ from mbsrun.measuring.points import SolvePoint, write_points
 from mbsrun.measuring.sections import read_folders
 from mbsrun.measuring.solves import Case
 from mbsrun.measuring.store import Store
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Representation
 from tests.picture_kinds import find_kind
 
 PUSH = """

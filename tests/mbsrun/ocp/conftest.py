@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.peer import Peer
 from tests.mbsrun.peer_arm import peer_arm
 

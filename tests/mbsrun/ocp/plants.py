@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from mbsgen.manifest import Coordinate, Frame
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem
-from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Problem
 from tests.mbsrun.peer import FREE, Peer, explicit_functions, pose_functions, residual_function
 
 FREE_RANGE = (-np.inf, np.inf)

@@ -9,13 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends.casadi import CasadiProgram, Functions
-from mbsrun.ocp.backends.condensation import Condensed
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Constraint, Cost, End, Problem, Representation, Term
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.transcription import Transcription, transcribe
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.evaluation.backends.casadi import CasadiProgram, Functions
+from mbsrun.ocp.evaluation.backends.condensation import Condensed
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Constraint, Cost, End, Problem, Representation, Term
+from mbsrun.ocp.transcription.transcription import Transcription, transcribe
 from tests.mbsrun.peer import Peer
 
 

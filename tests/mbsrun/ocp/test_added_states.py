@@ -12,11 +12,10 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun import load
-from mbsrun.ocp import schemes
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.multistart import Wish, solve_from_many
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.problem import (
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import (
     Constraint,
     Control,
     Cost,
@@ -29,12 +28,13 @@ from mbsrun.ocp.problem import (
     Term,
     Unknown,
 )
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.searching.multistart import Wish, solve_from_many
+from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.plants import mechanism, push
 from tests.mbsrun.peer import Peer
 
@@ -175,8 +175,8 @@ def test_files_hold_states_and_controls(tmp_path: Path) -> None:
     ],
 )
 def test_guesses_of_states(state: State, start: float, end: float) -> None:
-    from mbsrun.ocp.guess import rest
-    from mbsrun.ocp.state_guess import complete
+    from mbsrun.ocp.guessing.guess import rest
+    from mbsrun.ocp.guessing.state_guess import complete
 
     problem = replace(push(10), states=(state,))
     guess = complete(rest(problem, schemes.build(problem.family, problem.degree)), problem, mass())

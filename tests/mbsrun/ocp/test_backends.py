@@ -15,16 +15,16 @@ from scipy import sparse
 
 import mbsrun
 from mbsgen.expressions import FUNCTIONS, parse
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends import numpy as in_numpy
-from mbsrun.ocp.backends.evaluations import FormulaEvaluation
-from mbsrun.ocp.backends.places import make_function
-from mbsrun.ocp.functions import Formula, Input
-from mbsrun.ocp.problem import Form, Problem, Representation
-from mbsrun.ocp.program import COMMON, Block, Program
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.transcription import transcribe
-from tests.mbsrun.ocp.programs import rich
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.evaluation.backends import numpy as in_numpy
+from mbsrun.ocp.evaluation.backends.evaluations import FormulaEvaluation
+from mbsrun.ocp.evaluation.backends.places import make_function
+from mbsrun.ocp.ground.functions import Formula, Input
+from mbsrun.ocp.ground.program import COMMON, Block, Program
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Form, Problem, Representation
+from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.cases.programs import rich
 from tests.mbsrun.peer import Peer, double_integrator
 
 SHOOTING = {"form": Form.SHOOTING, "horizon": 0.2}

@@ -9,10 +9,10 @@ import pytest
 from scipy import sparse
 
 from mbsrun.external import load
-from mbsrun.ocp.certificate import Point, certify, certify_motion, find_multipliers, is_convex_on
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.certificate import Point, certify, certify_motion, find_multipliers, is_convex_on
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.statement import read_problem
 from tests.shipped import FOLDER
 
 

@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.checks import ProblemError, check_problem
-from mbsrun.ocp.problem import (
+from mbsrun.ocp.problem.problem import (
     Bounds,
     Constraint,
     Cost,
@@ -21,7 +20,8 @@ from mbsrun.ocp.problem import (
     SolverOptions,
     Term,
 )
-from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.checks import ProblemError, check_problem
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import double_integrator
 

@@ -18,31 +18,43 @@ from mbsgen.pipeline import Options, make
 from mbsgen.roles import Role
 from mbsrun.closure import CLOSED, Closure
 from mbsrun.external import load_on_demand
-from mbsrun.ocp import methods, schemes
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends.numpy import build
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.integrators import SECOND_ORDER
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.preparation import settle
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Loops, Problem, Representation, SolverOptions, Term
-from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import JUMPED, OPEN, SOLVED
-from mbsrun.ocp.structure import structure
-from mbsrun.ocp.table import write_table
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp import methods
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.evaluation.backends.numpy import build
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.status import JUMPED, OPEN, SOLVED
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.problem.problem import (
+    Bounds,
+    Constraint,
+    Cost,
+    End,
+    Form,
+    Loops,
+    Problem,
+    Representation,
+    SolverOptions,
+    Term,
+)
+from mbsrun.ocp.problem.structure import structure
+from mbsrun.ocp.solution.phases import Guess, PhasedSolution
+from mbsrun.ocp.solution.solution import Failure, Solution, read_solution, write_solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.preparation import settle
+from mbsrun.ocp.solving.resimulation import Constant, accelerations, integrate, resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.cases.programs import check_derivatives, unroll
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
 from tests.mbsrun.ocp.phases.motions import cut, split
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
-from tests.mbsrun.ocp.programs import check_derivatives, unroll
 from tests.mbsrun.peer import Peer
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -444,7 +456,7 @@ def test_a_solve_that_leaves_loops_open_is_no_solution() -> None:
 def test_ipopt_is_asked_after_a_solve_that_leaves_loops_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here `mbs` calls every guess a solution."""
     hasty = replace(methods.METHODS["mbs"], make=lambda _: lambda start: methods.Answer(start.x, SOLVED, 1))
-    monkeypatch.setattr("mbsrun.ocp.phases.solve.METHODS", {**methods.METHODS, "mbs": hasty})
+    monkeypatch.setattr("mbsrun.ocp.solving.phases.METHODS", {**methods.METHODS, "mbs": hasty})
     found = solve_from_open_loops(SolverOptions(method="mbs", fallback=True))
     assert isinstance(found, Solution), found.finding
     assert found.run.method == "ipopt"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mbsrun import load
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.legs import LEG, SQUAT
 
 SPINNER = """

@@ -12,20 +12,20 @@ from scipy.linalg import null_space
 
 from mbsgen.errors import InputError
 from mbsrun import load
-from mbsrun.ocp import schemes
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.clashes import name_rows
-from mbsrun.ocp.contacts import find_held
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import End, Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import summarise
-from mbsrun.ocp.surplus import leave_out_surplus
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.contacts import find_held
+from mbsrun.ocp.problem.problem import End, Problem
+from mbsrun.ocp.showing.summary import summarise
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.statement.surplus import leave_out_surplus
+from mbsrun.ocp.transcription.clashes import name_rows
+from mbsrun.ocp.transcription.transcription import transcribe
 from tests.mbsrun.ocp.legs import LEG, SQUAT
 
 # A foot of 1 kg that slides freely, and a trunk of 4 kg that two drives move along x and z on it.

@@ -12,20 +12,20 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.design import equip
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_solution, write_phased_solution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.summary import summarise_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Form, Problem, Representation, Unknown
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.sensitivity import find_phased_sensitivities, find_sensitivities
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.optima.sensitivity import find_phased_sensitivities, find_sensitivities
+from mbsrun.ocp.problem.design import equip
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.problem.problem import Form, Problem, Representation, Unknown
+from mbsrun.ocp.showing.phase_summary import summarise_phases
+from mbsrun.ocp.solution.phases import PhasedSolution, read_phased_solution, write_phased_solution
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.phases.motions import split
 
 MODELS = Path(__file__).parents[3] / "models"

@@ -20,12 +20,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.sensitivity import find_sensitivities
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.optima.sensitivity import find_sensitivities
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 RIG = """\
 name: rig

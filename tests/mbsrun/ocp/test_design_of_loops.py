@@ -26,24 +26,24 @@ from scipy.optimize import minimize
 from mbsgen.errors import InputError
 from mbsrun.closure import CLOSED, Closure
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp import schemes
-from mbsrun.ocp.assembly import find_other_assembly
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.design import equip
-from mbsrun.ocp.guess import make_guess
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.problem import Form, Loops, Problem, Representation
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.sensitivity import find_sensitivities
-from mbsrun.ocp.solution import Solution, read_solution, write_solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import make_guess
+from mbsrun.ocp.guessing.state_guess import complete
+from mbsrun.ocp.optima.sensitivity import find_sensitivities
+from mbsrun.ocp.problem.design import equip
+from mbsrun.ocp.problem.problem import Form, Loops, Problem, Representation
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solving.assembly import find_other_assembly
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 GROUND, CRANK, COUPLER, G = 0.30, 0.10, 0.28, 9.81
 BAR = f"""\

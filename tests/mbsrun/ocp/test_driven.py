@@ -15,23 +15,23 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.kernel import Kernels
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.driving import Guide
-from mbsrun.ocp.integrators import SECOND_ORDER
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.pictures import make_trajectories
-from mbsrun.ocp.problem import Drive, Form, Loops, Problem, Representation
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.state_guess import complete
-from mbsrun.ocp.statement import read_problem, state_problem
-from mbsrun.ocp.summary import summarise
-from mbsrun.ocp.surplus import free_targets
-from mbsrun.ocp.table import write_table
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.state_guess import complete
+from mbsrun.ocp.problem.driving import Guide
+from mbsrun.ocp.problem.problem import Drive, Form, Loops, Problem, Representation
+from mbsrun.ocp.showing.pictures import make_trajectories
+from mbsrun.ocp.showing.summary import summarise
+from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem, state_problem
+from mbsrun.ocp.statement.surplus import free_targets
+from mbsrun.ocp.transcription.transcription import transcribe
 from mbsrun.simulation.inverse import Forces, balance
 
 MODELS = Path(__file__).parents[3] / "models"

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import SOLVED
+from mbsrun.ocp.ground.status import SOLVED
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 MASSES = """
 name: masses

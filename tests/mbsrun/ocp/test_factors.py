@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mbsrun.ocp.factors import Factors
+from mbsrun.ocp.ground.factors import Factors
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 24])

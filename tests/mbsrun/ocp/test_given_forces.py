@@ -10,14 +10,14 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun import load
-from mbsrun.ocp import schemes
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 BLOCK = """
 name: block

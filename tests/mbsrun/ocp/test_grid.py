@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mbsrun.ocp.grid import Grid, divide
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Term
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.ground.grid import Grid, divide
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Term
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import FREE_RANGE, pendulum
 from tests.mbsrun.peer import double_integrator
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import REACHED, adapt, balance, find_pose, interpolate, make_guess, rest
-from mbsrun.ocp.problem import Bounds, End, GuessOptions, Problem, cylindrical
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import REACHED, adapt, balance, find_pose, interpolate, make_guess, rest
+from mbsrun.ocp.problem.problem import Bounds, End, GuessOptions, Problem, cylindrical
 from tests.mbsrun.peer import Peer
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from mbsrun.ocp import linear
-from mbsrun.ocp.linear import FIRST, LAST, MUMPS, OWN, Version, choose, read_version, set_up
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.ground import linear
+from mbsrun.ocp.ground.linear import FIRST, LAST, MUMPS, OWN, Version, choose, read_version, set_up
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import double_integrator
 

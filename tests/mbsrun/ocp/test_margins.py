@@ -11,9 +11,9 @@ from click.testing import CliRunner, Result
 
 from mbsgen.errors import InputError
 from mbsrun.cli import cli
-from mbsrun.ocp.margins import TOLERATED, find_tolerated
-from mbsrun.ocp.phases.solution import read_phased_solution
-from mbsrun.ocp.solution import Margins, read_solution
+from mbsrun.ocp.solution.phases import read_phased_solution
+from mbsrun.ocp.solution.solution import Margins, read_solution
+from mbsrun.ocp.solving.margins import TOLERATED, find_tolerated
 from mbsrun.optimal.control import read_problem
 
 PUCK = """

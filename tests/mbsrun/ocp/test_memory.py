@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from mbsrun.ocp import checks
-from mbsrun.ocp.checks import ProblemError, check_problem
-from mbsrun.ocp.memory import Memory
-from mbsrun.ocp.problem import Cost, Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.ground.memory import Memory
+from mbsrun.ocp.problem.problem import Cost, Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement import checks
+from mbsrun.ocp.statement.checks import ProblemError, check_problem
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import double_integrator
 

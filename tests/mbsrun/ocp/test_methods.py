@@ -11,18 +11,18 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun.external import OnDemand
 from mbsrun.ocp import methods
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.status import SOLVED
+from mbsrun.ocp.guessing.guess import interpolate
 from mbsrun.ocp.methods import METHODS, Amount, Answer, Assignment, Instance
 from mbsrun.ocp.methods.nlpsol import count_iterations
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, SolverOptions, cylindrical
-from mbsrun.ocp.runs import Progress, call
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import SOLVED
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.problem.problem import Problem, SolverOptions, cylindrical
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.runs import Progress, call
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator

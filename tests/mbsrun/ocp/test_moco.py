@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from mbsrun import load
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from tests import peers
-from tests.mbsrun.ocp.muscles import FIBRES, STRENGTHS, TENDONS, pull
+from tests.mbsrun.ocp.statement.muscles import FIBRES, STRENGTHS, TENDONS, pull
 from tests.shipped import FOLDER
 
 

@@ -13,11 +13,11 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun import load
-from mbsrun.ocp.pictures import make_trajectories
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from tests.mbsrun.ocp.muscles import write_arm
+from mbsrun.ocp.showing.pictures import make_trajectories
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
+from tests.mbsrun.ocp.statement.muscles import write_arm
 from tests.shipped import FOLDER
 
 LIFT = FOLDER / "muscles" / "lift.ocp.yaml"

@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from mbsrun.ocp.integrators import SECOND_ORDER
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Bounds, Constraint, Cost, End, Problem, Representation, Term
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism, pendulum
 from tests.mbsrun.peer import Peer, double_integrator
 

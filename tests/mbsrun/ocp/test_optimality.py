@@ -14,20 +14,20 @@ from scipy.optimize import linprog
 from mbsrun.external import OnDemand, load_on_demand
 from mbsrun.lab.ends import draw
 from mbsrun.ocp import methods
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.program import Matrix
+from mbsrun.ocp.ground.status import ACCEPTABLE, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, STALLED
 from mbsrun.ocp.methods import METHODS, Answer, Assignment, Instance, Method
-from mbsrun.ocp.multistart import Wish, solve_from_many
-from mbsrun.ocp.optimality import Judgement, Point, bound, judge, linearise
-from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, SolverOptions, Term
-from mbsrun.ocp.program import Matrix
-from mbsrun.ocp.solution import Failure, Solution, read_solution, write_solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import ACCEPTABLE, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, STALLED
-from mbsrun.ocp.summary import summarise
+from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Problem, SolverOptions, Term
+from mbsrun.ocp.searching.multistart import Wish, solve_from_many
+from mbsrun.ocp.showing.summary import summarise
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Failure, Solution, read_solution, write_solution
+from mbsrun.ocp.solving.optimality import Judgement, Point, bound, judge, linearise
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.tracking.solving import SolvingController
 from tests.mbsrun.ocp.plants import push
 
@@ -281,7 +281,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: str, method: str = "mbs") -> 
         return solve_wrongly
 
     changed = {**METHODS, method: Method(own.title, own.options, make, own.warm, own.calls_casadi, own.has_threads)}
-    monkeypatch.setattr("mbsrun.ocp.phases.solve.METHODS", changed)
+    monkeypatch.setattr("mbsrun.ocp.solving.phases.METHODS", changed)
     return calls
 
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 import mbsrun
 from mbsgen.expressions import evaluate, parse
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.orienting import Condition, list_conditions, point, turn_by, turn_to
-from mbsrun.ocp.problem import Aims
-from mbsrun.ocp.status import UNREACHABLE
+from mbsrun.ocp.ground.status import UNREACHABLE
+from mbsrun.ocp.problem.problem import Aims
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.orienting import Condition, list_conditions, point, turn_by, turn_to
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.result import Solved
 from mbsrun.simulation.drive import ARRAYS

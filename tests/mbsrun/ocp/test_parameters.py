@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from mbsrun.external import load, load_on_demand
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 MODEL = """\
 name: pendulum

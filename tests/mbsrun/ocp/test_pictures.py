@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from mbsgen.manifest import Manifest
-from mbsrun.ocp.pictures import draw_mechanism, plot_trajectories
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.showing.pictures import draw_mechanism, plot_trajectories
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 

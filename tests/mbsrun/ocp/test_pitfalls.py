@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from mbsrun.lab.optimisation import state_catch, state_swing_up
-from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.problem import Cost, Term
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.guessing.guess import interpolate
+from mbsrun.ocp.problem.problem import Cost, Term
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
 from tests.mbsrun.ocp.plants import cart_pole, unstable
 from tests.mbsrun.peer import Peer
 

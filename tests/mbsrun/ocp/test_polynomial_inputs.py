@@ -12,14 +12,14 @@ import pytest
 from benchmarks.kkt.problems import PROBLEMS
 from benchmarks.kkt.transcription import collocate, transcribe
 from mbsrun import Mechanism, load
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Form, Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.table import list_motion
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Form, Problem
+from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solution.table import list_motion
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 
 CART_POLE = Path(__file__).parents[3] / "models" / "classics" / "cart_pole.ocp.yaml"
 QUIET = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}

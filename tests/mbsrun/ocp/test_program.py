@@ -8,9 +8,9 @@ import pytest
 from scipy import sparse
 
 from mbsgen.expressions import parse
-from mbsrun.ocp.backends.casadi import CasadiProgram
-from mbsrun.ocp.functions import Formula, Input
-from mbsrun.ocp.program import Block, Program
+from mbsrun.ocp.evaluation.backends.casadi import CasadiProgram
+from mbsrun.ocp.ground.functions import Formula, Input
+from mbsrun.ocp.ground.program import Block, Program
 from tests.mbsrun.peer import double_integrator
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mbsgen.expressions import ExpressionError
-from mbsrun.ocp.backends.places import make_function
-from mbsrun.ocp.functions import Formula
-from mbsrun.ocp.layout import Motions
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.quantities import formulate, list_quantities
+from mbsrun.ocp.evaluation.backends.places import make_function
+from mbsrun.ocp.ground.functions import Formula
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.transcription.layout import Motions
+from mbsrun.ocp.transcription.quantities import formulate, list_quantities
 from mbsrun.quantities import RARE
 from tests.mbsrun.peer import Peer
 

@@ -18,22 +18,22 @@ from mbsgen.model.writer import write_model
 from mbsrun import Mechanism
 from mbsrun.external import load_on_demand
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp import formulas
-from mbsrun.ocp.backends.condensation import build as build_functions
-from mbsrun.ocp.functions import KernelResult
-from mbsrun.ocp.guess import bump, find_pose, interpolate, make_guess, rest
+from mbsrun.ocp.evaluation.backends.condensation import build as build_functions
+from mbsrun.ocp.ground import formulas
+from mbsrun.ocp.ground.functions import KernelResult
+from mbsrun.ocp.ground.schemes import Family, build
+from mbsrun.ocp.guessing.guess import bump, find_pose, interpolate, make_guess, rest
 from mbsrun.ocp.methods.ipopt import pair
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.pictures import animate, plot_trajectories
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family, build
-from mbsrun.ocp.solution import Solution, read_guess, write_solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.problem.problem import Bounds, Constraint, Cost, End, Form, Problem, Representation, Term
+from mbsrun.ocp.showing.pictures import animate, plot_trajectories
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution, read_guess, write_solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.drive import ARRAYS
 from tests.mbsrun.ocp.phases.motions import split

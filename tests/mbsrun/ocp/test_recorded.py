@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
-from mbsrun.ocp import schemes
-from mbsrun.ocp.guess import adapt, find_inputs
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem
-from mbsrun.ocp.recorded import find_guess
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.guessing.guess import adapt, find_inputs
+from mbsrun.ocp.guessing.recorded import find_guess
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole
 from tests.mbsrun.peer import Peer
 

@@ -11,15 +11,15 @@ import pytest
 from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
-from mbsrun.ocp import schemes
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution, read_solution, write_solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.plants import mechanism
 from tests.mbsrun.peer import Peer
 

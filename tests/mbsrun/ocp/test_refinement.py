@@ -12,14 +12,14 @@ from matplotlib.patches import Rectangle
 from scipy.integrate import solve_ivp
 
 from mbsrun.commands.console import keep_grid
-from mbsrun.ocp.pictures import make_mesh
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Refinement, Representation
-from mbsrun.ocp.refinement import choose_grid, refine
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Resimulation, Round, Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.summary import list_shortcomings, summarise
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Refinement, Representation
+from mbsrun.ocp.searching.refinement import choose_grid, refine
+from mbsrun.ocp.showing.pictures import make_mesh
+from mbsrun.ocp.showing.summary import list_shortcomings, summarise
+from mbsrun.ocp.solution.solution import Resimulation, Round, Solution, read_solution, write_solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum
 
 ACCURACY = 1e-7
@@ -130,7 +130,7 @@ def test_a_refinement_that_ends_early_claims_nothing(monkeypatch: pytest.MonkeyP
     assert failed.refinement.finding.startswith("on the next grid, ")
     assert failed.refinement.rounds[1].cost is None
     assert any("Maximum_Iterations_Exceeded" in line for line in summarise(failed).values())
-    monkeypatch.setattr("mbsrun.ocp.refinement.resimulate_phases", None)  # and nothing else is solved
+    monkeypatch.setattr("mbsrun.ocp.searching.refinement.resimulate_phases", None)  # and nothing else is solved
     for check, finding in (
         (Resimulation(None, None, None, False, unfinished="no time"), "the re-simulation did not finish, no time"),
         (Resimulation(None, None, None, False), "gave up"),

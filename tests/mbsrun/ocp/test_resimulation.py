@@ -13,10 +13,10 @@ from scipy.special import ellipj
 
 from mbsgen.manifest import Coordinate
 from mbsrun.limits import Limits
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import Constant, accelerations, integrate, resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import Constant, accelerations, integrate, resimulate
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import FREE, Peer, double_integrator, residual_function
 

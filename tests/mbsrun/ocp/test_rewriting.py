@@ -15,14 +15,14 @@ import pytest
 
 import mbsrun
 from mbsgen.errors import InputError
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.pictures import make_trajectories
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import summarise, write_line
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.showing.pictures import make_trajectories
+from mbsrun.ocp.showing.summary import summarise, write_line
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.optimal.result import Solved
 from tests.mbsrun.ocp.plants import mechanism
 from tests.mbsrun.peer import Peer

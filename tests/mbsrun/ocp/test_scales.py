@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.scales import round_scale
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.scales import round_scale
 
 LANDER = """
 horizon: {guess: 4, range: [1, 10]}

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from mbsrun.ocp import schemes
-from mbsrun.ocp.schemes import Family, Scheme
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family, Scheme
 
 EPS = np.finfo(float).eps
 ALL = [(family, degree) for family in Family for degree in schemes.DEGREES]

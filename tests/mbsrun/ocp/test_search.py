@@ -14,19 +14,19 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.kernel import KernelError, Place
-from mbsrun.ocp import schemes
-from mbsrun.ocp.attempts import list_open_tasks, summarise
-from mbsrun.ocp.executor import LocalExecutor, Worker, choose_options
-from mbsrun.ocp.guess import bump, interpolate
-from mbsrun.ocp.mirror import find_mirror, reflect
-from mbsrun.ocp.problem import Control, Problem, Representation
-from mbsrun.ocp.record import Attempt, Best, Record, Task, open_record
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.search import Job, Outcome, OutOfTimeError, Search
-from mbsrun.ocp.status import UNREACHABLE
-from mbsrun.ocp.study import Study, Targets, identify
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.trials import MULTISTART, Found, Interpolation, ProtocolName, Trial, plan_round, restate
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.status import UNREACHABLE
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import bump, interpolate
+from mbsrun.ocp.guessing.mirror import find_mirror, reflect
+from mbsrun.ocp.problem.problem import Control, Problem, Representation
+from mbsrun.ocp.searching.attempts import list_open_tasks, summarise
+from mbsrun.ocp.searching.executor import LocalExecutor, Worker, choose_options
+from mbsrun.ocp.searching.search import Job, Outcome, OutOfTimeError, Search
+from mbsrun.ocp.searching.study import Study, Targets, identify
+from mbsrun.ocp.searching.trials import MULTISTART, Found, Interpolation, ProtocolName, Trial, plan_round, restate
+from mbsrun.ocp.solution.record import Attempt, Best, Record, Task, open_record
 from tests.mbsrun.peer import Peer
 
 TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
@@ -36,8 +36,8 @@ TARGETS = Targets(0.64, (0.0, 0.02, 0.04), (0.0,), every=(2, 1))
 def study(reach: Problem, monkeypatch: pytest.MonkeyPatch) -> Study:
     """Two small steps aside on a coarse grid, with few starts: a solve takes some hundredths of a second."""
     none = {"noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
-    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", {"bumps": (2, 1), **none})
-    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (0, 0))
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.COUNTS", {"bumps": (2, 1), **none})
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.HOPS", (0, 0))
     coarse = replace(reach, intervals=5, degree=2)
     return Study(coarse, "hand", TARGETS, ((1.0, 10.0), (1.0, 0.0)), (Representation.IMPL,), (0, 3))
 
@@ -92,9 +92,9 @@ def test_a_search_hops_until_nothing_is_lower(
     study: Study, arm: Peer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the best without whole turns and from the best with; each round uses the round before."""
-    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (1, 1))
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.HOPS", (1, 1))
     counts = dict.fromkeys(("bumps", "noise", "waves", "branches"), (0, 0)) | {"turns": (1, 1)}
-    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", counts)
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.COUNTS", counts)
     one = replace(study, targets=replace(TARGETS, every=(3, 1)), costs=((1.0, 10.0),), turning=(0,))
     seen = carry_out(one, arm, tmp_path / "record", "robust")
     hops = [attempt for attempt in seen if attempt.part == "hops"]
@@ -177,7 +177,7 @@ def test_paper_protocol_is_one_solve_of_each(study: Study, arm: Peer, tmp_path: 
 def test_what_is_out_of_reach_is_recorded_and_open(
     study: Study, arm: Peer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mbsrun.ocp.guess.STARTS", 2)
+    monkeypatch.setattr("mbsrun.ocp.guessing.guess.STARTS", 2)
     far = replace(study, targets=Targets(1.5, (0.0,), (0.0,)), costs=((1.0, 10.0),))
     seen = carry_out(far, arm, tmp_path / "record", "robust")
     assert {attempt.status for attempt in seen} == {UNREACHABLE}

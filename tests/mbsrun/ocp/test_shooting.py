@@ -13,22 +13,22 @@ import pytest
 
 from mbsrun.lab.optimisation import state_catch
 from mbsrun.lab.optimisation import state_swing_up as swing_up
-from mbsrun.ocp import integrators, schemes
-from mbsrun.ocp.backends.condensation import Condensed, build
-from mbsrun.ocp.guess import interpolate
-from mbsrun.ocp.integrators import SECOND_ORDER
+from mbsrun.ocp.evaluation.backends.condensation import Condensed, build
+from mbsrun.ocp.ground import integrators, schemes
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.guessing.guess import interpolate
 from mbsrun.ocp.methods import Answer, Instance
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solve import PhasedSolver, solve_phases
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
-from mbsrun.ocp.resimulation import Constant, integrate, resimulate
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Representation, Term, cylindrical
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.phases import PhasedSolver, solve_phases
+from mbsrun.ocp.solving.resimulation import Constant, integrate, resimulate
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.cases.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.ocp.phases.motions import split
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
-from tests.mbsrun.ocp.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
 
 EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}

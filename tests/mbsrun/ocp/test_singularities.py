@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from mbsrun.cli import cli
-from mbsrun.ocp.solution import Failure
-from mbsrun.ocp.status import INVALID, explain
+from mbsrun.ocp.ground.status import INVALID, explain
+from mbsrun.ocp.solution.solution import Failure
 from mbsrun.optimal.control import read_problem
 
 GRID = "horizon: 2\nintervals: 10\nscheme: radau\ndegree: 3\n"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Run, Solution, read_solution, write_solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.status import ACCEPTABLE
+from mbsrun.ocp.ground.status import ACCEPTABLE
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Run, Solution, read_solution, write_solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.peer import Peer
 
 

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from mbsrun.external import load
-from mbsrun.ocp import schemes
-from mbsrun.ocp.backends.casadi import Functions
-from mbsrun.ocp.backends.condensation import build
-from mbsrun.ocp.guess import interpolate
+from mbsrun.ocp.evaluation.backends.casadi import Functions
+from mbsrun.ocp.evaluation.backends.condensation import build
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
+from mbsrun.ocp.guessing.guess import interpolate
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.methods.ipopt import pair
-from mbsrun.ocp.phases.problem import list_one
-from mbsrun.ocp.problem import Bounds, Constraint, Cost, End, Problem, SolverOptions, Term, cylindrical
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import BAD_BOUNDS, BAD_GUESS, UNREACHABLE
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.problem.phases import list_one
+from mbsrun.ocp.problem.problem import Bounds, Constraint, Cost, End, Problem, SolverOptions, Term, cylindrical
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism, push
 from tests.mbsrun.peer import Peer, double_integrator, pose_functions, residual_function
 from tests.shipped import FOLDER

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mbsrun import load
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 
 SLEDS = """
 name: sleds

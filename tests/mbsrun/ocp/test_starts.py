@@ -12,22 +12,38 @@ import pytest
 
 from mbsrun.external import load_on_demand
 from mbsrun.lab.optimisation import state_swing_up
-from mbsrun.ocp import record as records
-from mbsrun.ocp import schemes
-from mbsrun.ocp.attempts import count_finds, describe_search, find_lowest, list_open_tasks, list_turned, summarise
-from mbsrun.ocp.executor import Worker
-from mbsrun.ocp.guess import find_pose, interpolate, scatter_poses
-from mbsrun.ocp.multistart import describe_starts, gather, list_starts, state_study
-from mbsrun.ocp.pictures import plot_starts
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.record import Attempt, Best, Task, open_record
-from mbsrun.ocp.search import Job
-from mbsrun.ocp.solution import Start, Starts
-from mbsrun.ocp.starts import Kind, Variation, add_waves, coarsen, count_turns, describe_turns, list_turning, vary
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.study import Targets
-from mbsrun.ocp.trials import COUNTS, plan_round, restate
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.guessing.guess import find_pose, interpolate, scatter_poses
+from mbsrun.ocp.guessing.starts import (
+    Kind,
+    Variation,
+    add_waves,
+    coarsen,
+    count_turns,
+    describe_turns,
+    list_turning,
+    vary,
+)
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.searching.attempts import (
+    count_finds,
+    describe_search,
+    find_lowest,
+    list_open_tasks,
+    list_turned,
+    summarise,
+)
+from mbsrun.ocp.searching.executor import Worker
+from mbsrun.ocp.searching.multistart import describe_starts, gather, list_starts, state_study
+from mbsrun.ocp.searching.search import Job
+from mbsrun.ocp.searching.study import Targets
+from mbsrun.ocp.searching.trials import COUNTS, plan_round, restate
+from mbsrun.ocp.showing.pictures import plot_starts
+from mbsrun.ocp.solution import record as records
+from mbsrun.ocp.solution.record import Attempt, Best, Task, open_record
+from mbsrun.ocp.solution.solution import Start, Starts
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator

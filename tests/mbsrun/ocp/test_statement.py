@@ -10,9 +10,9 @@ import pytest
 from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Argument, Wrench
 from mbsgen.roles import Role
-from mbsrun.ocp.problem import Constraint, Cost, Form, Problem, Representation, Term
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.problem import Constraint, Cost, Form, Problem, Representation, Term
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.peer import Peer
 
 GOOD = """\

@@ -13,8 +13,8 @@ import pytest
 
 from mbsrun.cli import main
 from mbsrun.commands import cases
-from mbsrun.ocp.cases import CaseSolver
-from mbsrun.ocp.solution import read_solution
+from mbsrun.ocp.cases.cases import CaseSolver
+from mbsrun.ocp.solution.solution import read_solution
 
 MODEL = Path(__file__).parents[3] / "models" / "cart_pole.yaml"
 PROBLEM = f"""model: {MODEL}

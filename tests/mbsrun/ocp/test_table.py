@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator
 

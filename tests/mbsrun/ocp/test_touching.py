@@ -11,18 +11,18 @@ from scipy.integrate import solve_ivp
 from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.phases.summary import summarise_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.summary import summarise
-from mbsrun.ocp.touching import list_steps
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.problem.touching import list_steps
+from mbsrun.ocp.showing.phase_summary import summarise_phases
+from mbsrun.ocp.showing.summary import summarise
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 from tests.shipped import FOLDER
 
 BLOCK, PUSH = FOLDER / "contact" / "block.yaml", FOLDER / "contact" / "push.ocp.yaml"

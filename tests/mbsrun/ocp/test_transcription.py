@@ -9,15 +9,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.backends.condensation import build
-from mbsrun.ocp.integrators import SECOND_ORDER
+from mbsrun.ocp.evaluation.backends.condensation import build
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.methods.ipopt import pair
-from mbsrun.ocp.problem import Bounds, Cost, End, Form, Problem, Representation
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.structure import structure
-from mbsrun.ocp.trajectory import Trajectory
-from mbsrun.ocp.transcription import Transcription, transcribe
-from tests.mbsrun.ocp.programs import (
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Representation
+from mbsrun.ocp.problem.structure import structure
+from mbsrun.ocp.transcription.transcription import Transcription, transcribe
+from tests.mbsrun.ocp.cases.programs import (
     TABLE_3,
     check_derivatives,
     evaluate_rows,

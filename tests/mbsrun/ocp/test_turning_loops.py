@@ -16,13 +16,13 @@ from mbsrun.closure import CLOSED, Closure
 from mbsrun.measuring.mechanisms import draw_states
 from mbsrun.measuring.reference import Reference
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.checks import find_loop_conflicts
-from mbsrun.ocp.guess import find_inputs
-from mbsrun.ocp.problem import Form, Loops, Problem
-from mbsrun.ocp.resimulation import resimulate
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.guessing.guess import find_inputs
+from mbsrun.ocp.problem.problem import Form, Loops, Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.resimulation import resimulate
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import find_loop_conflicts
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.quaternions import list_divided, list_entries
 
 LOOPS = ("loops", "loop_rates", "loop_jacobian", "loop_forces")

@@ -14,12 +14,12 @@ import pytest
 
 import mbsrun
 from mbsgen.errors import InputError, MbsError
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.problem import Plants, list_one
-from mbsrun.ocp.programs import KEPT, Programs
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve as solve_value
+from mbsrun.ocp.cases.programs import KEPT, Programs
+from mbsrun.ocp.problem.phases import Plants, list_one
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.solving.solve import solve as solve_value
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.progress import Board, draw_curve, find_display
 from mbsrun.optimal.result import MissingPackageError, Solved, Unsolved
@@ -104,7 +104,7 @@ def test_copies_of_one_structure_share_a_program(swing: OptimalControl, solved: 
 
 def test_the_latest_programs_are_kept(swing: OptimalControl, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    make = "mbsrun.ocp.programs.PhasedSolver"
+    make = "mbsrun.ocp.cases.programs.PhasedSolver"
     monkeypatch.setattr(make, lambda whole, _: made.append(whole.phases[0].problem.intervals))
     programs = Programs()
     variants = [list_one(swing.with_changes(intervals=n).value) for n in range(2, 4 + KEPT)]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import mbsrun
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH, SPLIT, STUCK
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.continuation import TURNING
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.derivatives import PARTS, NoDerivativeError

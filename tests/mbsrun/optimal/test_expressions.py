@@ -15,14 +15,14 @@ import mbsrun
 from mbsgen.expressions import parse
 from mbsrun.controllers.making import make
 from mbsrun.jets import compose_dependences, depend
-from mbsrun.ocp.backends import condensation
-from mbsrun.ocp.backends import numpy as in_numpy
-from mbsrun.ocp.backends.evaluations import FormulaEvaluation
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Formula, Input, SymbolicCall
-from mbsrun.ocp.phases.problem import Plants, list_one
-from mbsrun.ocp.problem import Form, Problem, Representation
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.evaluation.backends import numpy as in_numpy
+from mbsrun.ocp.evaluation.backends.evaluations import FormulaEvaluation
+from mbsrun.ocp.ground.functions import Formula, Input, SymbolicCall
+from mbsrun.ocp.problem.phases import Plants, list_one
+from mbsrun.ocp.problem.problem import Form, Problem, Representation
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.transcription.transcription import transcribe
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.quantities import make_functions
 from mbsrun.optimal.result import Solved

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import mbsrun
-from mbsrun.ocp import cases
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.solve import PhasedSolver
+from mbsrun.ocp.cases import cases
+from mbsrun.ocp.solving.phases import PhasedSolver
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.control import OptimalControl
 from mbsrun.optimal.many import NAMED, SolvedMany, change, list_cases
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases

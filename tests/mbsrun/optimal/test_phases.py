@@ -13,8 +13,8 @@ import yaml
 
 import mbsrun
 from mbsgen.errors import MbsError
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases
 from mbsrun.optimal.result import Unsolved
 from mbsrun.results import UnknownNameError

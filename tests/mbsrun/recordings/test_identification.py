@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.recordings import read_recording
 from tests.recordings_made import ANGLE_NOISE, FOLDER, FRICTION, INERTIA, NOISE, place_markers, swing, swing_pendulum
 

@@ -20,7 +20,7 @@ from mbsgen.expressions import parse
 from mbsrun import Mechanism, load
 from mbsrun.simulation import METHODS, Formulation, Motion, Settings, simulate
 from mbsrun.simulation.drive import Drive, express, hold, hold_steps
-from mbsrun.simulation.methods import Family
+from mbsrun.simulation.integration.methods import Family
 from mbsrun.simulation.motion import Energy
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "iftomm_A01_pendulum.json").read_text())

@@ -26,18 +26,10 @@ from mbsrun import Mechanism, cli, load
 from mbsrun.closure import Closure, OpenError
 from mbsrun.kernel import find_place
 from mbsrun.models import Extent, find_folder
-from mbsrun.simulation import (
-    Formulation,
-    Keeping,
-    Motion,
-    Settings,
-    follow,
-    radau,
-    record,
-    simulate,
-)
+from mbsrun.simulation import Formulation, Keeping, Motion, Settings, follow, record, simulate
 from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.drive import Drive, control, express, hold
+from mbsrun.simulation.integration import radau
 from mbsrun.simulation.inverse import FreeError, invert
 from tests.mbsrun.carousel import CAROUSEL
 

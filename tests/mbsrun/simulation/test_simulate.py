@@ -22,9 +22,10 @@ from mbsgen.resources import folder
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import ArgumentError
 from mbsrun.recordings import read_recording
-from mbsrun.simulation import METHODS, Formulation, Settings, explicit, simulate
+from mbsrun.simulation import METHODS, Formulation, Settings, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
-from mbsrun.simulation.methods import Family, complete_settings
+from mbsrun.simulation.integration import explicit
+from mbsrun.simulation.integration.methods import Family, complete_settings
 from mbsrun.simulation.record import draw_motion
 from mbsrun.simulation.statement import Statement, read_statement
 from tests.picture_kinds import find_kind

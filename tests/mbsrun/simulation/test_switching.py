@@ -17,8 +17,8 @@ from mbsgen.expressions import parse
 from mbsrun import Mechanism, cli, load
 from mbsrun.models import INTEGRATED, Extent
 from mbsrun.simulation import Course, Drive, Kind, Mode, Motion, Settings, control, differentiate, simulate
-from mbsrun.simulation.complementarity import ComplementarityError, solve_bounded
 from mbsrun.simulation.drive import express, hold
+from mbsrun.simulation.integration.complementarity import ComplementarityError, solve_bounded
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.drawn_trees import draw_tree
 

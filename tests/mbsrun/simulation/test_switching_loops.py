@@ -18,8 +18,8 @@ from mbsrun.closure import Closure
 from mbsrun.models import Extent
 from mbsrun.simulation import Course, Drive, Keeping, Kind, Mode, Motion, Settings, simulate
 from mbsrun.simulation.closing import complete_velocities
-from mbsrun.simulation.complementarity import solve_redundant
 from mbsrun.simulation.drive import express, hold
+from mbsrun.simulation.integration.complementarity import solve_redundant
 from tests.mbsrun.simulation.conftest import MODELS
 
 Array = NDArray[np.float64]

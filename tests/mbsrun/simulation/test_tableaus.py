@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate
 from scipy.special import roots_jacobi
 
-from mbsrun.ocp import schemes
-from mbsrun.simulation.tableaus import DOP853, RK45
+from mbsrun.ocp.ground import schemes
+from mbsrun.simulation.integration.tableaus import DOP853, RK45
 
 
 def test_dormand_and_princes_methods_are_scipys() -> None:

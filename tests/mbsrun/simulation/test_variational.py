@@ -23,9 +23,10 @@ from scipy.special import ellipj
 from mbsgen.expressions import parse
 from mbsrun import Mechanism
 from mbsrun.models import Extent, find_folder
-from mbsrun.simulation import Motion, Settings, control, rattle, simulate
+from mbsrun.simulation import Motion, Settings, control, simulate
 from mbsrun.simulation.drive import express, hold
-from mbsrun.simulation.groups import find_group
+from mbsrun.simulation.integration import rattle
+from mbsrun.simulation.integration.groups import find_group
 
 TOP = """
 name: NAME

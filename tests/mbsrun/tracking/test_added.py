@@ -21,11 +21,11 @@ from mbsgen.output import write_folder
 from mbsrun import Controller, Mechanism, cli
 from mbsrun.controllers.making import make
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Kick, Noise, Plant, SolvingController, Track, Trial, record, track
 from mbsrun.tracking.analysis import find_margins

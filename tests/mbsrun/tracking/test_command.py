@@ -15,8 +15,8 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun import Mechanism, cli
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.statement import read_problem, state_problem
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.statement import read_problem, state_problem
 from mbsrun.recordings.references import Reference
 from mbsrun.tracking import record
 from mbsrun.tracking.record import FILES

@@ -18,8 +18,8 @@ from mbsgen.output import write_folder
 from mbsrun import Controller, Mechanism, cli
 from mbsrun.controllers.making import make
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Kick, Noise, Plant, SolvingController, Trial, record, track
 from mbsrun.tracking.compiled import CompiledController, MisfitError, Stepping

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from mbsgen.expressions import ExpressionError, parse
 from mbsrun import Mechanism
-from mbsrun.ocp.problem import Bounds
+from mbsrun.ocp.problem.problem import Bounds
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Decision, Fallback, Kick, Noise, NoPlanError, Plant, Push, Track, Trial, track
 

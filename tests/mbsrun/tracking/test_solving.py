@@ -12,10 +12,10 @@ from mbsgen.expressions import Expression, parse
 from mbsrun import Mechanism
 from mbsrun.external import Mechanism as Loaded
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp.grid import Grid
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.trajectory import Trajectory, move_ahead
+from mbsrun.ocp.ground.grid import Grid
+from mbsrun.ocp.ground.trajectory import Trajectory, move_ahead
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.simulation.motion import Settings
 from mbsrun.tracking import Horizon, Noise, Plant, SolvingController, Track, Trial, track
 from mbsrun.tracking.mechanisms import load_simulated

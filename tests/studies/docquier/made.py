@@ -7,9 +7,9 @@ from typing import cast
 
 import numpy as np
 
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.study import Study, Targets
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.searching.study import Study, Targets
+from mbsrun.ocp.solution.record import Attempt, Task
 from studies.docquier.results import Results
 
 SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)

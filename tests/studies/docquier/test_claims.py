@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from mbsrun.measuring.sections import Picture
-from mbsrun.ocp.record import Attempt, Task
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.solution.record import Attempt, Task
 from studies.docquier import spread
 from studies.docquier.campaign import describe_missing
 from studies.docquier.claims import CLAIMS

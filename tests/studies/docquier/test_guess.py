@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mbsrun.measuring.sections import Table
-from mbsrun.ocp.record import Attempt
+from mbsrun.ocp.solution.record import Attempt
 from studies.docquier.questions import answer_guess
 from studies.docquier.results import Results
 from tests.studies.docquier.made import ROUGH, SMOOTH, make

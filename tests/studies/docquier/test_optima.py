@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from mbsrun.measuring.sections import Table
-from mbsrun.ocp.certificate import Certificate
-from mbsrun.ocp.record import Attempt, Task, open_record
-from mbsrun.ocp.search import Progress
-from mbsrun.ocp.study import Study
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.searching.search import Progress
+from mbsrun.ocp.searching.study import Study
+from mbsrun.ocp.solution.record import Attempt, Task, open_record
+from mbsrun.ocp.solving.certificate import Certificate
 from studies.docquier import optima
 from studies.docquier.optima import describe_optima, list_optima, tabulate_optima
 from studies.docquier.robustness import State, describe_lower, report_robust

@@ -36,15 +36,15 @@ from mbsrun.measuring.sections import (
     write_section,
     write_table,
 )
-from mbsrun.ocp.attempts import find_lowest
-from mbsrun.ocp.cluster import ClusterError, open_workers
-from mbsrun.ocp.executor import LocalExecutor
-from mbsrun.ocp.problem import Representation
-from mbsrun.ocp.record import Attempt, Task, open_record
-from mbsrun.ocp.search import LOST, LostMotionError, Progress, Search
-from mbsrun.ocp.solve import Solver
-from mbsrun.ocp.study import Study, Targets, identify
-from mbsrun.ocp.trials import Found, Trial
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.searching.attempts import find_lowest
+from mbsrun.ocp.searching.cluster import ClusterError, open_workers
+from mbsrun.ocp.searching.executor import LocalExecutor
+from mbsrun.ocp.searching.search import LOST, LostMotionError, Progress, Search
+from mbsrun.ocp.searching.study import Study, Targets, identify
+from mbsrun.ocp.searching.trials import Found, Trial
+from mbsrun.ocp.solution.record import Attempt, Task, open_record
+from mbsrun.ocp.solving.solve import Solver
 from studies.docquier.campaign import (
     QUESTIONS,
     STORE,
@@ -73,7 +73,9 @@ from studies.docquier.robustness import State, describe_outcome, find_state, lis
 
 MODELS = Path(__file__).parents[3] / "models"
 COUNTS = {"bumps": (6, 2), "noise": (0, 0), "waves": (0, 0), "branches": (0, 0), "turns": (0, 0)}
-FEW = f"import mbsrun.ocp.trials as s; s.COUNTS, s.HOPS = {COUNTS}, (0, 0); from mbsrun.cli import main; main()"
+FEW = (
+    f"import mbsrun.ocp.searching.trials as s; s.COUNTS, s.HOPS = {COUNTS}, (0, 0); from mbsrun.cli import main; main()"
+)
 AZIMUTHS = (0.7, 1.3, 7)
 SMOOTH, ROUGH = (1.0, 10.0), (1.0, 0.0)
 
@@ -97,8 +99,8 @@ def subject(problem: Path) -> Subject:
 @pytest.fixture
 def campaign(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Campaign:
     """State the robust protocol for seven targets, with few starts."""
-    monkeypatch.setattr("mbsrun.ocp.trials.COUNTS", COUNTS)
-    monkeypatch.setattr("mbsrun.ocp.trials.HOPS", (0, 0))
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.COUNTS", COUNTS)
+    monkeypatch.setattr("mbsrun.ocp.searching.trials.HOPS", (0, 0))
     targets = Targets(0.55, tuple(np.linspace(*AZIMUTHS).tolist()), (0.0,))
     study = Study(subject.problem, "hand", targets, (SMOOTH, ROUGH), (Representation.IMPL,), (0, 1), method="mbs")
     return Campaign(subject, study, ("robust",), (), (), is_quick=True)

@@ -10,7 +10,7 @@ from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Met
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
 from mbsrun.ocp.methods.stages import STAGES
-from mbsrun.ocp.problem import SolverName, SolverOptions
+from mbsrun.ocp.problem.problem import SolverName, SolverOptions
 
 __all__ = [
     "METHODS",

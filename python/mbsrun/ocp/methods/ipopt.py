@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from mbsrun.ocp.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
+from mbsrun.ocp.ground.linear import LINEAR_SOLVERS, MUMPS, OWN, set_up
 from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Choice, Option, Settings
 
 if TYPE_CHECKING:
     import casadi as ca
 
-    from mbsrun.ocp.backends.casadi import Differentiated
+    from mbsrun.ocp.evaluation.backends.casadi import Differentiated
 
 LINEAR_SOLVER = "linear_solver"  # by default MUMPS, if one of MUMPS's options is given; else the project's
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.methods.options import Option, Settings
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import casadi as ca
 
-from mbsrun.ocp.backends.casadi import Differentiated
+from mbsrun.ocp.evaluation.backends.casadi import Differentiated
+from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.methods.method import Answer, Instance, Iterate, Solver
-from mbsrun.ocp.status import SOLVED
 
 # Sensitivities to parameters, which nobody asks for, and for which CasADi would differentiate the whole.
 UNDIFFERENTIATED: Mapping[str, bool] = {"calc_lam_p": False, "no_nlp_grad": True}

@@ -12,8 +12,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from mbsrun.ocp.backends.casadi import Differentiated
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.evaluation.backends.casadi import Differentiated
+from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.methods.method import Answer, Instance
 
 

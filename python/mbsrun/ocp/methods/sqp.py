@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mbsrun.ocp.linear import OWN, set_up
+from mbsrun.ocp.ground.linear import OWN, set_up
 from mbsrun.ocp.methods.ipopt import QUIET
 from mbsrun.ocp.methods.method import Assignment, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, Amount, Choice, Option

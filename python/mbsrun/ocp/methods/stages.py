@@ -12,16 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.functions import Array, Indices
-from mbsrun.ocp.memory import Memory
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.evaluation.stages import binding
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.evaluation.stages.tables import StageProgram
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.memory import Memory
+from mbsrun.ocp.ground.program import Program
+from mbsrun.ocp.ground.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNumbersError
 from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
 from mbsrun.ocp.methods.options import COUNT, POSITIVE, SWITCH, Amount, Option, Settings
-from mbsrun.ocp.program import Program
-from mbsrun.ocp.stages import binding
-from mbsrun.ocp.stages.building import build
-from mbsrun.ocp.stages.tables import StageProgram
-from mbsrun.ocp.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNumbersError
 
 STAGES_OPTIONS: Mapping[str, Option] = {
     "acceptable_iterations": COUNT,

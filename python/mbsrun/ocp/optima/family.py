@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.judging import Outcome
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.movement import Movement, Numbers
 from mbsrun.ocp.optima.point import find_optimum
 from mbsrun.ocp.optima.questions import Answer
-from mbsrun.ocp.phases.problem import PhasedProblem
-from mbsrun.ocp.status import ACCEPTABLE, SOLVED
+from mbsrun.ocp.problem.phases import PhasedProblem
+from mbsrun.ocp.solving.judging import Outcome
+from mbsrun.ocp.statement.checks import ProblemError
 
 STRAIGHT = 1e-9  # of a number of the program, over its size
 

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from mbsrun.closure import find_closure
-from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Problem, Unknown
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants
+from mbsrun.ocp.problem.problem import Problem, Unknown
 
 
 def list_parameters(problem: PhasedProblem, plants: Plants) -> dict[str, float]:

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.status import DEPENDENT, NOT_CONVERGED
 from mbsrun.ocp.optima.symmetric import Factors
-from mbsrun.ocp.program import Matrix
 
 FIRST, LAST = 1e-9, 1e-18  # mu, of numbers divided by their sizes
 BOUNDARY = 0.995  # part of the way to a limit

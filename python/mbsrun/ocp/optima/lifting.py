@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from mbsrun.ocp.functions import Formula
-from mbsrun.ocp.program import Block, Matrix, Program
+from mbsrun.ocp.ground.functions import Formula
+from mbsrun.ocp.ground.program import Block, Matrix, Program
 
 
 def lift_constants(program: Program) -> Program:

@@ -20,13 +20,13 @@ from functools import cached_property
 
 import numpy as np
 
-from mbsrun.ocp.backends.numpy import build
-from mbsrun.ocp.backends.prepared import Prepared
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.evaluation.backends.numpy import build
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.lifting import lift_constants
 from mbsrun.ocp.optima.point import Optimum
 from mbsrun.ocp.optima.status import CHANGING, SMOOTH, SPLIT, STUCK
-from mbsrun.ocp.program import Matrix
 
 SAME = 1e-9  # of derivatives that ought to be equal, over the largest
 STEP = 1e-3  # of differences of order four, over the size of the change

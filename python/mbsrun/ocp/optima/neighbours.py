@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.optima.movement import Movement
 from mbsrun.ocp.optima.point import Active, assemble
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, SMOOTH

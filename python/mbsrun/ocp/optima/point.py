@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from mbsrun.ocp.functions import Array, Indices
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.program import Matrix, Program
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.interior import Task
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH
 from mbsrun.ocp.optima.symmetric import Factors
-from mbsrun.ocp.program import Matrix, Program
 
 WEAK = 1e-8  # a multiplier over the gradient, or a distance over the size, that says nothing
 CLEAR, SURE = 1e-3, 1e-5  # the larger one of a distance and a multiplier, at least; the smaller one, at most

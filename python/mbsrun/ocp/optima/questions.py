@@ -14,16 +14,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from mbsrun.ocp.checks import Line, ProblemError
-from mbsrun.ocp.functions import Array
+from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.held import hold, list_parameters
 from mbsrun.ocp.optima.movement import Movement, Numbers, take_differences
 from mbsrun.ocp.optima.point import find_optimum
-from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants, equip_phases
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
-from mbsrun.ocp.phases.solve import Make, PhasedSolver
-from mbsrun.ocp.problem import Unknown
+from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.problem.problem import Unknown
+from mbsrun.ocp.solution.phases import Guess, PhasedSolution
+from mbsrun.ocp.solving.phases import Make, PhasedSolver
+from mbsrun.ocp.statement.checks import Line, ProblemError
 
 T = TypeVar("T")
 

@@ -12,9 +12,9 @@ from functools import cache
 import numpy as np
 from scipy import sparse
 
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.linear import compile_own
-from mbsrun.ocp.program import Matrix
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.linear import compile_own
+from mbsrun.ocp.ground.program import Matrix
 
 ROUNDS = 4  # of scaling
 ZERO = 1e-14  # a pivot that is none, where entries are about 1

@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from mbsrun.ocp.phases.problem import Link, Phase, PhasedProblem
-from mbsrun.ocp.problem import Bounds, Cost, End, Problem, Term
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.trajectory import Trajectory
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.phases import Link, Phase, PhasedProblem
+from mbsrun.ocp.problem.problem import Bounds, Cost, End, Problem, Term
 from tests.mbsrun.ocp.plants import FREE_RANGE
 
 MESH = ("t", "q", "qd")

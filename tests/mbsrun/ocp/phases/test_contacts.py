@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mbsgen.manifest import Coordinate, Frame, Wrench
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.problem import Condition, Impact, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.transcription import transcribe_phases
-from mbsrun.ocp.problem import Bounds, Contact, Cost, End, GuessOptions, Problem, Term, WrenchComponent
-from mbsrun.ocp.schemes import Family
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.problem.phases import Condition, Impact, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.problem.problem import Bounds, Contact, Cost, End, GuessOptions, Problem, Term, WrenchComponent
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.transcription.phases import transcribe_phases
 from tests.mbsrun.ocp.phases.motions import free_start
 from tests.mbsrun.ocp.plants import FREE_RANGE
 from tests.mbsrun.peer import FREE, Peer, pose_functions

@@ -15,12 +15,12 @@ import pytest
 from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 
 MODEL = """
 name: cart

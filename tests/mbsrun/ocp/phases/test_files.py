@@ -17,12 +17,12 @@ from mbsgen.errors import InputError
 from mbsrun.cli import cli
 from mbsrun.commands import solve as solving
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.files import write_files
-from mbsrun.ocp.phases.problem import Plants
-from mbsrun.ocp.phases.solution import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.problem import End, Form, Representation
+from mbsrun.ocp.problem.phases import Plants
+from mbsrun.ocp.problem.problem import End, Form, Representation
+from mbsrun.ocp.showing.files import write_files
+from mbsrun.ocp.solution.phases import PhasedSolution, read_phased_guess, read_phased_solution, write_phased_solution
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.statement.phases import read_phased_problem
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 from tests.mbsrun.peer import Peer, double_integrator

@@ -15,9 +15,9 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
-from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
+from mbsrun.ocp.solution.phases import Guess, PhasedSolution
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.statement.phases import read_phased_problem
 
 MODEL = """
 name: crane

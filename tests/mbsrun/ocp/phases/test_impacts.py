@@ -13,18 +13,18 @@ import pytest
 from mbsgen.manifest import Coordinate, Frame, Wrench
 from mbsgen.pipeline import read_tree
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.backends.numpy import NumpyProgram
-from mbsrun.ocp.phases.guess import solve_links
-from mbsrun.ocp.phases.impacts import ImpactRows
-from mbsrun.ocp.phases.problem import Impact, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.phases.transcription import transcribe_phases
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.problem import Bounds, Contact, Cost, End, GuessOptions, Loops, Problem, Term
-from mbsrun.ocp.schemes import Family
-from mbsrun.ocp.solution import Failure
+from mbsrun.ocp.evaluation.backends.numpy import NumpyProgram
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.guessing.phases import solve_links
+from mbsrun.ocp.problem.phases import Impact, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.problem.problem import Bounds, Contact, Cost, End, GuessOptions, Loops, Problem, Term
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.phases import solve_phases
+from mbsrun.ocp.statement.phases import read_phased_problem
+from mbsrun.ocp.transcription.impacts import ImpactRows
+from mbsrun.ocp.transcription.phases import transcribe_phases
 from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE
 from tests.mbsrun.peer import FREE, Peer, pose_functions

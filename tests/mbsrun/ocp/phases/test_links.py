@@ -8,17 +8,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.ocp.backends.casadi import CasadiProgram
-from mbsrun.ocp.backends.numpy import NumpyProgram
-from mbsrun.ocp.phases.problem import Condition, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import Guess, PhasedSolution
-from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.phases.summary import summarise_phases
-from mbsrun.ocp.phases.transcription import transcribe_phases
-from mbsrun.ocp.problem import Cost, End, Refinement, Representation, State, Term, Unknown
-from mbsrun.ocp.refinement import refine_phases
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import solve
+from mbsrun.ocp.evaluation.backends.casadi import CasadiProgram
+from mbsrun.ocp.evaluation.backends.numpy import NumpyProgram
+from mbsrun.ocp.problem.phases import Condition, Link, Phase, PhasedProblem, Plants
+from mbsrun.ocp.problem.problem import Cost, End, Refinement, Representation, State, Term, Unknown
+from mbsrun.ocp.searching.refinement import refine_phases
+from mbsrun.ocp.showing.phase_summary import summarise_phases
+from mbsrun.ocp.solution.phases import Guess, PhasedSolution
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.transcription.phases import transcribe_phases
 from tests.mbsrun.ocp.phases.motions import cut, free_start, split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole, mechanism, push
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mbsrun.ocp.multistart import Wish
-from mbsrun.ocp.phases.multistart import solve_phases_from_many
-from mbsrun.ocp.phases.problem import Phase, PhasedProblem, Plants
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.summary import summarise_phases
-from mbsrun.ocp.solution import Failure, Starts
+from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants
+from mbsrun.ocp.searching.multistart import Wish
+from mbsrun.ocp.searching.phases import solve_phases_from_many
+from mbsrun.ocp.showing.phase_summary import summarise_phases
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Failure, Starts
 from tests.mbsrun.ocp.phases.motions import split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 

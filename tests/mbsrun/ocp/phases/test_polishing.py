@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.phases.polishing import Equations, polish
-from mbsrun.ocp.program import Matrix
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.program import Matrix
+from mbsrun.ocp.solving.polishing import Equations, polish
 
 NONE = np.full(3, np.inf)
 

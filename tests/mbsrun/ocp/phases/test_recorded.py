@@ -12,13 +12,13 @@ from click.testing import CliRunner
 
 from mbsgen.errors import InputError
 from mbsrun.cli import cli
-from mbsrun.ocp.phases.problem import PhasedProblem, Plants
-from mbsrun.ocp.phases.recorded import find_phased_guess
-from mbsrun.ocp.phases.solution import Guess, PartialGuess, PhasedSolution, read_phased_solution
-from mbsrun.ocp.phases.solve import Ready, prepare_phases, solve_phases
-from mbsrun.ocp.solution import Solution
-from mbsrun.ocp.solve import solve
-from mbsrun.ocp.table import write_table
+from mbsrun.ocp.guessing.recorded_phases import find_phased_guess
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants
+from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution, read_phased_solution
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solution.table import write_table
+from mbsrun.ocp.solving.phases import Ready, prepare_phases, solve_phases
+from mbsrun.ocp.solving.solve import solve
 from tests.mbsrun.ocp.phases.motions import cut, split, swing_up
 from tests.mbsrun.ocp.plants import cart_pole
 from tests.mbsrun.peer import Peer

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.checks import ProblemError
-from mbsrun.ocp.phases.solution import PhasedSolution
-from mbsrun.ocp.phases.solve import resimulate_phases, solve_phases
-from mbsrun.ocp.phases.statement import read_phased_problem
-from mbsrun.ocp.solution import Failure
+from mbsrun.ocp.solution.phases import PhasedSolution
+from mbsrun.ocp.solution.solution import Failure
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.statement.checks import ProblemError
+from mbsrun.ocp.statement.phases import read_phased_problem
 
 SLIDER = """
 name: slider

@@ -9,10 +9,10 @@ import casadi as ca
 import pytest
 
 from mbsgen.errors import InputError
-from mbsrun.ocp.phases.problem import PhasedProblem
-from mbsrun.ocp.phases.statement import has_phases, read_phased_problem
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.phases import PhasedProblem
+from mbsrun.ocp.statement.phases import has_phases, read_phased_problem
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.plants import cart_pole, mechanism
 from tests.mbsrun.peer import Peer, double_integrator
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp.problem import Problem
-from mbsrun.ocp.statement import read_problem
+from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.conftest import MODELS
 
 

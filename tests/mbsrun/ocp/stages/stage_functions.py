@@ -15,12 +15,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from mbsrun.ocp.backends.numpy import NumpyProgram
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.plant import Plant
-from mbsrun.ocp.program import Program
-from mbsrun.ocp.stages.binding import Evaluator, fill
-from mbsrun.ocp.stages.tables import Nonzeros, StageProgram
+from mbsrun.ocp.evaluation.backends.numpy import NumpyProgram
+from mbsrun.ocp.evaluation.stages.binding import Evaluator, fill
+from mbsrun.ocp.evaluation.stages.tables import Nonzeros, StageProgram
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.program import Program
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,15 @@ from scipy import sparse
 
 from mbsgen.expressions import parse
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.functions import Formula, Input
-from mbsrun.ocp.problem import Form, Loops, Problem, Representation
-from mbsrun.ocp.program import Block, Program, Stages
-from mbsrun.ocp.stages.binding import Evaluator, Tables
-from mbsrun.ocp.stages.building import build
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.evaluation.stages.binding import Evaluator, Tables
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.ground.functions import Formula, Input
+from mbsrun.ocp.ground.program import Block, Program, Stages
+from mbsrun.ocp.problem.problem import Form, Loops, Problem, Representation
+from mbsrun.ocp.statement.statement import read_problem
+from mbsrun.ocp.transcription.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
-from tests.mbsrun.ocp.stages.stage_functions import compare
+from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
 from tests.mbsrun.peer import Peer, double_integrator
 
 

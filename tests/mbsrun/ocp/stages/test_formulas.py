@@ -15,9 +15,9 @@ from mpmath import MPContext
 from mbsgen import resources
 from mbsgen.expressions import FUNCTIONS, PRIMITIVES, Algebra, Expression, ExpressionError, evaluate, parse
 from mbsrun.jets import depend, make_dependences
-from mbsrun.ocp.functions import Array, Formula, Input
-from mbsrun.ocp.stages.formulas import patterns, write
-from mbsrun.ocp.stages.tables import Derivative
+from mbsrun.ocp.evaluation.stages.formulas import patterns, write
+from mbsrun.ocp.evaluation.stages.tables import Derivative
+from mbsrun.ocp.ground.functions import Array, Formula, Input
 
 # Every function and operator, of entries of two inputs, a parameter and a number of data.
 TEXTS = (

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.ocp.problem import Problem, Representation
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.statement import read_problem
-from mbsrun.ocp.status import SOLVED
-from tests.mbsrun.ocp.stages.shipped import read
+from mbsrun.ocp.ground.status import SOLVED
+from mbsrun.ocp.problem.problem import Problem, Representation
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.statement import read_problem
+from tests.mbsrun.ocp.evaluation.stages.shipped import read
 
 
 @pytest.fixture(scope="module")

@@ -17,16 +17,16 @@ from mbsrun.controllers.sources import name_kernel, read_kernels
 from mbsrun.external import load_on_demand
 from mbsrun.library import find_compiler
 from mbsrun.models import Extent, find_folder
-from mbsrun.ocp.functions import Array
-from mbsrun.ocp.problem import Constraint, Cost, Term
-from mbsrun.ocp.stages import formulas
-from mbsrun.ocp.stages.binding import Evaluator, list_lifted
-from mbsrun.ocp.stages.building import build
-from mbsrun.ocp.stages.calls import name_called
-from mbsrun.ocp.stages.tables import FormulaFunction, KernelFunction, StageProgram
-from mbsrun.ocp.transcription import transcribe
+from mbsrun.ocp.evaluation.stages import formulas
+from mbsrun.ocp.evaluation.stages.binding import Evaluator, list_lifted
+from mbsrun.ocp.evaluation.stages.building import build
+from mbsrun.ocp.evaluation.stages.calls import name_called
+from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, KernelFunction, StageProgram
+from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.problem.problem import Constraint, Cost, Term
+from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
 from tests.mbsrun.ocp.plants import push
-from tests.mbsrun.ocp.stages.stage_functions import compare
 
 EPSILON = np.finfo(np.float64).eps
 MASS = """

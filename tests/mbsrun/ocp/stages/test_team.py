@@ -12,15 +12,15 @@ import pytest
 
 from mbsgen.errors import MbsError
 from mbsrun.library import CompileError
-from mbsrun.ocp.checks import ProblemError
+from mbsrun.ocp.evaluation.stages import interface
+from mbsrun.ocp.evaluation.stages import threads as teams
 from mbsrun.ocp.methods import METHODS
-from mbsrun.ocp.problem import Form, Problem, Representation, SolverOptions
-from mbsrun.ocp.runs import Progress
-from mbsrun.ocp.solution import Failure, Solution
-from mbsrun.ocp.solve import Solver, solve
-from mbsrun.ocp.stages import interface
-from mbsrun.ocp.stages import threads as teams
-from tests.mbsrun.ocp.stages.shipped import read
+from mbsrun.ocp.problem.problem import Form, Problem, Representation, SolverOptions
+from mbsrun.ocp.solution.solution import Failure, Solution
+from mbsrun.ocp.solving.runs import Progress
+from mbsrun.ocp.solving.solve import Solver, solve
+from mbsrun.ocp.statement.checks import ProblemError
+from tests.mbsrun.ocp.evaluation.stages.shipped import read
 
 SHOOTING = {"form": Form.SHOOTING, "representation": Representation.EXP1_O}
 CASES: dict[str, tuple[str, dict[str, Any]]] = {

@@ -1,0 +1,1 @@
+"""Functions of a motion: energies, poses, velocities, reactions, forces of elements."""

@@ -1,0 +1,1 @@
+"""Models of OpenSim: `reading` makes the draft."""

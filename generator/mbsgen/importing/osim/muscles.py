@@ -1,0 +1,257 @@
+"""Muscles and springs of OpenSim along paths -> lines through points, and laws of their tension.
+
+A path has points that are fixed in frames, that move with coordinates, or that it passes in a range of a coordinate.
+OpenSim widens such a range by 1e-5, and holds a point that moves where its coordinate leaves its own range. Each muscle
+becomes one with the curves of De Groote and others (2016). Others than DeGrooteFregly2016Muscle keep their numbers as
+Moco's ModOpReplaceMusclesWithDeGrooteFregly2016 keeps them; a RigidTendonMuscle has a rigid tendon.
+
+Source: OpenSim's documentation of its classes and their defaults.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from mbsgen.documents import abbreviate, nearest
+from mbsgen.expressions import Expression, Name, Number, Operation, is_free_name, parse, substitute
+from mbsgen.importing.closing import X
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.markup import Element
+from mbsgen.importing.osim.forces import is_on
+from mbsgen.importing.osim.frames import Frames, Mount
+from mbsgen.importing.osim.functions import Sum, find_function, read_function, write_number
+from mbsgen.model.model import ZERO
+from mbsgen.model.muscles import LENGTH, LENGTH_RATE, Muscle
+
+MUSCLES = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle", "Thelen2003Muscle", "RigidTendonMuscle")
+PATH_SPRING = "PathSpring"
+PATHS = (*MUSCLES, PATH_SPRING)
+POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
+WIDENING = 1e-5  # of the range of a point, rad or m
+_AXES = "xyz"
+_SPRING = parse(f"stiffness*max({LENGTH} - rest, 0)*(1 + dissipation*{LENGTH_RATE})")
+_NUMBERS: Mapping[str, tuple[str, float]] = {  # of all muscles
+    "strength": ("max_isometric_force", 1000.0),
+    "fibre": ("optimal_fiber_length", 0.1),
+    "tendon": ("tendon_slack_length", 0.2),
+    "pennation": ("pennation_angle_at_optimal", 0.0),
+    "speed": ("max_contraction_velocity", 10.0),
+}
+_OWN: Mapping[str, Mapping[str, tuple[str, float]]] = {
+    "DeGrooteFregly2016Muscle": {
+        "damping": ("fiber_damping", 0.0),
+        "passive": ("passive_fiber_strain_at_one_norm_force", 0.6),
+        "width": ("active_force_width_scale", 1.0),
+        "tendon_strain": ("tendon_strain_at_one_norm_force", 0.049),
+    },
+    "Thelen2003Muscle": {"passive": ("FmaxMuscleStrain", 0.6), "tendon_strain": ("FmaxTendonStrain", 0.04)},
+    "Millard2012EquilibriumMuscle": {"damping": ("fiber_damping", 0.1)},
+    "RigidTendonMuscle": {},
+}
+_VANISHING = ("tendon", "pennation", "damping")
+_CURVES: Mapping[str, tuple[str, float]] = {  # of Millard's muscles: elements with strain_at_one_norm_force
+    "passive": ("FiberForceLengthCurve", 0.7),
+    "tendon_strain": ("TendonForceLengthCurve", 0.049),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point of a path."""
+
+    mount: Mount
+    location: tuple[float, ...]
+    shift: tuple[Sum, ...] = ()  # of a point that moves: its coordinates
+    presence: tuple[str, float, float] | None = None  # a coordinate, and the range in which the path passes the point
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A muscle or a spring along a path."""
+
+    name: str
+    element: Element
+    points: tuple[Point, ...]
+    force: Expression = ZERO
+    muscle: Muscle | None = None
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Return the signals that its muscle reads."""
+        if self.muscle is None:
+            return ()
+        given = (self.muscle.activation, self.muscle.tendon_force)
+        return tuple(x.name for x in given if isinstance(x, Name))
+
+
+@dataclass
+class Paths:
+    """Reads the lines of a file."""
+
+    frames: Frames
+    findings: Findings
+    coordinates: Mapping[str, Element]
+    ranges: Mapping[str, tuple[float | None, float | None]]  # of coordinates
+    is_nested: bool  # as in versions 2 and 3
+
+    def read(self, element: Element) -> Line | None:
+        """Read a muscle or a spring of PATHS; None, with a notice or a fault, where there is none."""
+        if not is_on(element):
+            self.findings.tell(element, "it is switched off in the file: left out")
+            return None
+        path = element.first("GeometryPath") or element.first("path")
+        if path is not None and path.tag == "path":
+            path = path.first("GeometryPath")
+        if path is None:
+            self.findings.fault(element, "no GeometryPath", "give the points of its path")
+            return None
+        if wrapped := [*_list_objects(path, "PathWrapSet")]:
+            names = sorted({_read_text(x, "wrap_object") for x in wrapped})
+            text = (
+                f"its path wraps around {', '.join(map(abbreviate, names))}, which is not read: its force is left out"
+            )
+            self.findings.warn(element, text)
+            return None
+        found = [self._read_point(x) for x in _list_objects(path, "PathPointSet")]
+        points = tuple(x for x in found if x is not None)
+        if len(found) < 2:
+            self.findings.fault(path, f"a path of {len(found)} points", "give at least two")
+        ends = [x for x in (points[:1] + points[-1:]) if x.presence is not None]
+        if ends:
+            self.findings.fault(path, "it begins or ends at a conditional point", "give a PathPoint there")
+        if len(found) < 2 or len(points) < len(found) or ends:
+            return None
+        name = element.attributes.get("name", "") or element.tag
+        if element.tag == PATH_SPRING:
+            return Line(name, element, points, self._read_spring(element))
+        return Line(name, element, points, muscle=self._read_muscle(element, name))
+
+    def _read_point(self, element: Element) -> Point | None:
+        if element.tag not in POINTS:
+            self.findings.fault(
+                element, f"a point of the kind {abbreviate(element.tag)}", f"give one of {', '.join(POINTS)}"
+            )
+            return None
+        body = element.first("body")
+        nested = self.is_nested or (body is not None and element.first("socket_parent_frame") is None)
+        if nested:
+            mount = self.frames.find_body(body, element)
+        else:
+            mount = self.frames.find(element.first("socket_parent_frame"), element)
+        if mount is None:
+            return None
+        if element.tag == "MovingPathPoint":
+            sums = [self._read_place(element, axis) for axis in _AXES]
+            kept = tuple(x for x in sums if x is not None)
+            return Point(mount, (0.0, 0.0, 0.0), kept) if len(kept) == len(sums) else None
+        location = self.frames.read_vector(element, "location")
+        if element.tag == "PathPoint":
+            return Point(mount, location)
+        presence = self._read_presence(element)
+        return None if presence is None else Point(mount, location, presence=presence)
+
+    def _read_presence(self, element: Element) -> tuple[str, float, float] | None:
+        name = self._find_coordinate(element, "coordinate")
+        bounds = element.first("range")
+        if name is None or bounds is None:
+            if bounds is None:
+                self.findings.fault(element, "a conditional point without a range", "give it two numbers")
+            return None
+        lower, upper = self.findings.numbers(bounds, "range", (0.0, 0.0), attributes={"range": bounds.text})
+        if lower > upper:
+            self.findings.fault(bounds, f"a range from {lower:g} to {upper:g}", "swap them")
+        return name, lower - WIDENING, upper + WIDENING
+
+    def _read_place(self, element: Element, axis: str) -> Sum | None:
+        place = element.first(f"{axis}_location")
+        function = None if place is None else find_function(place)
+        if function is None:
+            self.findings.fault(element, f"no {axis}_location", "give it a function")
+            return None
+        if function.tag == "Constant":
+            return read_function(function, [], self.findings)
+        name = self._find_coordinate(element, f"{axis}_coordinate")
+        return None if name is None else self._clamp(read_function(function, [name], self.findings), name)
+
+    def _clamp(self, amount: Sum, name: str) -> Sum:
+        """Hold a place where its coordinate leaves its range."""
+        text = X
+        for function, bound in zip(("max", "min"), self.ranges.get(name, (None, None)), strict=True):
+            text = text if bound is None else f"{function}({text}, {write_number(bound)})"
+        if text == X:
+            return amount
+        curves: list[tuple[str, Expression]] = [
+            (name, Operation("*", Number(slope), parse(text))) for slope in amount.slopes.values()
+        ]
+        curves += [(name, substitute(curve, {X: parse(text)})) for _, curve in amount.curves]
+        return Sum(amount.constant, curves=tuple(curves))
+
+    def _find_coordinate(self, element: Element, tag: str) -> str | None:
+        child = element.first(f"socket_{tag}") or element.first(tag)
+        name = "" if child is None else child.text.rsplit("/", 1)[-1]
+        if name in self.coordinates:
+            return name
+        meant = nearest(name, list(self.coordinates))
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a coordinate of the file"
+        finding = f"there is no coordinate {abbreviate(name)}" if name else f"no {tag}"
+        self.findings.fault(element if child is None else child, finding, remedy)
+        return None
+
+    def _read_spring(self, element: Element) -> Expression:
+        given = {"stiffness": "stiffness", "rest": "resting_length", "dissipation": "dissipation"}
+        return substitute(_SPRING, {key: Number(self._number(element, tag, 0.0)) for key, tag in given.items()})
+
+    def _read_muscle(self, element: Element, name: str) -> Muscle:
+        tag = element.tag
+        given = {**_NUMBERS, **_OWN[tag]}
+        numbers = {key: self._number(element, *pair) for key, pair in given.items()}
+        if tag == "Millard2012EquilibriumMuscle":
+            for key, (curve, default) in _CURVES.items():
+                own = element.first(curve)
+                numbers[key] = default if own is None else self._number(own, "strain_at_one_norm_force", default)
+        for key, value in numbers.items():
+            self._check(
+                element, given[key][0] if key in given else _CURVES[key][0], value, may_vanish=key in _VANISHING
+            )
+        if _is_true(element, "ignore_passive_fiber_force"):
+            numbers["passive"] = 0.0
+        signal = spell_signal(name)
+        is_rigid = _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
+        values = {key: Number(x) for key, x in numbers.items() if not (is_rigid and key == "tendon_strain")}
+        tendon = None if is_rigid else Name(f"{signal}_tendon")
+        return Muscle(activation=Name(signal), tendon_force=tendon, **values)
+
+    def _check(self, element: Element, tag: str, value: float, *, may_vanish: bool) -> None:
+        child = element.first(tag) or element
+        if value < 0 or (value == 0 and not may_vanish):
+            self.findings.fault(child, f"{tag} is {value:g}", f"give {'0 or more' if may_vanish else 'more than 0'}")
+        elif tag == _NUMBERS["pennation"][0] and value >= math.pi / 2:
+            self.findings.fault(child, f"{tag} is {value:g} rad", "give less than a quarter turn, in rad")
+
+    def _number(self, element: Element, tag: str, default: float) -> float:
+        child = element.first(tag)
+        return default if child is None else self.findings.number(child, tag, default, {tag: child.text})
+
+
+def spell_signal(name: str) -> str:
+    """Return the name of a muscle as expressions have it."""
+    word = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return word if is_free_name(word) and word not in (LENGTH, LENGTH_RATE, "t") else f"muscle_{word}"
+
+
+def _list_objects(path: Element, name: str) -> Iterator[Element]:
+    found = path.first(name)
+    objects = None if found is None else found.first("objects")
+    yield from () if objects is None else objects.children
+
+
+def _read_text(element: Element, tag: str) -> str:
+    child = element.first(tag)
+    return "" if child is None else child.text
+
+
+def _is_true(element: Element, tag: str) -> bool:
+    return _read_text(element, tag).lower() in ("true", "1")

@@ -1,0 +1,1 @@
+"""The shape of a model file: its sections, in one schema."""

@@ -1,0 +1,228 @@
+"""Force elements and contacts in a model file: sections -> parts of a Model."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from mbsgen.documents import Section
+from mbsgen.expressions import Number
+from mbsgen.model.file.loops import LoopEndSection
+from mbsgen.model.model import (
+    BASE,
+    GROUND,
+    HERTZ,
+    ORIGIN,
+    UNITS,
+    WIDTH,
+    ZERO,
+    Block,
+    Cable,
+    Contact,
+    ForceElement,
+    Grip,
+    Other,
+    PathPoint,
+    Plane,
+    Presence,
+    Sphere,
+    Wheel,
+)
+from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
+from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
+
+
+class PresenceSection(Section):
+    """The range of a coordinate in which a line passes a point."""
+
+    number: str = Field(examples=["q_knee"], description="q_NAME of a joint")
+    range: tuple[NumberField, NumberField] = Field(examples=[[-0.5, 0.2]], description="rad or m")
+
+
+class PathPointSection(LoopEndSection):
+    """A point that the line of a force passes."""
+
+    shift: TripleField = Field(
+        ORIGIN, examples=[["0.01*q_knee", 0.0, 0.0]], description="along its axes, over q_NAME of joints, m"
+    )
+    presence: PresenceSection | None = Field(
+        None, alias="while", examples=[{"number": "q_knee", "range": [-0.5, 0.2]}], description="else always"
+    )
+
+    @property
+    def point(self) -> PathPoint:
+        """The same as a part of a Model."""
+        own = self.presence
+        presence = None if own is None else Presence(own.number, *own.range)
+        return PathPoint(self.body, self.placement, self.shift, presence)
+
+
+class TendonSection(Section):
+    """An elastic tendon, in series with the fibres of a muscle."""
+
+    force: NumberField = Field(examples=["soleus_tendon"], description="over the strength: a signal, as a rule")
+    strain: NumberField = Field(STRAIN, examples=[0.049], description="at which it pulls with the strength")
+
+
+class MuscleSection(Section):
+    """A muscle of Hill's type, with the curves of De Groote and others (2016)."""
+
+    strength: NumberField = Field(examples=[450.0], description="largest isometric force, N")
+    fibre: NumberField = Field(examples=[0.11], description="length at which fibres are strongest, m")
+    tendon: NumberField = Field(examples=[0.06], description="length of the slack tendon, m")
+    activation: NumberField = Field(examples=["deltoid"], description="a signal, as a rule")
+    pennation: NumberField = Field(ZERO, examples=["15 deg"], description="of fibres of that length, rad")
+    speed: NumberField = Field(SPEED, examples=[10.0], description="at which they shorten without force, lengths/s")
+    damping: NumberField = Field(ZERO, examples=[0.01], description="of fibres: force over strength at that speed")
+    passive: NumberField = Field(
+        PASSIVE, examples=[0.6], description="strain of passive fibres that pull with the strength; 0: none pull"
+    )
+    width: NumberField = Field(ONE, examples=[1.5], description="by which the curve of active force is stretched")
+    elastic: TendonSection | None = Field(None, examples=[None], description="else the tendon is rigid")
+
+    def make(self) -> Muscle:
+        """Make the part of a Model."""
+        return Muscle(
+            self.strength,
+            self.fibre,
+            self.tendon,
+            self.activation,
+            self.pennation,
+            self.speed,
+            self.damping,
+            self.passive,
+            self.width,
+            None if self.elastic is None else self.elastic.force,
+            STRAIN if self.elastic is None else self.elastic.strain,
+        )
+
+
+ABSENT = Number(1.0)  # a stiffness that is missing, which the reader refuses
+
+
+class ForceSection(Section):
+    """A force along the line through frames: a spring and damper, a cable, or a muscle."""
+
+    name: str = Field(examples=["strut"])
+    type: Literal["spring", "cable", "muscle"] = Field(
+        "spring", examples=["spring"], description="a cable cannot push; a muscle has its numbers under muscle"
+    )
+    first: PathPointSection = Field(alias="from", examples=[{"body": BASE}])
+    second: PathPointSection = Field(alias="to", examples=[{"body": BASE}])
+    via: tuple[PathPointSection, ...] = Field((), examples=[[]], description="points that the line passes, in order")
+    muscle: MuscleSection | None = Field(None, examples=[None], description="of a muscle")
+    stiffness: NumberField = Field(ZERO, examples=[100.0], description="N/m")
+    rest: NumberField = Field(ZERO, examples=[0.3], description="length at which it is slack, m")
+    damping: NumberField = Field(ZERO, examples=[2.0], description="of a spring: N s/m")
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.1], description="of a cable: by which part of itself the tension grows with the rate, s/m"
+    )
+    width: NumberField = Field(
+        WIDTH, examples=[1e-3], description="of a cable: of the transition from slack to tight, m; else 1e-4"
+    )
+    force: NumberField = Field(
+        ZERO, examples=["-2*rate"], description="N, further tension: over parameters, length, rate and the state"
+    )
+
+    def make(self) -> ForceElement:
+        """Make the part of a Model."""
+        cable = Cable(self.width, self.dissipation) if self.type == "cable" else None
+        ends = self.first.point, self.second.point
+        via = tuple(section.point for section in self.via)
+        muscle = None if self.muscle is None else self.muscle.make()
+        if self.type == "muscle" and muscle is None:
+            muscle = Muscle(ZERO, ZERO, ZERO, ZERO)  # its checks name what is missing
+        return ForceElement(self.name, *ends, self.stiffness, self.rest, self.damping, cable, self.force, via, muscle)
+
+
+class PlaneSection(Section):
+    """A plane on a body, or on the base; without anything, the ground z = 0."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    position: TripleField = Field(ORIGIN, examples=[[0.0, 0.0, 0.1]], description="of a point of it, in that frame, m")
+    normal: DirectionField = Field(UNITS["z"], examples=["z"], description="out of the solid, in that frame")
+
+
+class OtherSphereSection(Section):
+    """A sphere on a body, or on the base, that a sphere touches."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    position: TripleField = Field(ORIGIN, examples=[[0.0, 0.0, 0.1]], description="of its centre, in that frame, m")
+    radius: NumberField = Field(examples=[0.05], description="m")
+
+
+class OtherBoxSection(PlacementSection):
+    """A box on a body, or on the base, that a sphere touches."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    size: TripleField = Field(examples=[[0.3, 0.2, 0.1]], description="its edges, m; its centre is its origin")
+
+
+class GripSection(Section):
+    """Coulomb friction, smoothed: coefficient*normal force*v/sqrt(v**2 + speed**2); dry without a speed."""
+
+    coefficient: NumberField = Field(examples=[0.8])
+    speed: NumberField | None = Field(
+        None, examples=[0.01], description="at which 7/10 of it are reached, m/s; a rigid contact has none"
+    )
+
+
+class WheelSection(Section):
+    """A circle about an axis of the body; with the contact's radius it is a torus."""
+
+    radius: NumberField = Field(examples=[0.35], description="m, of the circle")
+    axis: DirectionField = Field(UNITS["y"], examples=["y"], description="in the contact's frame")
+
+
+class ContactSection(PlacementSection):
+    """A contact of a sphere with a plane, a sphere or a box, or of a wheel or the corners of a box with a plane."""
+
+    name: str = Field(examples=["heel"])
+    body: str = Field(examples=["foot"])
+    radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
+    size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
+    wheel: WheelSection | None = Field(None, examples=[None], description="that rolls on a plane, in place of a size")
+    plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
+    sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
+    box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
+    stiffness: NumberField | None = Field(None, examples=[1e5], description="of a compliant contact, N/m**exponent")
+    restitution: NumberField | None = Field(
+        None, examples=[None], description="of a rigid contact, in place of a stiffness: 0 to 1"
+    )
+    exponent: NumberField = Field(HERTZ, examples=[1.5], description="of the depth: 1, 1.5, 2, 2.5 or 3")
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.5], description="by which part of itself the force grows with the speed of approach, s/m"
+    )
+    width: NumberField = Field(
+        WIDTH, examples=[1e-4], description="of the transition from distance to depth, m; else 1e-4"
+    )
+    friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
+
+    @property
+    def other(self) -> Other:
+        """The side that is touched, as a part of a Model."""
+        if self.box is not None:
+            return Block(self.box.size, self.box.body, self.box.placement)
+        if self.sphere is not None:
+            return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position)
+        return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)
+
+    def make(self) -> Contact:
+        """Make the part of a Model."""
+        grip = None if self.friction is None else Grip(self.friction.coefficient, self.friction.speed)
+        return Contact(
+            self.name,
+            self.body,
+            (ZERO if self.restitution is not None else ABSENT) if self.stiffness is None else self.stiffness,
+            self.placement,
+            self.radius,
+            self.size,
+            self.other,
+            self.exponent,
+            self.dissipation,
+            self.width,
+            grip,
+            self.restitution,
+            None if self.wheel is None else Wheel(self.wheel.radius, self.wheel.axis),
+        )

@@ -1,0 +1,1 @@
+"""C: one file a kernel, with a header and a manifest."""

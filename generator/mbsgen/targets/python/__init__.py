@@ -1,0 +1,1 @@
+"""Python: one module a model, over any number type."""

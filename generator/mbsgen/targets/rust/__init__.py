@@ -1,0 +1,1 @@
+"""Rust: one crate a model."""

@@ -1,0 +1,1 @@
+"""Many problems of the same models: cases, their programs and their outcomes."""

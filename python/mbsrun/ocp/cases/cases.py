@@ -1,0 +1,80 @@
+"""Many problems of the same models: cases -> outcomes, with one program for each structure.
+
+A case is solved from its own guess and knows nothing of the others: neither their order nor the number of threads or
+processes changes a result. A case that has no solution, or that its kernels contradict, fails alone.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+
+from mbsrun.ocp.cases.programs import Programs
+from mbsrun.ocp.ground.status import BAD_PROBLEM
+from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
+from mbsrun.ocp.searching.refinement import refine_phases
+from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution
+from mbsrun.ocp.solution.solution import Failure, Run
+from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.statement.checks import ProblemError
+
+Outcome = PhasedSolution | Failure
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A problem and what it starts from."""
+
+    problem: PhasedProblem
+    guess: Guess | PartialGuess | None = None  # None: the one that the problem describes
+    is_checked: bool = True  # its solution is re-simulated, and refined if the problem asks for that
+
+
+@dataclass(frozen=True, eq=False)
+class CaseSolver:
+    """Solves cases of some models, one after the other."""
+
+    plants: Plants
+    programs: Programs = field(default_factory=Programs)
+
+    def solve(self, case: Case) -> Outcome:
+        """Solve a case; its faults are a failure, too."""
+        try:
+            return self._solve(case)
+        except ProblemError as error:
+            place, finding, remedy = error.findings[0]
+            return Failure(case.problem, Run(BAD_PROBLEM, 0, 0.0, 0.0), finding, remedy, place)
+
+    def _solve(self, case: Case) -> Outcome:
+        found = solve_phases(case.problem, self.plants, None, case.guess, self.programs.find)
+        if isinstance(found, Failure) or not case.is_checked:
+            return found
+        plants = equip_phases(case.problem, self.plants)
+        found = resimulate_phases(found, plants)
+        asks = any(phase.problem.refine is not None for phase in case.problem.phases)
+        return refine_phases(found, plants) if asks else found
+
+
+def solve_cases(cases: Sequence[Case], plants: Plants, threads: int = 1) -> Iterator[tuple[int, Outcome]]:
+    """Solve cases, several at a time; yield the number and the outcome of each as it ends.
+
+    Each thread makes its own programs. Cases that have not begun are dropped where the caller ends the iteration.
+    """
+    if threads == 1:
+        solver = CaseSolver(plants)
+        yield from ((i, solver.solve(case)) for i, case in enumerate(cases))
+        return
+    own = threading.local()
+
+    def begin() -> None:
+        own.solver = CaseSolver(plants)
+
+    with ThreadPoolExecutor(threads, initializer=begin) as pool:
+        under_way = {pool.submit(lambda case: own.solver.solve(case), case): i for i, case in enumerate(cases)}
+        try:
+            for future in as_completed(under_way):
+                yield under_way[future], future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

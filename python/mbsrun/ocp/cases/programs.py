@@ -1,0 +1,39 @@
+"""The programs of a problem and its variants: each structure is transcribed once, and the latest are kept."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from mbsrun.ocp.problem.phases import Link, PhasedProblem, Plants
+from mbsrun.ocp.problem.structure import Structure, structure
+from mbsrun.ocp.solving.phases import PhasedSolver
+
+KEPT = 8
+
+
+class Programs:
+    """Solvers by the structure of their problems, of the same models."""
+
+    def __init__(self) -> None:
+        self._solvers: OrderedDict[tuple[tuple[Structure, ...], tuple[Link, ...]], PhasedSolver] = OrderedDict()
+
+    def look(self, problem: PhasedProblem) -> PhasedSolver | None:
+        """Return the solver of a structure, if it was made."""
+        return self._solvers.get(_identify(problem))
+
+    def find(self, problem: PhasedProblem, plants: Plants) -> PhasedSolver:
+        """Return the solver of a structure, and make it where there is none.
+
+        Raises ProblemError as `PhasedSolver` does.
+        """
+        key = _identify(problem)
+        if key not in self._solvers:
+            self._solvers[key] = PhasedSolver(problem, plants)
+        self._solvers.move_to_end(key)
+        while len(self._solvers) > KEPT:
+            self._solvers.popitem(last=False)
+        return self._solvers[key]
+
+
+def _identify(problem: PhasedProblem) -> tuple[tuple[Structure, ...], tuple[Link, ...]]:
+    return tuple(structure(phase.problem) for phase in problem.phases), problem.links

@@ -1,0 +1,1 @@
+"""The ground of optimal control, without a problem: functions, programs as data, schemes, motions, statuses."""

@@ -1,0 +1,1 @@
+"""First guesses: from starts and ends, recordings and earlier solutions, and random ones."""

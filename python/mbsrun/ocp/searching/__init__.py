@@ -1,0 +1,1 @@
+"""Searches of many solves: finer grids, many starts, studies, in one process or in many."""

@@ -1,0 +1,1 @@
+"""Solutions for people: summaries, pictures, the files of phases."""

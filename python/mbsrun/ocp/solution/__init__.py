@@ -1,0 +1,1 @@
+"""Solutions as values, on disk, and as tables; the record of searches."""

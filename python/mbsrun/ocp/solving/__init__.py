@@ -1,0 +1,1 @@
+"""One solve: preparation, the search, an independent judge, the re-simulation."""

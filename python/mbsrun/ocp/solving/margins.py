@@ -1,0 +1,147 @@
+"""Constraints and bounds between the points of a grid: a motion -> by how much it violates each, and when.
+
+A transcription holds constraints at collocation and mesh points. Between them a motion may pass through an obstacle.
+So each bound and each constraint of the path is evaluated along the re-simulated motion, at SAMPLES places of every
+interval, and around the worst of them on ever finer meshes. A sample that a constraint sees on one side of its range
+alone is exact to the last mesh; a violation shorter than an interval over SAMPLES can be missed.
+
+A violation counts from TOLERATED times a scale of the constraint on: the length of its range, or the magnitude of the
+only limit; or the spread of its values along the motion, where that is less. Zeros are no scale. By less than ROUNDED
+and ROUNDING, a solver leaves limits everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbsrun.ocp.evaluation.values import Values
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.contacts import write_friction
+from mbsrun.ocp.problem.problem import Problem, Range
+from mbsrun.ocp.solution.solution import Margin, Margins
+from mbsrun.quantities import find_component
+
+SAMPLES = 16  # of an interval
+TOLERATED = 1e-2  # of the scale of a constraint
+MOST = 1e6  # of the violations of intervals, over the tolerated ones
+ZOOMS = 4  # meshes around the worst sample, each of 2 * SAMPLES places between the neighbours of the worst
+ROUNDED, ROUNDING = 1e-6, 1e-7  # relative to a limit and to values, and absolute: by less a solver leaves limits
+
+Parts = Mapping[str, Array]
+Read = Callable[[Indices, Array], Parts]  # the parts of a motion at fractions (B,) of intervals (B,)
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A number that stays within a range: an entry of a part of the motion, or an expression."""
+
+    name: str
+    range: Range
+    kind: str = ""
+    index: int = 0
+    expression: str = ""
+
+
+def list_watched(problem: Problem, plant: Plant) -> list[Watched]:
+    """List the bounds and constraints of the whole path that have a limit."""
+    return [part for part in _list(problem, plant) if any(map(math.isfinite, part.range))]
+
+
+def _list(problem: Problem, plant: Plant) -> Iterator[Watched]:
+    manifest, bounds = plant.manifest, problem.bounds
+    names = [c.name for c in manifest.coordinates]
+    inputs = [f"the input {names[i]}" for i in manifest.actuated]
+    driven = [f"the force of the driven joint {names[i]}" for i in manifest.driven]
+    for kind, texts, ranges in (
+        ("q", manifest.positions, bounds.q),
+        ("qd", [f"the velocity of {name}" for name in names], bounds.qd),
+        ("u", inputs, bounds.u),
+        ("tau", driven, bounds.tau or ((-math.inf, math.inf),) * len(driven)),
+        ("states", problem.added.states, [state.bounds for state in problem.every_state]),
+        ("controls", problem.added.controls, [control.bounds for control in problem.controls]),
+    ):
+        for i, (text, limits) in enumerate(zip(texts, ranges, strict=True)):
+            yield Watched(f"the bounds of {text}", limits, kind, i)
+    for part in problem.every_component:
+        component = find_component(manifest, part.wrench, part.component)
+        if component is not None:
+            name = f"{'fff mmm'[part.component]}{'xyz xyz'[part.component]} of {part.wrench}"
+            yield Watched(f"the bounds of {name if part.component >= 0 else part.wrench}", part.bounds, "w", component)
+    for contact in problem.contacts:
+        for text in write_friction(contact, manifest):
+            yield Watched(f"friction of {contact.sensor}", (0.0, math.inf), expression=text)
+    for constraint in problem.constraints:
+        if constraint.at == "path" and not constraint.is_relaxed:
+            yield Watched(f"constraint {constraint.label}", constraint.range, expression=constraint.expression)
+
+
+class Watch:
+    """The bounds and constraints of a problem, ready to be evaluated along a motion."""
+
+    def __init__(self, problem: Problem, plant: Plant) -> None:
+        """Prepare the expressions."""
+        self.watched = list_watched(problem, plant)
+        self._values = Values([part.expression for part in self.watched if part.expression], problem, plant)
+        self.kinds = self._values.kinds | {part.kind for part in self.watched}
+        self._intervals = problem.intervals
+
+    def measure(self, read: Read) -> Margins:
+        """Return the largest violation of each, and the worst of every interval over the tolerated one."""
+        N = self._intervals
+        if not self.watched:
+            return Margins((), (0.0,) * N)
+        places = np.linspace(0.0, 1.0, SAMPLES + 1)
+        k, c = np.repeat(np.arange(N), places.size), np.tile(places, N)
+        values = self._evaluate(read(k, c)).reshape(N, places.size, -1)
+        found, excess = [], np.zeros(N)
+        for i, part in enumerate(self.watched):
+            own = values[:, :, i]
+            margin, tolerated = self._find_worst(i, own, places, read)
+            found.append(margin)
+            excess = np.maximum(excess, _measure(own, part.range).max(axis=1) / tolerated)
+            excess[margin.interval] = max(excess[margin.interval], margin.violation / tolerated)
+        return Margins(tuple(found), tuple(np.clip(excess, 0.0, MOST).tolist()))
+
+    def _evaluate(self, parts: Parts) -> Array:
+        """Return the values (B, watched)."""
+        expressions = iter(self._values(parts).T)
+        columns = [next(expressions) if part.expression else parts[part.kind][:, part.index] for part in self.watched]
+        return np.stack(columns, axis=1)
+
+    def _find_worst(self, i: int, values: Array, places: Array, read: Read) -> tuple[Margin, float]:
+        """Return the worst place of a number, by ever finer meshes; and the violation that is tolerated."""
+        part = self.watched[i]
+        k, j = np.unravel_index(_measure(values, part.range).argmax(), values.shape)
+        value, c, step = float(values[k, j]), float(places[j]), 1.0 / SAMPLES
+        for _ in range(ZOOMS):
+            mesh = np.clip(c + step * np.linspace(-1.0, 1.0, 2 * SAMPLES + 1), 0.0, 1.0)
+            parts = read(np.full(mesh.size, k), mesh)
+            finer = self._evaluate(parts)[:, i]
+            best = int(_measure(finer, part.range).argmax())
+            value, c, step = float(finer[best]), float(mesh[best]), step / SAMPLES
+        time = float(read(np.array([k]), np.array([c]))["t"][0, 0])
+        tolerated = find_tolerated(part.range, values)
+        return Margin(part.name, value, part.range, time, int(k), tolerated), tolerated
+
+
+def find_tolerated(limits: Range, values: Array) -> float:
+    """Return the violation of a range from which on it counts, for a number with these values along a motion."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return ROUNDING
+    below, above = limits[0] - values.min(), values.max() - limits[1]
+    violated = limits[0] if below > above else limits[1]
+    length = limits[1] - limits[0]
+    scales = (length if 0 < length < math.inf else abs(violated), float(np.ptp(values)))
+    scale = min((scale for scale in scales if scale > 0), default=0.0)
+    return max(TOLERATED * scale, ROUNDED * max(abs(violated), float(np.abs(values).max())), ROUNDING)
+
+
+def _measure(values: Array, limits: Range) -> Array:
+    """Return by how much values leave their range, negative inside; what has no value leaves it without end."""
+    return np.nan_to_num(np.maximum(limits[0] - values, values - limits[1]), nan=np.inf)

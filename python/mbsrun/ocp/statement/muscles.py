@@ -1,0 +1,140 @@
+"""The muscles of a model in a problem: `muscles:` -> states, controls, constraints and costs of the problem.
+
+Each muscle whose activation is a signal gets an excitation e, a control. Its activation a is e itself, or follows it,
+
+    da/dt = ((1/2 + f)/(rise z) + (1/2 - f) z/fall)(e - a),    f = tanh((e - a)/10)/2,    z = 1/2 + 3/2 a,
+
+as in De Groote, Kinney, Rao, Fregly (2016) and OpenSim's DeGrooteFregly2016Muscle. The force s of an elastic tendon,
+over the strength, is a state. Its rate is a control that the equation of equilibrium determines at each collocation
+point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mbsgen.documents import Place
+from mbsgen.expressions import Expression, Name, Number, fold, is_free_name, parse, spell, substitute, write
+from mbsgen.manifest import Fibres
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.problem.problem import Constraint
+from mbsrun.ocp.statement.sections import (
+    ControlSection,
+    MusclesSection,
+    ProblemSection,
+    StateSection,
+    TermSection,
+)
+
+EXCITATION, RATE = "{}_excitation", "{}_rate"
+_ACTIVATION = parse(
+    "((0.5 + tanh((e - a)/10)/2)/(rise*(0.5 + 1.5*a)) + (0.5 - tanh((e - a)/10)/2)*(0.5 + 1.5*a)/fall)*(e - a)"
+)
+_STRONGEST = 5.0  # force of a tendon over the strength
+_QUICKEST = 1000.0  # its rate [1/s]
+
+Blame = Callable[[Place, str, str], None]  # of a place, a finding and a remedy
+
+
+@dataclass(frozen=True)
+class _Muscle:
+    """A muscle, and the names of its numbers in the problem."""
+
+    name: str  # in expressions
+    activation: str
+    tendon: str | None  # the signal of its tendon's force
+    fibres: Fibres
+
+    def drive(self, wanted: MusclesSection) -> str:
+        """Return the name of its excitation."""
+        return self.activation if wanted.rise is None or wanted.fall is None else EXCITATION.format(self.activation)
+
+
+def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemSection:
+    """Return a problem with states, controls and costs of muscles; `blame` takes faults."""
+    wanted = section.muscles
+    if wanted is None:
+        return section
+    muscles = [*_list_muscles(plant, blame)]
+    if (wanted.rise is None) != (wanted.fall is None):
+        blame(("muscles",), "one time of activation dynamics", "give rise and fall, or neither")
+    elastic = [x for x in muscles if x.tendon is not None]
+    course = section.inputs if isinstance(section.inputs, str) else section.inputs.course
+    if elastic and course != "polynomial":
+        finding = "rates of elastic tendons have a value at each collocation point"
+        blame(("muscles",), finding, "take inputs: polynomial")
+    states, controls = dict(section.states), dict(section.controls)
+    running = [*section.cost.running, *(_price(muscle, wanted) for muscle in muscles)]
+    for muscle in muscles:
+        drive = muscle.drive(wanted)
+        controls[drive] = _control(wanted.excitation, wanted.guess)
+        if drive != muscle.activation:
+            states[muscle.activation] = _follow(muscle, wanted)
+        if muscle.tendon is not None:
+            rate = RATE.format(muscle.tendon)
+            states[muscle.tendon] = _state(rate, None, (Number(0.0), Number(_STRONGEST)), wanted.guess)
+            controls[rate] = _control((Number(-_QUICKEST), Number(_QUICKEST)), Number(0.0))
+    cost = section.cost.model_copy(update={"running": tuple(running)})
+    return section.model_copy(update={"states": states, "controls": controls, "cost": cost})
+
+
+def list_equilibria(section: ProblemSection, plant: Plant) -> tuple[Constraint, ...]:
+    """Return the equations of elastic tendons of a problem with `muscles`."""
+    if section.muscles is None:
+        return ()
+    return tuple(_balance(x, plant) for x in _list_muscles(plant, lambda *_: None) if x.tendon is not None)
+
+
+def _price(muscle: _Muscle, wanted: MusclesSection) -> TermSection:
+    return TermSection.model_construct(expression=f"{muscle.drive(wanted)}**2", weight=wanted.effort)
+
+
+def _follow(muscle: _Muscle, wanted: MusclesSection) -> StateSection:
+    """Make the state of an activation."""
+    assert wanted.rise is not None, "the activation follows"
+    assert wanted.fall is not None, "the activation follows"
+    own = {"a": Name(muscle.activation), "e": Name(muscle.drive(wanted)), "rise": wanted.rise, "fall": wanted.fall}
+    return _state(write(substitute(_ACTIVATION, own)), wanted.start, wanted.excitation, wanted.guess)
+
+
+def _state(rate: str, start: Any, bounds: Any, guess: Any) -> StateSection:
+    return StateSection.model_construct(rate=rate, start=start, end=None, range=bounds, guess=guess)
+
+
+def _control(bounds: Any, guess: Any) -> ControlSection:
+    return ControlSection.model_construct(range=bounds, guess=guess, rate=None, delay=None, history=None)
+
+
+def _balance(muscle: _Muscle, plant: Plant) -> Constraint:
+    """Make the constraint of the equilibrium of an elastic tendon."""
+    assert muscle.tendon is not None, "the tendon is elastic"
+    numbers = {name: Number(float(x)) for name, x in plant.parameters.items() if is_free_name(name)}
+    equation = write_equilibrium(muscle.fibres, muscle.name, RATE.format(muscle.tendon))
+    text = write(fold(substitute(equation, numbers)))
+    return Constraint(text, (0.0, 0.0), name=f"the equilibrium of {muscle.name}")
+
+
+def write_equilibrium(fibres: Fibres, name: str, rate: str) -> Expression:
+    """Write the equation of a muscle with an elastic tendon, of a name, over quantities of a motion."""
+    own: Mapping[str, Expression] = {"length": Name(f"length_{name}"), "rate": Name(f"rate_{name}")}
+    fibre, cosine = (substitute(parse(text), own) for text in (fibres.fibre, fibres.cosine))
+    more = {"fibre_length": fibre, "fibre_cosine": cosine, "tendon_force_rate": Name(rate)}
+    return substitute(parse(fibres.equilibrium), {**own, **more})
+
+
+def _list_muscles(plant: Plant, blame: Blame) -> Iterator[_Muscle]:
+    appearance = plant.manifest.appearance
+    elements = () if appearance is None else [x for x in appearance.elements if x.muscle is not None]
+    if not elements:
+        blame(("muscles",), "the model has no muscles", "give it some, with type: muscle under forces")
+    for element, name in zip(elements, spell([x.name for x in elements]), strict=True):
+        fibres = element.muscle
+        assert fibres is not None, "it is a muscle"
+        activation, tendon = parse(fibres.activation), parse(fibres.tendon_force) if fibres.tendon_force else None
+        if name is None or not isinstance(activation, Name) or not isinstance(tendon, Name | None):
+            finding = f"the activation of {element.name} is no signal" if name else f"{element.name} has no name here"
+            blame(("muscles",), finding, "give states and controls of all muscles yourself")
+            continue
+        yield _Muscle(name, activation.name, None if tendon is None else tendon.name, fibres)

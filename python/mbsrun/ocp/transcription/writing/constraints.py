@@ -1,0 +1,63 @@
+"""Constraints: the rows of expressions, and of the rates of inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Set
+
+import numpy as np
+
+from mbsrun.ocp.ground import formulas
+from mbsrun.ocp.ground.functions import Indices
+from mbsrun.ocp.ground.program import Block
+from mbsrun.ocp.problem.problem import list_names
+from mbsrun.ocp.transcription.layout import at_mesh
+from mbsrun.ocp.transcription.quantities import Quantity, list_quantities
+from mbsrun.ocp.transcription.writing.cost import find_steps
+from mbsrun.ocp.transcription.writing.sheet import Sheet
+
+
+def write_constraints(sheet: Sheet) -> tuple[Indices, ...]:
+    """Write the constraints by expressions; those at the same places are one function."""
+    N, shape = sheet.shape.intervals, sheet.shape
+    kinds = list_quantities(sheet.manifest, shape.added)
+    path_mesh = [*([0] * shape.start_is_free), *(() if sheet.scheme.ends_interval else range(1, N + 1))]
+    on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
+    of_states = [i for i in on_path if not _reads_jumps(list_names(shape.constraints[i][0], shape.functions), kinds)]
+    rows: list[list[Indices]] = [[] for _ in shape.constraints]
+    for chosen, places in (
+        (on_path, sheet.points),
+        (of_states, at_mesh(sheet.layout, sheet.integrator, path_mesh)),
+        ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], sheet.first),
+        ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], sheet.last),
+    ):
+        if chosen and places.s.size:
+            stages = places.stage if chosen is of_states else places.interval
+            taken = sheet.take(np.tile(stages, len(chosen)).reshape(len(chosen), -1), len(chosen), places.s.size)
+            sheet.blocks.append(sheet.apply([shape.constraints[i][0] for i in chosen], places, taken, stages))
+            for i, row in zip(chosen, taken, strict=True):
+                rows[i].append(row)
+    return tuple(np.concatenate(parts) for parts in rows)
+
+
+def write_input_rates(sheet: Sheet) -> Indices:
+    """Write the differences of constant inputs over time whose ranges are bounded: between midpoints."""
+    layout, shape, N = sheet.layout, sheet.shape, sheet.shape.intervals
+    inputs = layout.inputs[:, [layout.extras.free.index(i) for i in shape.rated_inputs]]
+    rated = np.concatenate((inputs, layout.extras.controls[:, list(shape.rated_controls)]), axis=1)
+    count, steps = rated.shape[1], find_steps(sheet.h)
+    rows = sheet.take(np.arange(N - 1), N - 1, count)
+    if not rows.size:
+        return rows
+    before, after = rated[:-1], rated[1:]
+    if layout.horizon is None:
+        sheet.A.put(rows, after, 1 / steps[:, None])
+        sheet.A.put(rows, before, -1 / steps[:, None])
+    else:
+        columns = (before.T, after.T, np.full((1, N - 1), layout.horizon))
+        sheet.blocks.append(Block(formulas.find_rates(count), columns, rows.T, np.arange(N - 1), scale=1 / steps))
+    return rows
+
+
+def _reads_jumps(read: Set[str], known: Mapping[str, Quantity]) -> bool:
+    """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
+    return any(known[name].kind in ("u", "qdd", "w", "tau", "controls") for name in read if name in known)

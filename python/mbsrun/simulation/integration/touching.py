@@ -1,0 +1,460 @@
+"""Motions with rigid contacts, from event to event: points touch, slip, stick and leave; methods keep their order.
+
+Between events the points keep their mode (`contacts`), and the explicit method takes steps in its equations. After
+each, coordinates and velocities are put back on the equations of closed points. An event is where a distance, a normal
+force, a slip, or the reserve of friction falls below 0. Steps from the start of the step in which it lies find it to
+rounding. Impacts obey Newton's hypothesis, with friction. A rebound that rises by less than REBOUND is the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mbsrun.kernel import KernelError
+from mbsrun.limits import Allowance, LimitError
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.simulation.formulation import Formulation
+from mbsrun.simulation.integration.contacts import Contacts, Loads, Mode, ParadoxError, Search, State, Touch
+from mbsrun.simulation.integration.steps import count_steps, describe_singularity
+from mbsrun.simulation.integration.tableaus import Pair
+from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Kind, Segment, Settings
+
+Array = NDArray[np.float64]
+
+TOUCH = 1e-11  # m: a point that is as near touches
+STILL = 1e-11  # of the fastest velocity of a point: a slower one is at rest
+REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
+SLOW = 1e-3  # m/s: only a slower rebound may be the last one
+SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
+MANY = 100  # impacts at one time: the rest of them is one without rebounds
+MOST = 1000  # switches at one time
+STEPS = 64  # yielded at a time
+LOOKS = np.array([0.25, 0.5, 0.75])  # within a step, for points that touch twice
+CLOSEST = 4 * np.finfo(float).eps
+
+
+class Bound(Enum):
+    """A number that is not negative while a mode lasts."""
+
+    GAP = "the distance of an open point"
+    PRESS = "the normal force of a closed one"
+    SLIP = "the velocity of a slipping one, along the way in which it began"
+    HOLD = "the reserve of friction of one that sticks"
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A bound of a point."""
+
+    point: int
+    bound: Bound
+
+
+def integrate(
+    pair: Pair, dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
+) -> Iterator[Chunk]:
+    """Go through a piece of the inputs; yield the steps.
+
+    Raises HaltError where a kernel fails, contacts allow no motion or several, or the allowance is used up.
+    """
+    if "contacts" not in dynamics.kept:
+        dynamics.kept["contacts"] = _Course(dynamics, pair, settings)
+    course: _Course = dynamics.kept["contacts"]
+    yield from course.follow(piece, q, qd, allowance)
+
+
+class _Course:
+    """A motion in the making."""
+
+    def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+        formulation = dynamics.formulation
+        own = Formulation.SEMI if formulation.evaluated.is_direct else formulation
+        self.dynamics, self.pair, self.settings = replace(dynamics, formulation=own), pair, settings
+        self.contacts = Contacts(self.dynamics)
+        tableau = pair.tableau
+        self.A, self.b, self.c = (np.array(x, dtype=np.float64) for x in (tableau.A, tableau.b, tableau.c))
+        self.E = np.array(pair.E, dtype=np.float64)
+        self.mode: Mode | None = None
+        self.released: set[int] = set()
+        self.length = 0.0  # of the next step; 0: not known
+        self.fastest, self.stalled, self.time = 0.0, 0, -1.0
+        self.passed: tuple[Event, ...] = ()
+        self.loss = 0.0
+
+    def follow(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
+        """Go through a piece; yield the steps."""
+        time = piece.start
+        try:
+            while time < piece.end:
+                self.count(time)
+                q, qd = self.settle(time, piece, q, qd)
+                for chunk in self.run(replace(piece, start=time), q, qd, allowance):
+                    time, q, qd = float(chunk.t[-1]), chunk.q[-1], chunk.qd[-1]
+                    if len(chunk.t) > 1:
+                        yield chunk
+        except LimitError as error:
+            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
+        except (KernelError, SingularError) as error:
+            raise HaltError(describe_singularity(error, time)) from None
+        except ParadoxError as error:
+            raise HaltError(Halt(time, None, str(error), "lessen the friction, or give contacts a stiffness")) from None
+
+    def count(self, time: float) -> None:
+        """Count the switches at one time."""
+        self.stalled, self.time = (self.stalled + 1 if time == self.time else 0), time
+        if self.stalled > MOST:
+            finding = f"{MOST} switches of contacts at one time"
+            raise HaltError(Halt(time, None, finding, "change a restitution or a friction a little"))
+
+    # --- at one state ---
+
+    def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Pass the impacts at a state, and find the mode then; return the state."""
+        contacts, events = self.contacts, list[Event]()
+        q = self.place(q, [k for k, x in enumerate(contacts.touch(q[None], qd[None]).gap[0]) if x <= TOUCH])
+        M = self.dynamics.mass_matrix(q, qd, piece.at(time, q, qd))
+        for number in range(MOST):
+            touch = contacts.touch(q[None], qd[None])
+            self.fastest = max(self.fastest, float(np.abs(touch.velocity).max()))
+            near = np.flatnonzero(touch.gap[0] <= TOUCH)
+            qd = self.still(touch, M, qd, near)
+            touch = contacts.touch(q[None], qd[None])
+            speed = np.where(np.abs(touch.speed[0]) <= STILL * self.fastest, 0.0, touch.speed[0])
+            if not (speed[near] < 0).any():
+                break
+            qd, found = self.hit(time, piece, q, qd, M, touch, near, speed, bounces=number < MANY)
+            events += found
+        else:
+            raise HaltError(Halt(time, None, f"{MOST} impacts at one time", "change a restitution a little"))
+        mode = self.decide(time, piece, q, qd, [int(k) for k in near if speed[k] <= 0])
+        if self.mode is not None:
+            told = {event.joint for event in events if event.kind is Kind.REST}
+            events += [x for x in self.compare(time, touch, mode) if not (x.kind is Kind.REST and x.joint in told)]
+        self.mode, self.passed = mode, (*self.passed, *events)
+        self.released = set()
+        return q, qd
+
+    def place(self, q: Array, closed: list[int]) -> Array:
+        """Put points that touch at the distance 0, by a small change of coordinates."""
+        for _ in range(3 if closed else 0):
+            touch = self.contacts.touch(q[None], np.zeros((1, self.dynamics.size)))
+            rows = np.einsum("pi,pin->pn", touch.normal[0], touch.slide[0])[closed]
+            change = -np.linalg.lstsq(rows, touch.gap[0, closed], rcond=1e-10)[0]
+            q = q + self.dynamics.rates(q, change)
+            if np.abs(change).max() < 1e-15:
+                break
+        return q
+
+    def still(self, touch: Touch, M: Array, qd: Array, near: NDArray[np.intp]) -> Array:
+        """Take rounding out of the velocities of points that are at rest."""
+        rows = []
+        for k in near:
+            n, S, v = touch.normal[0, k], touch.slide[0, k], touch.velocity[0, k]
+            if abs(n @ v) > STILL * self.fastest:
+                continue
+            rows.append(n @ S)
+            if self.contacts.coefficient[k] > 0 and np.linalg.norm(v - (n @ v) * n) <= STILL * self.fastest:
+                rows += list(S - np.outer(n, n @ S))
+        return qd - _lift(np.array(rows), M, np.array(rows) @ qd) if rows else qd
+
+    def hit(
+        self,
+        time: float,
+        piece: Piece,
+        q: Array,
+        qd: Array,
+        M: Array,
+        touch: Touch,
+        near: NDArray[np.intp],
+        speed: Array,
+        *,
+        bounces: bool,
+    ) -> tuple[Array, list[Event]]:
+        """Pass one impact; a rebound that is too low to be seen is none."""
+        restitution = self.contacts.restitution * bounces
+        points = [int(k) for k in near if speed[k] <= 0]
+        after, loads = self.strike(qd, M, touch, points, restitution, speed)
+        last = dict[int, float]()
+        rebound = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
+        rebounding = [k for k in points if restitution[k] > 0 > speed[k] and 0 < rebound[k] < SLOW]
+        if rebounding:
+            free = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])[1]
+            found = self.contacts.touch(q[None], after[None])
+            fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], free[0]) + found.pull[0]
+            for k in rebounding:
+                if fall[k] < 0 and rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
+                    last[k] = time - 2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k])
+            if last:
+                restitution[list(last)] = 0.0
+                after, loads = self.strike(qd, M, touch, points, restitution, speed)
+        self.loss += 0.5 * float((qd - after) @ M @ (qd + after))
+        ends = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
+        names = self.contacts.names
+        return after, [
+            Event(last.get(k, time), names[k], Kind.REST if k in last else Kind.IMPACT, float(speed[k]), float(ends[k]))
+            for k in points
+            if speed[k] < 0 or loads.normal[0, k] > 1e-12 * loads.normal.max()
+        ]
+
+    def strike(
+        self, qd: Array, M: Array, touch: Touch, points: list[int], restitution: Array, speed: Array
+    ) -> tuple[Array, Loads]:
+        """Return the velocities after an impact, and its impulses."""
+        slipping = self.find_slipping(touch, points)
+        goal = (-restitution * speed)[None]
+        loads = Search(self.contacts, touch, (M[None], qd[None]), points, slipping, goal=goal).find()[1]
+        return loads.qdd[0], loads
+
+    def decide(self, time: float, piece: Piece, q: Array, qd: Array, points: list[int]) -> Mode:
+        """Find the mode in which the motion goes on."""
+        touch = self.contacts.touch(q[None], qd[None])
+        inertia = self.contacts.find_free(q[None], qd[None], piece.at(time, q, qd)[None])
+        slipping = self.find_slipping(touch, points)
+        mode = Search(self.contacts, touch, inertia, points, slipping, self.released).find()[0]
+        rows = self.list_rows(touch, mode)
+        is_locked = bool(rows) and np.linalg.matrix_rank(np.array(rows), tol=1e-9) == self.dynamics.size
+        return replace(mode, is_locked=is_locked)
+
+    def find_slipping(self, touch: Touch, points: list[int]) -> list[int]:
+        """List the points that slip."""
+        return [k for k in points if np.linalg.norm(touch.slip[0, k]) > STILL * self.fastest]
+
+    def compare(self, time: float, touch: Touch, mode: Mode) -> Iterator[Event]:
+        """List the changes of modes, impacts aside."""
+        assert self.mode is not None, "there was a mode"
+        for k, (old, new) in enumerate(zip(self.mode.states, mode.states, strict=True)):
+            kind = _name_change(old, new)
+            if kind is None and old == new == State.SLIP and self.mode.ways[k] @ mode.ways[k] < -0.5:
+                kind = Kind.REVERSE
+            if kind is not None:
+                speed = float(touch.speed[0, k])
+                yield Event(time, self.contacts.names[k], kind, speed, speed)
+
+    # --- from state to state ---
+
+    def rate(self, piece: Piece, mode: Mode, t: Array, x: Array) -> tuple[Array, Touch, Loads]:
+        """Return the rates of states (K, nq + n), with the points and their loads."""
+        q, qd = np.split(x, [self.dynamics.places], axis=1)
+        touch = self.contacts.touch(q, qd)
+        loads = self.contacts.load(touch, *self.contacts.find_free(q, qd, piece.follow(t, q, qd)), mode)
+        return np.hstack((self.dynamics.rates(q, qd), loads.qdd)), touch, loads
+
+    def move(self, piece: Piece, mode: Mode, t: Array, x: Array) -> Array:
+        """Return the rates of states; no contact is asked for where none acts."""
+        if mode.closed:
+            return self.rate(piece, mode, t, x)[0]
+        q, qd = np.split(x, [self.dynamics.places], axis=1)
+        return np.hstack((self.dynamics.rates(q, qd), self.contacts.find_free(q, qd, piece.follow(t, q, qd))[1]))
+
+    def step(self, piece: Piece, mode: Mode, t: Array, x: Array, h: Array) -> tuple[Array, Array]:
+        """Take steps of lengths (K,) from states at times (K,); return their ends and the stages."""
+        stages = np.zeros((len(self.b), *x.shape))
+        if mode.is_locked:
+            return x.copy(), stages
+        for i, row in enumerate(self.A):
+            y = x + h[:, None] * np.tensordot(row[:i], stages[:i], 1) if i else x
+            stages[i] = self.move(piece, mode, t + self.c[i] * h, y)
+        return self.finish(mode, x + h[:, None] * np.tensordot(self.b, stages, 1)), stages
+
+    def finish(self, mode: Mode, x: Array) -> Array:
+        """Put states back on the equations of closed points."""
+        closed = mode.closed
+        if not closed:
+            return x
+        q, qd = np.split(x, [self.dynamics.places], axis=1)
+        ends = np.empty_like(x)
+        for i in range(len(x)):
+            place = self.place(q[i], closed)
+            J = np.array(self.list_rows(self.contacts.touch(place[None], qd[i][None]), mode))
+            ends[i] = np.concatenate((place, qd[i] - np.linalg.lstsq(J, J @ qd[i], rcond=1e-10)[0]))
+        return ends
+
+    def list_rows(self, touch: Touch, mode: Mode) -> list[Array]:
+        """List the derivatives by qd of the velocities that a mode keeps at 0, (n,) each."""
+        rows = list[Array]()
+        for k in mode.closed:
+            S = touch.slide[0, k]
+            sticks = mode.states[k] == State.STICK and self.contacts.coefficient[k] > 0
+            rows += list(S) if sticks else [touch.normal[0, k] @ S]
+        return rows
+
+    def run(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
+        """Integrate until an event or the end of the piece."""
+        assert self.mode is not None, "a mode was found"
+        mode, guards = self.mode, self.list_guards(self.mode)
+        count = 0 if len(self.E) else count_steps(piece, self.settings.step)
+        fixed = (piece.end - piece.start) / count if count else 0.0
+        time, x = piece.start, np.concatenate((q, qd))
+        times, states = [time], [x]
+        is_event = False
+        while time < piece.end and not is_event:
+            allowance.spend()
+            allowance.note(0)
+            left = piece.end - time
+            h = fixed or min(self.length or min(left, 1e-3), left)
+            try:
+                h, y = self.advance(piece, mode, time, x, h, fixed=bool(fixed))
+                found = self.look(piece, mode, guards, time, x, h, y)
+            except KernelError:  # points far inside each other have no distance
+                self.length = h / 4
+                if fixed or self.length < 1e-14 * max(1.0, time):
+                    raise
+                continue
+            is_event = found is not None
+            if found is not None:
+                h, y = found
+            time = piece.end if h >= left * (1 - 1e-14) and not is_event else time + h
+            self.dynamics.effort.steps += 1
+            x = y
+            times.append(time)
+            states.append(x)
+            if len(times) > STEPS or is_event or time >= piece.end:
+                yield self.gather(piece, mode, times, states)
+                times, states = [time], [x]
+
+    def advance(self, piece: Piece, mode: Mode, time: float, x: Array, h: float, *, fixed: bool) -> tuple[float, Array]:
+        """Take a step, as long as the tolerance allows; return its length and its end."""
+        effort = self.dynamics.effort
+        while True:
+            y, stages = self.step(piece, mode, np.array([time]), x[None], np.array([h]))
+            if fixed:
+                return h, y[0]
+            error = self.estimate(h, x, y[0], stages[:, 0], piece, mode, time)
+            factor = 0.25 if not np.isfinite(error) else 10.0 if error == 0 else 0.9 * error ** (-1 / self.pair.order)
+            self.length = h * min(10.0, max(0.2, factor))
+            if error <= 1:
+                return h, y[0]
+            effort.rejected = (effort.rejected or 0) + 1
+            h = self.length
+            if h < 1e-14 * max(1.0, time):
+                finding = "the step has become too short to advance the time"
+                raise HaltError(Halt(time, None, finding, "loosen the tolerance, or look for a singularity there"))
+
+    def estimate(self, h: float, x: Array, y: Array, stages: Array, piece: Piece, mode: Mode, time: float) -> float:
+        """Return the error of a step relative to the tolerances."""
+        if self.E.shape[1] > len(stages):
+            last = self.move(piece, mode, np.array([time + h]), y[None])
+            stages = np.vstack((stages, last))
+        scale = self.settings.atol + self.settings.rtol * np.maximum(np.abs(x), np.abs(y))
+        squares = [float(((row @ stages / scale) ** 2).sum()) for row in self.E]
+        if len(squares) == 1:
+            return h * float(np.sqrt(squares[0] / len(x)))
+        if squares[0] == 0:
+            return 0.0
+        return h * squares[0] / float(np.sqrt((squares[0] + 0.01 * squares[1]) * len(x)))
+
+    # --- events ---
+
+    def list_guards(self, mode: Mode) -> list[Guard]:
+        """List what must not fall below 0 while a mode lasts."""
+        guards = []
+        for k, state in enumerate(mode.states):
+            if state == State.OPEN:
+                guards.append(Guard(k, Bound.GAP))
+                continue
+            guards.append(Guard(k, Bound.PRESS))
+            if self.contacts.coefficient[k] > 0:
+                guards.append(Guard(k, Bound.HOLD if state == State.STICK else Bound.SLIP))
+        return guards
+
+    def measure(self, piece: Piece, mode: Mode, guards: list[Guard], t: Array, x: Array) -> Array:
+        """Return the guards at states, (K, guards)."""
+        _, touch, loads = self.rate(piece, mode, t, x)
+        slack = SLACK * np.abs(loads.normal).max(axis=1)
+        columns = []
+        for guard in guards:
+            k = guard.point
+            match guard.bound:
+                case Bound.GAP:
+                    columns.append(touch.gap[:, k])
+                case Bound.SLIP:
+                    columns.append(touch.slip[:, k] @ mode.ways[k])
+                case Bound.PRESS:
+                    columns.append(loads.normal[:, k] + slack)
+                case Bound.HOLD:
+                    most = self.contacts.coefficient[k] * loads.normal[:, k] + slack
+                    columns.append(most - np.linalg.norm(loads.friction[:, k], axis=1))
+        return np.stack(columns, axis=1)
+
+    def look(
+        self, piece: Piece, mode: Mode, guards: list[Guard], time: float, x: Array, h: float, y: Array
+    ) -> tuple[float, Array] | None:
+        """Find the first event in a step; return the length up to it, and the state there."""
+        if not guards:
+            return None
+        parts = h * np.append(LOOKS, 1.0)
+        inner = self.step(piece, mode, np.full(3, time), np.repeat(x[None], 3, axis=0), parts[:3])[0]
+        states = np.vstack((inner, y))
+        values = self.measure(piece, mode, guards, time + parts, states)
+        if (values >= 0).all():
+            return None
+        first = int(np.flatnonzero((values < 0).any(axis=1))[0])
+        high, low = parts[first], parts[first - 1] if first else 0.0
+        ends = [(self.locate(piece, mode, guards[j], time, x, low, high), j) for j in np.flatnonzero(values[first] < 0)]
+        length, _ = min(ends)
+        state = self.step(piece, mode, np.array([time]), x[None], np.array([length]))[0][0]
+        at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
+        near = [j for end, j in ends if end <= length * (1 + 1e-12) or at[j] <= 0]
+        self.released = {guards[j].point for j in near}
+        return length, state
+
+    def locate(self, piece: Piece, mode: Mode, guard: Guard, time: float, x: Array, low: float, high: float) -> float:
+        """Return the length of the step to where a guard is 0: it is below 0 after `high`."""
+
+        def value(h: float) -> float:
+            end = self.step(piece, mode, np.array([time]), x[None], np.array([h]))[0] if h else x[None]
+            return float(self.measure(piece, mode, [guard], np.array([time + h]), end)[0, 0])
+
+        if low == 0 and value(0.0) <= 0:  # the point has just left, or begun to slip
+            for _ in range(40):
+                middle = high / 2
+                if value(middle) > 0:
+                    low = middle
+                    break
+                high = middle
+            else:
+                return high
+        return float(brentq(value, low, high, xtol=CLOSEST * high, rtol=CLOSEST, maxiter=100))
+
+    def gather(self, piece: Piece, mode: Mode, times: list[float], states: list[Array]) -> Chunk:
+        """Bundle steps with the motion and the forces within them."""
+        t, x = np.array(times), np.array(states)
+        q, qd = np.split(x, [self.dynamics.places], axis=1)
+
+        def dense(at: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
+            ends = self.step(piece, mode, t[step], x[step], at - t[step])[0]
+            places, speeds = np.split(ends, [self.dynamics.places], axis=1)
+            return places, speeds
+
+        def push(at: Array, places: Array, speeds: Array) -> tuple[Array, Array, Array]:
+            _, touch, loads = self.rate(piece, mode, at, np.hstack((places, speeds)))
+            force = loads.normal[..., None] * touch.normal + loads.friction
+            lost = -(loads.friction * touch.slip).sum(axis=(1, 2))
+            return loads.qdd, force.reshape(len(at), -1), lost
+
+        segment = Segment((0,) * self.dynamics.size, self.passed, self.loss, push=push)
+        self.passed, self.loss = (), 0.0
+        return Chunk(t, q, qd, dense, segment=segment)
+
+
+def _lift(J: Array, M: Array, right: Array) -> Array:
+    """Return the change of velocities, least in M, with J change = right."""
+    response = np.linalg.solve(M, J.T)
+    return np.asarray(response @ (np.linalg.pinv(J @ response, rcond=1e-10) @ right))
+
+
+def _name_change(old: State, new: State) -> Kind | None:
+    if old == new:
+        return None
+    if new == State.OPEN:
+        return Kind.LEAVE
+    if old == State.OPEN:
+        return Kind.REST
+    return Kind.STICK if new == State.STICK else Kind.SLIP
