@@ -18,7 +18,7 @@ from mbsrun.ocp.evaluation.stages.building import build
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solving.solve import Solver
-from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
+from tests.mbsrun.ocp.stages.stage_functions import compare
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.resimulation import resimulate
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
-from tests.mbsrun.ocp.cases.programs import TABLE_3, functions_of
+from tests.mbsrun.ocp.programs import TABLE_3, functions_of
 from tests.mbsrun.peer import Peer
 from tests.mbsrun.peer_arm import peer_arm
 

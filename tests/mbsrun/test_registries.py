@@ -31,8 +31,8 @@ from mbsrun.simulation.drive import hold
 from mbsrun.simulation.integration import explicit
 from mbsrun.simulation.integration.methods import Family
 from mbsrun.simulation.integration.methods import Method as SimulationMethod
-from tests.mbsrun.ocp.cases.programs import functions_of
 from tests.mbsrun.ocp.plants import push
+from tests.mbsrun.ocp.programs import functions_of
 from tests.mbsrun.peer import double_integrator
 
 ROOT = Path(__file__).parents[2]

@@ -24,7 +24,7 @@ from mbsrun.ocp.ground.program import COMMON, Block, Program
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Form, Problem, Representation
 from mbsrun.ocp.transcription.transcription import transcribe
-from tests.mbsrun.ocp.cases.programs import rich
+from tests.mbsrun.ocp.programs import rich
 from tests.mbsrun.peer import Peer, double_integrator
 
 SHOOTING = {"form": Form.SHOOTING, "horizon": 0.2}

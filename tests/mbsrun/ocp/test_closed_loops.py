@@ -51,10 +51,10 @@ from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.ocp.transcription.transcription import transcribe
-from tests.mbsrun.ocp.cases.programs import check_derivatives, unroll
 from tests.mbsrun.ocp.closed_plants import FIVE_BAR_POSE, G, five_bar, pendulum_of_rods
 from tests.mbsrun.ocp.phases.motions import cut, split
 from tests.mbsrun.ocp.plants import FREE_RANGE, mechanism
+from tests.mbsrun.ocp.programs import check_derivatives, unroll
 from tests.mbsrun.peer import Peer
 
 MODELS = Path(__file__).parents[3] / "models"

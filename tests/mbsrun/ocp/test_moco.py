@@ -22,7 +22,7 @@ from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
 from tests import peers
-from tests.mbsrun.ocp.statement.muscles import FIBRES, STRENGTHS, TENDONS, pull
+from tests.mbsrun.ocp.muscles import FIBRES, STRENGTHS, TENDONS, pull
 from tests.shipped import FOLDER
 
 

@@ -17,7 +17,7 @@ from mbsrun.ocp.showing.pictures import make_trajectories
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
-from tests.mbsrun.ocp.statement.muscles import write_arm
+from tests.mbsrun.ocp.muscles import write_arm
 from tests.shipped import FOLDER
 
 LIFT = FOLDER / "muscles" / "lift.ocp.yaml"

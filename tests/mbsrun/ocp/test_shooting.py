@@ -26,9 +26,9 @@ from mbsrun.ocp.solving.phases import PhasedSolver, solve_phases
 from mbsrun.ocp.solving.resimulation import Constant, integrate, resimulate
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.transcription.transcription import transcribe
-from tests.mbsrun.ocp.cases.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.ocp.phases.motions import split
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
+from tests.mbsrun.ocp.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll
 from tests.mbsrun.peer import Peer, double_integrator, explicit_functions, residual_function
 
 EXPLICIT = {"representation": Representation.EXP1_O, "integrator": "rk4"}

@@ -17,7 +17,7 @@ from mbsrun.ocp.methods.ipopt import pair
 from mbsrun.ocp.problem.problem import Bounds, Cost, End, Form, Problem, Representation
 from mbsrun.ocp.problem.structure import structure
 from mbsrun.ocp.transcription.transcription import Transcription, transcribe
-from tests.mbsrun.ocp.cases.programs import (
+from tests.mbsrun.ocp.programs import (
     TABLE_3,
     check_derivatives,
     evaluate_rows,

@@ -371,7 +371,11 @@ class PhasedSolver:
         return Guess(tuple(completed), (*known.items(), *largest.items()))
 
     def _evaluate(self, x: Array, parameters: Array) -> Array:
-        return evaluate(self.program.numpy.constraint, x, parameters)
+        try:
+            return evaluate(self.program.numpy.constraint, x, parameters)
+        except NoNumbersError:
+            self.program.numpy.complete(x)  # where condensed equations are the cause, it names them
+            raise
 
     def _differentiate(self, x: Array, parameters: Array) -> Matrix:
         found = self.program.numpy.jacobian(x, parameters)

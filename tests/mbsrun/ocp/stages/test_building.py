@@ -18,7 +18,7 @@ from mbsrun.ocp.problem.problem import Form, Loops, Problem, Representation
 from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.ocp.transcription.transcription import transcribe
 from tests.mbsrun.ocp.conftest import MODELS
-from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
+from tests.mbsrun.ocp.stages.stage_functions import compare
 from tests.mbsrun.peer import Peer, double_integrator
 
 

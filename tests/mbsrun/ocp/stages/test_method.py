@@ -16,7 +16,7 @@ from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.runs import Progress
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.statement.statement import read_problem
-from tests.mbsrun.ocp.evaluation.stages.shipped import read
+from tests.mbsrun.ocp.stages.shipped import read
 
 
 @pytest.fixture(scope="module")

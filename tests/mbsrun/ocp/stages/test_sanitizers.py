@@ -25,8 +25,8 @@ from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, KernelFunction,
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.problem.problem import Constraint, Cost, Term
 from mbsrun.ocp.transcription.transcription import transcribe
-from tests.mbsrun.ocp.evaluation.stages.stage_functions import compare
 from tests.mbsrun.ocp.plants import push
+from tests.mbsrun.ocp.stages.stage_functions import compare
 
 EPSILON = np.finfo(np.float64).eps
 MASS = """

@@ -20,7 +20,7 @@ from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.runs import Progress
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.statement.checks import ProblemError
-from tests.mbsrun.ocp.evaluation.stages.shipped import read
+from tests.mbsrun.ocp.stages.shipped import read
 
 SHOOTING = {"form": Form.SHOOTING, "representation": Representation.EXP1_O}
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
