@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_exp2, adj1_double_pendulum_683dd85d_exp2, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_exp2, adj1_double_pendulum_b1c5fbf7_exp2, casadi_int)
 
-int double_pendulum_683dd85d_compute_adj1_exp2(
+int double_pendulum_b1c5fbf7_compute_adj1_exp2(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -28,7 +28,7 @@ int double_pendulum_compute_adj1_exp2(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_683dd85d_compute_adj1_exp2(q, qd, adj_qdd, adj_q, adj_qd);
+    return double_pendulum_b1c5fbf7_compute_adj1_exp2(q, qd, adj_qdd, adj_q, adj_qd);
 }
 #endif
 
@@ -39,8 +39,8 @@ int double_pendulum_compute_adj1_exp2(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_exp2
 #undef adj1_double_pendulum_exp2
-#define double_pendulum_compute_adj1_exp2 MBS_STATES_NAME(double_pendulum_683dd85d_compute_adj1_exp2)
-#define adj1_double_pendulum_exp2 MBS_STATES_NAME(adj1_double_pendulum_exp2)
+#define double_pendulum_compute_adj1_exp2 MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_exp2)
+#define adj1_double_pendulum_exp2 MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_exp2)
 #endif
 
 int double_pendulum_compute_adj1_exp2(
@@ -112,7 +112,15 @@ int adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi
         res[1]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef adj1_double_pendulum_exp2
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(adj1_double_pendulum_exp2)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_exp2)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_683dd85d_impl, casadi_int)
+MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_b1c5fbf7_impl, casadi_int)
 
-int double_pendulum_683dd85d_compute_adj1_impl(
+int double_pendulum_b1c5fbf7_compute_adj1_impl(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_adj1_impl(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd)
 {
-    return double_pendulum_683dd85d_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+    return double_pendulum_b1c5fbf7_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_adj1_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_impl
 #undef adj1_double_pendulum_impl
-#define double_pendulum_compute_adj1_impl MBS_STATES_NAME(double_pendulum_683dd85d_compute_adj1_impl)
-#define adj1_double_pendulum_impl MBS_STATES_NAME(adj1_double_pendulum_impl)
+#define double_pendulum_compute_adj1_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_impl)
+#define adj1_double_pendulum_impl MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_impl)
 #endif
 
 int double_pendulum_compute_adj1_impl(
@@ -115,7 +115,15 @@ int adj1_double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi
         res[2]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef adj1_double_pendulum_impl
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(adj1_double_pendulum_impl)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_impl)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_683dd85d_condition, casadi_int)
+MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_b1c5fbf7_condition, casadi_int)
 
-int double_pendulum_683dd85d_compute_condition(
+int double_pendulum_b1c5fbf7_compute_condition(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated);
@@ -22,7 +22,7 @@ int double_pendulum_compute_condition(
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated)
 {
-    return double_pendulum_683dd85d_compute_condition(q, elimination, articulated);
+    return double_pendulum_b1c5fbf7_compute_condition(q, elimination, articulated);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_condition(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_condition
 #undef double_pendulum_condition
-#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_683dd85d_compute_condition)
-#define double_pendulum_condition MBS_STATES_NAME(double_pendulum_condition)
+#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_condition)
+#define double_pendulum_condition MBS_STATES_NAME(double_pendulum_b1c5fbf7_condition)
 #endif
 
 int double_pendulum_compute_condition(
@@ -82,7 +82,15 @@ int double_pendulum_condition(const casadi_real **arg, casadi_real **res, casadi
         res[1]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_condition
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_condition)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_condition)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_683dd85d_energy, casadi_int)
+MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_b1c5fbf7_energy, casadi_int)
 
-int double_pendulum_683dd85d_compute_energy(
+int double_pendulum_b1c5fbf7_compute_energy(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT kinetic,
@@ -34,7 +34,7 @@ int double_pendulum_compute_energy(
     mbs_real *MBS_RESTRICT angular_momentum,
     mbs_real *MBS_RESTRICT com)
 {
-    return double_pendulum_683dd85d_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
+    return double_pendulum_b1c5fbf7_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_energy(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_energy
 #undef double_pendulum_energy
-#define double_pendulum_compute_energy MBS_STATES_NAME(double_pendulum_683dd85d_compute_energy)
-#define double_pendulum_energy MBS_STATES_NAME(double_pendulum_energy)
+#define double_pendulum_compute_energy MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_energy)
+#define double_pendulum_energy MBS_STATES_NAME(double_pendulum_b1c5fbf7_energy)
 #endif
 
 int double_pendulum_compute_energy(
@@ -121,7 +121,15 @@ int double_pendulum_energy(const casadi_real **arg, casadi_real **res, casadi_in
         res[4]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_energy
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_energy)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_energy)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

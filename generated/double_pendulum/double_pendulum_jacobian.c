@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_683dd85d_jacobian, casadi_int)
+MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_b1c5fbf7_jacobian, casadi_int)
 
-int double_pendulum_683dd85d_compute_jacobian(
+int double_pendulum_b1c5fbf7_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J);
 int double_pendulum_compute_jacobian(
@@ -19,7 +19,7 @@ int double_pendulum_compute_jacobian(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J)
 {
-    return double_pendulum_683dd85d_compute_jacobian(q, J);
+    return double_pendulum_b1c5fbf7_compute_jacobian(q, J);
 }
 #endif
 
@@ -30,8 +30,8 @@ int double_pendulum_compute_jacobian(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jacobian
 #undef double_pendulum_jacobian
-#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_683dd85d_compute_jacobian)
-#define double_pendulum_jacobian MBS_STATES_NAME(double_pendulum_jacobian)
+#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jacobian)
+#define double_pendulum_jacobian MBS_STATES_NAME(double_pendulum_b1c5fbf7_jacobian)
 #endif
 
 int double_pendulum_compute_jacobian(
@@ -75,7 +75,15 @@ int double_pendulum_jacobian(const casadi_real **arg, casadi_real **res, casadi_
         res[0]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_jacobian
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_jacobian)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_jacobian)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_683dd85d_lin_sensors, casadi_int)
+MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_b1c5fbf7_lin_sensors, casadi_int)
 
-int double_pendulum_683dd85d_compute_lin_sensors(
+int double_pendulum_b1c5fbf7_compute_lin_sensors(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q);
@@ -22,7 +22,7 @@ int double_pendulum_compute_lin_sensors(
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_683dd85d_compute_lin_sensors(q, position, jac_position_q);
+    return double_pendulum_b1c5fbf7_compute_lin_sensors(q, position, jac_position_q);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_lin_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_sensors
 #undef double_pendulum_lin_sensors
-#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_683dd85d_compute_lin_sensors)
-#define double_pendulum_lin_sensors MBS_STATES_NAME(double_pendulum_lin_sensors)
+#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_lin_sensors)
+#define double_pendulum_lin_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_sensors)
 #endif
 
 int double_pendulum_compute_lin_sensors(
@@ -86,7 +86,15 @@ int double_pendulum_lin_sensors(const casadi_real **arg, casadi_real **res, casa
         res[1]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_lin_sensors
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_lin_sensors)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_sensors)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

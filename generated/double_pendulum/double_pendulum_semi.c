@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_683dd85d_semi, casadi_int)
+MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_b1c5fbf7_semi, casadi_int)
 
-int double_pendulum_683dd85d_compute_semi(
+int double_pendulum_b1c5fbf7_compute_semi(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
@@ -25,7 +25,7 @@ int double_pendulum_compute_semi(
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c)
 {
-    return double_pendulum_683dd85d_compute_semi(q, qd, M, c);
+    return double_pendulum_b1c5fbf7_compute_semi(q, qd, M, c);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_semi(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi
 #undef double_pendulum_semi
-#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_683dd85d_compute_semi)
-#define double_pendulum_semi MBS_STATES_NAME(double_pendulum_semi)
+#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_semi)
+#define double_pendulum_semi MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi)
 #endif
 
 int double_pendulum_compute_semi(
@@ -89,7 +89,15 @@ int double_pendulum_semi(const casadi_real **arg, casadi_real **res, casadi_int 
         res[1]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_semi
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_semi)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

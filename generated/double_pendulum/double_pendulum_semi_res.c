@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_683dd85d_semi_res, casadi_int)
+MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_b1c5fbf7_semi_res, casadi_int)
 
-int double_pendulum_683dd85d_compute_semi_res(
+int double_pendulum_b1c5fbf7_compute_semi_res(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_semi_res(
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_683dd85d_compute_semi_res(q, qd, qdd, Phi);
+    return double_pendulum_b1c5fbf7_compute_semi_res(q, qd, qdd, Phi);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi_res
 #undef double_pendulum_semi_res
-#define double_pendulum_compute_semi_res MBS_STATES_NAME(double_pendulum_683dd85d_compute_semi_res)
-#define double_pendulum_semi_res MBS_STATES_NAME(double_pendulum_semi_res)
+#define double_pendulum_compute_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_semi_res)
+#define double_pendulum_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi_res)
 #endif
 
 int double_pendulum_compute_semi_res(
@@ -83,7 +83,15 @@ int double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_
         res[0]);
 }
 
-#ifndef MBS_STATES
+#ifdef MBS_STATES
+#undef double_pendulum_semi_res
+#ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
+int MBS_STATES_NAME(double_pendulum_semi_res)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+{
+    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi_res)(arg, res, iw, w, mem);
+}
+#endif
+#else
 static const casadi_int pattern0[] = {
     2, 1, 1
 };

@@ -26,7 +26,9 @@ typedef MBS_PASTE(MBS_FLAG_, MBS_REAL) mbs_flags __attribute__((vector_size(MBS_
 
 /* A library may hold a kernel for several numbers of states: its functions' names end with the number. */
 #define MBS_STATES_NAME(name) MBS_PASTE(MBS_PASTE(name, _at_), MBS_STATES)
+#ifndef MBS_WITHOUT_PLAIN_NAMES
 #define MBS_WITHOUT_PLAIN_NAMES
+#endif
 #undef casadi_real
 #define casadi_real mbs_real
 

@@ -103,3 +103,44 @@ def test_many_arms(requires: Callable[[str], str], arm_folder: Path, tmp_path: P
     assert [float(first), float(sixth)] == pytest.approx(
         load(arm_folder).impl(**last)["Phi"][[0, 5]], rel=1e-9, abs=1e-9
     )
+
+
+ONE = """#include "pendulum_many.h"
+#include <stdlib.h>
+double {name}(void)
+{{
+    static const mbs_real q[8] = {{1, 1, 1, 1, 1, 1, 1, 1}}, zero[1] = {{0}};
+    static mbs_real Phi[8];
+    static int status[8];
+    const mbs_given in[] = {{{{q, 1, 1, 0}}, {{zero, 0, 1, 0}}, {{zero, 0, 1, 0}}, {{zero, 0, 1, 0}}}};
+    const mbs_found out[] = {{{{Phi, 1, 1, 1, 1, 0}}}};
+    void *room = malloc(pendulum_room_of_many(4, in, 1, out));
+    const double failed = (double)pendulum_many_impl(8, 0, 8, in, out, room, status);
+    free(room);
+    return failed ? -1 : Phi[7];
+}}
+"""
+BOTH = """#include <stdio.h>
+double light(void);
+double heavy(void);
+int main(void) { printf("%.17g %.17g\\n", light(), heavy()); return 0; }
+"""
+
+
+def test_two_models_of_one_name_keep_their_own_kernels_in_lanes(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """A linker takes the first of two functions of one name: each model's versions carry the model's tag."""
+    cmake, made = requires("cmake"), list[Path]()
+    text = (ROOT / "models" / "pendulum.yaml").read_text(encoding="utf-8")
+    for name, mass in (("light", 2), ("heavy", 5)):
+        model, folder = tmp_path / f"{name}.yaml", tmp_path / name
+        model.write_text(text.replace("  m: 2\n", f"  m: {mass}\n"), encoding="utf-8")
+        generate(model, folder, Options(functions=("impl",), derivatives=0, targets=("lanes",)))
+        run(cmake, "-S", folder, "-B", folder / "built", "-DCMAKE_C_FLAGS=-DMBS_WITHOUT_PLAIN_NAMES", cwd=tmp_path)
+        run(cmake, "--build", folder / "built", "--target", "pendulum", cwd=tmp_path)
+        (tmp_path / f"{name}.c").write_text(ONE.format(name=name), encoding="utf-8")
+        run("cc", "-c", f"-I{folder}", f"{name}.c", cwd=tmp_path)
+        made += (folder / "built").rglob("libpendulum.a")
+    (tmp_path / "both.c").write_text(BOTH, encoding="utf-8")
+    run("cc", "both.c", "light.o", "heavy.o", *made, "-lm", "-o", "both", cwd=tmp_path)
+    light, heavy = map(float, run(tmp_path / "both", cwd=tmp_path).split())
+    assert [light, heavy] == pytest.approx([9.81 * np.sin(1), 2.5 * 9.81 * np.sin(1)])

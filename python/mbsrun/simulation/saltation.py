@@ -53,7 +53,7 @@ class Sensitivity:
 def differentiate(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> Sensitivity:
     """Integrate a motion as `simulate` does, by an explicit method, with the derivative of its end by its start.
 
-    Raises ValueError for loops, driven joints, inputs that follow the state, and other methods.
+    Raises ValueError for loops, driven joints, rigid contacts, inputs that follow the state, and other methods.
     """
     _check(kernels.manifest, drive, settings)
     watcher = _Watcher(kernels, PAIRS[settings.method])
@@ -66,8 +66,8 @@ def differentiate(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, s
 def _check(manifest: Manifest, drive: Drive, settings: Settings) -> None:
     if settings.method not in PAIRS:
         raise ValueError(f"{settings.method} is not differentiated; give one of {', '.join(PAIRS)}")
-    if manifest.loops or manifest.driven:
-        raise ValueError("loops and driven joints are not differentiated; take them away")
+    if manifest.loops or manifest.driven or manifest.rigid:
+        raise ValueError("loops, driven joints and rigid contacts are not differentiated; take them away")
     if drive.control is not None:
         raise ValueError("inputs that follow the state are not differentiated; give them over time")
     assert METHODS[settings.method].stability is not None, "the methods are explicit"

@@ -15,6 +15,7 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
+from mbsrun.simulation.saltation import differentiate
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -201,3 +202,8 @@ def test_contacts_beside_stops_are_refused(make: Make) -> None:
     disc.manifest = disc.manifest.model_copy(update={"coordinates": (first, *disc.manifest.coordinates[1:])})
     with pytest.raises(ValueError, match="dop853 takes no rigid contacts beside stops or friction"):
         simulate(disc, hold([]), [0, 1, 0], [0, 0, 0], Settings(1.0))
+
+
+def test_rigid_contacts_are_not_differentiated(make: Make) -> None:
+    with pytest.raises(ValueError, match="rigid contacts are not differentiated"):
+        differentiate(make(DISC), hold([]), [0, 0, 1], [0, 0, 0], Settings(0.1))
