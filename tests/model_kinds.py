@@ -15,7 +15,7 @@ QUATERNIONS: dict[str, str | None] = {
 CONSTRAINED: dict[str, str | None] = {
     **{
         f"--method {name}": "takes no loops or driven joints"
-        for name in ("symplectic-euler", "lsoda", "radau", "bdf", "gauss")
+        for name in ("symplectic-euler", "lsoda", "radau", "bdf", "gauss", "moreau")
     },
     "generate --acados": "moves no driven joints",
     "generate --acados-untimed": "moves no driven joints",

@@ -264,7 +264,8 @@ def _watch(event: str, arguments: tuple[Any, ...]) -> None:
     folder, seen = _watched[-1]
     if event in _FORBIDDEN:
         seen.append(event)
-    if event == "open" and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
+    named = not isinstance(arguments[0], int)  # a number is a descriptor that is open already
+    if event == "open" and named and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
         path = Path(str(arguments[0]))
         if folder not in path.absolute().parents and "__pycache__" not in path.parts:
             seen.append(f"wrote {path}")

@@ -60,7 +60,7 @@ def test_a_motion_that_runs_away_keeps_what_it_reached(bench: Mechanism, method:
     settings = Settings(2.0, method, output_step=0.01)
     motion = simulate(bench.with_parameters(b=1.0), REST, [0, 0, 2], [0, 0, 2 * np.sqrt(2)], settings)
     assert motion.halt is not None
-    assert motion.halt.joint == "runner"
+    assert motion.halt.joint == (None if method == "moreau" else "runner")  # its steps have no solution before
     assert motion.halt.time == pytest.approx(np.sqrt(0.5), abs=0.03 if "euler" in method else 0.01)
     assert motion.t[-1] <= motion.halt.time + 1e-12
     assert np.isfinite(motion.q).all()

@@ -19,7 +19,7 @@ from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration.groups import find_group
 from mbsrun.simulation.integration.joints import Joints
-from mbsrun.simulation.integration.steps import SINGULAR, count_steps, describe_singularity, place_steps
+from mbsrun.simulation.integration.steps import count_steps, describe_singularity, place_steps
 from mbsrun.simulation.memory import Memory, load_functions
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages, Strikes
 
@@ -66,7 +66,10 @@ long long mbs_stepping_run(const mbs_stepping *plant, double tolerance, double h
 
 _KERNEL, _SINGULAR, _CONE, _DIVERGED = 1, 2, 3, 4
 _FAILURES = {
-    _SINGULAR: (SINGULAR, "start elsewhere, or keep away from this configuration"),
+    _SINGULAR: (
+        "a step has no solution here: the mass matrix is singular, or a force grows too fast for the step",
+        "take a shorter step, or keep away from this configuration",
+    ),
     _CONE: (
         f"the impulses of contacts, stops and friction are not found to {TOLERANCE:g}; they may not exist",
         "take a shorter step, or less friction",
