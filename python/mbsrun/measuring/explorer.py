@@ -6,38 +6,20 @@ its own script.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 from collections.abc import Sequence
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbsgen import resources
 from mbsrun.measuring.fronts import Panel, write_error, write_work
+from mbsrun.measuring.page import fill_in
 from mbsrun.measuring.pictures import draw_alone
 
 
 def render_explorer(title: str, panels: Sequence[Panel]) -> str:
     """Return the page; the same panels give the same text."""
-    folder = resources.folder("templates") / "html"
-    environment = Environment(
-        loader=FileSystemLoader(folder),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    script = (folder / "explorer.js").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     shown = [(panel, Markup(_draw(panel, k))) for k, panel in enumerate(panels)]
-    return environment.get_template("explorer.html").render(
-        title=title,
-        panels=shown,
-        script=Markup(script),
-        script_hash=f"sha256-{digest}",
-    )
+    return fill_in("explorer", title=title, panels=shown)
 
 
 def _draw(panel: Panel, number: int) -> str:

@@ -64,6 +64,16 @@ def render_page(
 
     `styles` gives a class of the template's style sheet for a cell's text: a verdict has its colour.
     """
+    return fill_in(
+        "report",
+        title=title,
+        introduction=introduction,
+        sections=[_lay_out(section, number, styles) for number, section in enumerate(sections, 1)],
+    )
+
+
+def fill_in(name: str, **values: object) -> str:
+    """Fill in a page of `templates/html`, which holds its own script, and names the script's hash."""
     folder = resources.folder("templates") / "html"
     environment = Environment(
         loader=FileSystemLoader(folder),
@@ -72,15 +82,10 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    script = (folder / "report.js").read_text(encoding="utf-8")
+    script = (folder / f"{name}.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    return environment.get_template("report.html").render(
-        title=title,
-        introduction=introduction,
-        sections=[_lay_out(section, number, styles) for number, section in enumerate(sections, 1)],
-        script=Markup(script),
-        script_hash=f"sha256-{digest}",
-    )
+    page = environment.get_template(f"{name}.html")
+    return page.render(script=Markup(script), script_hash=f"sha256-{digest}", **values)
 
 
 def _lay_out(section: Section, number: int, styles: Mapping[str, str]) -> _Part:
