@@ -129,7 +129,7 @@ def read_problem(
     expect(document, "problem")
     for key in PHASED:
         if isinstance(document.data, dict) and key in document.data:
-            remedy = "only `mbsrun solve`, and ocp.phases in Python, take such problems"
+            remedy = "only `mbsrun solve`, and mbsrun.read_problem in Python, take such problems"
             raise refuse([document.fault((key,), f"a problem with {key}", remedy)])
     return interpret(document, name_problem(path), lambda model: load(path.parent / model), none)
 
