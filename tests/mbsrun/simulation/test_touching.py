@@ -14,7 +14,7 @@ from mbsgen.manifest import Stops
 from mbsrun import Mechanism, load
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
-from mbsrun.simulation.drive import hold
+from mbsrun.simulation.drive import control, hold
 from mbsrun.simulation.saltation import differentiate
 
 Array = NDArray[np.float64]
@@ -206,4 +206,11 @@ def test_contacts_beside_stops_are_refused(make: Make) -> None:
 
 def test_rigid_contacts_are_not_differentiated(make: Make) -> None:
     with pytest.raises(ValueError, match="rigid contacts are not differentiated"):
-        differentiate(make(DISC), hold([]), [0, 0, 1], [0, 0, 0], Settings(0.1))
+        differentiate(make(DISC), hold([]), [0, 1, 0], [0, 0, 0], Settings(0.1))
+
+
+def test_a_feedback_without_numbers_ends_a_motion(make: Make) -> None:
+    law = control(lambda t, *_: [] if t < 0.01 else [np.nan])
+    motion = simulate(make(DISC), law, [0, 1, 0], [0, 0, 0], Settings(0.1))
+    assert motion.halt is not None
+    assert "the control returned" in motion.halt.finding

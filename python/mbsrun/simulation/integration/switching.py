@@ -22,15 +22,14 @@ Pfeiffer, Glocker, "Multibody dynamics with unilateral contacts" (1996), chapter
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.kernel import KernelError
-from mbsrun.limits import Allowance, LimitError
-from mbsrun.simulation.drive import DriveError, Piece
-from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.limits import Allowance
+from mbsrun.simulation.drive import Piece
+from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration import explicit, touching
 from mbsrun.simulation.integration.complementarity import (
     NOISE,
@@ -39,10 +38,11 @@ from mbsrun.simulation.integration.complementarity import (
     solve_bounded,
     solve_redundant,
 )
+from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.explicit import Brakes, Pair, Plant
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
 from mbsrun.simulation.integration.joints import HELD, SLACK, Joints
-from mbsrun.simulation.integration.steps import count_steps, describe_singularity
+from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.motion import (
     PLACE,
     SPEED,
@@ -64,8 +64,6 @@ SLOW = 1e-3  # m/s, rad/s: only a slower rebound may be the last one
 REBOUND = 1e-15  # m, rad: a rebound that rises less is the last one
 NEAR = 1e-9  # of the forces of a joint: a force that is as near to the most that holds it lets it go
 TIGHT = 1e-12  # the same, where other joints may take the load over
-MANY = 100  # impacts at one time: the rest of them is one without rebounds
-MOST = 1000  # switches at one time
 
 
 def integrate(
@@ -87,10 +85,14 @@ def integrate(
     yield from course.follow(piece, q, qd, allowance)
 
 
-class _Course:
-    """A motion in the making: its mode, which holds over pieces of the inputs, and the C functions."""
+class _Course(Course):
+    """A motion of joints that stop, stick and slide; one C function integrates between events."""
+
+    switches = "stops and dry friction"
+    lost, remedy = ComplementarityError, "start elsewhere"
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+        super().__init__()
         self.joints, self.dynamics, self.settings = Joints.of(dynamics.kernels.manifest), dynamics, settings
         self.plant = Plant(dynamics, pair, settings, switches=True)
         self.forces = Forces(dynamics)
@@ -98,49 +100,16 @@ class _Course:
         self.released: dict[int, int] = {}  # joints that are no longer held, and the directions in which they start
         self.locking = np.zeros(0, dtype=np.intp)  # joints that hold all joints at rest
         self.held = np.zeros(len(self.joints.place))  # the last forces on joints at rest
+        self.holding = np.zeros(0)  # forces (n,) that hold them at the start of the mode
         self.fastest = 0.0  # velocity, in the last steps
-        self.stalled, self.time = 0, -1.0
         self.passed: tuple[Event, ...] = ()  # since the last chunk, with the energy that they took [J],
         self.loss = self.driven = 0.0  # and the work of driven joints
         self.guards: tuple[Guard, ...] = ()
         self.jumps: tuple[Jump, ...] = ()
 
-    def follow(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
-        """Go through a piece; yield the steps."""
-        time = piece.start
-        try:
-            while time < piece.end:
-                allowance.spend()
-                self.count(time)
-                q, qd, forces = self.settle(time, piece, q, qd)
-                for chunk in self.run(replace(piece, start=time), q, qd, forces, allowance):
-                    time, q, qd = float(chunk.t[-1]), chunk.q[-1], chunk.qd[-1]
-                    if len(chunk.t) > 1:
-                        yield chunk
-        except LimitError as error:
-            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
-        except (KernelError, SingularError) as error:
-            raise HaltError(describe_singularity(error, time)) from None
-        except DriveError as error:
-            if piece.law is None:
-                raise
-            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
-        except ComplementarityError as error:
-            raise HaltError(Halt(time, None, str(error), "start elsewhere")) from None
-
-    def count(self, time: float) -> None:
-        """Count the switches at one time."""
-        self.stalled, self.time = (self.stalled + 1 if time == self.time else 0), time
-        if self.stalled > MOST:
-            finding = f"{MOST} switches of stops and dry friction at one time"
-            raise HaltError(Halt(time, None, finding, "change a restitution or a friction a little"))
-
-    def run(self, piece: Piece, q: Array, qd: Array, forces: Array, allowance: Allowance) -> Iterator[Chunk]:
-        """Integrate until an event or the end of the piece; the chunk of an event at once has one state.
-
-        `forces` (n,) hold joints at rest at the start.
-        """
-        plant, state = self.plant, np.concatenate((q, qd))
+    def run(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
+        """Integrate until an event or the end of the piece; the chunk of an event at once has one state."""
+        plant, state, forces = self.plant, np.concatenate((q, qd)), self.holding
         assert self.modes is not None, "a mode was found"
         brakes = self.joints.brake(self.modes, forces, self.locking)
         guards = self.joints.guard(self.modes, forces, self.locking)
@@ -209,8 +178,8 @@ class _Course:
             else:  # a force below its lowest lets the joint go forward
                 self.released[guard.joint] = 1 if guard.side > 0 else -1
 
-    def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array, Array]:
-        """Pass the impacts at a state, and find the mode then: return the state, and the forces on joints at rest."""
+    def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Pass the impacts at a state, and find the mode then, with the forces on joints at rest; return the state."""
         joints, events = self.joints, list[Event]()
         q, qd = q.copy(), qd.copy()
         sides = joints.touch(q)
@@ -236,11 +205,11 @@ class _Course:
             finding = f"{MOST} impacts at one time"
             raise HaltError(Halt(time, None, finding, "change a restitution a little"))
         sides = np.where(sides * qd > 0, 0, sides)
-        modes, forces = self.decide(time, q, qd, piece.at(time, q, qd), inertia, sides)
+        modes, self.holding = self.decide(time, q, qd, piece.at(time, q, qd), inertia, sides)
         told = {(event.joint, event.kind) for event in events}
         events += [event for event in self.compare(time, qd, modes) if (event.joint, event.kind) not in told]
         self.modes, self.released, self.passed = modes, {}, (*self.passed, *events)
-        return q, qd, forces
+        return q, qd
 
     def hit(self, time: float, piece: Piece, q: Array, qd: Array, inertia: Inertia, sides: NDArray[np.int_]) -> _Impact:
         """Pass one impact; a rebound that is too low to be seen is none."""

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mbsrun.kernel import KernelError
-from mbsrun.limits import Allowance, LimitError
+from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
-from mbsrun.simulation.dynamics import Dynamics, SingularError
+from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.contacts import Contacts, Loads, Mode, ParadoxError, Search, State, Touch
-from mbsrun.simulation.integration.steps import count_steps, describe_singularity
+from mbsrun.simulation.integration.events import MANY, MOST, Course
+from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.integration.tableaus import Pair
 from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Kind, Segment, Settings
 
@@ -33,8 +34,6 @@ STILL = 1e-11  # of the fastest velocity of a point: a slower one is at rest
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
-MANY = 100  # impacts at one time: the rest of them is one without rebounds
-MOST = 1000  # switches at one time
 STEPS = 64  # yielded at a time
 LOOKS = np.array([0.25, 0.5, 0.75])  # within a step, for points that touch twice
 CLOSEST = 4 * np.finfo(float).eps
@@ -70,10 +69,14 @@ def integrate(
     yield from course.follow(piece, q, qd, allowance)
 
 
-class _Course:
-    """A motion in the making."""
+class _Course(Course):
+    """A motion of points that touch, stick, slip and leave."""
+
+    switches = "contacts"
+    lost, remedy = ParadoxError, "lessen the friction, or give contacts a stiffness"
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
+        super().__init__()
         formulation = dynamics.formulation
         own = Formulation.SEMI if formulation.evaluated.is_direct else formulation
         self.dynamics, self.pair, self.settings = replace(dynamics, formulation=own), pair, settings
@@ -84,34 +87,9 @@ class _Course:
         self.mode: Mode | None = None
         self.released: set[int] = set()
         self.length = 0.0  # of the next step; 0: not known
-        self.fastest, self.stalled, self.time = 0.0, 0, -1.0
+        self.fastest = 0.0
         self.passed: tuple[Event, ...] = ()
         self.loss = 0.0
-
-    def follow(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
-        """Go through a piece; yield the steps."""
-        time = piece.start
-        try:
-            while time < piece.end:
-                self.count(time)
-                q, qd = self.settle(time, piece, q, qd)
-                for chunk in self.run(replace(piece, start=time), q, qd, allowance):
-                    time, q, qd = float(chunk.t[-1]), chunk.q[-1], chunk.qd[-1]
-                    if len(chunk.t) > 1:
-                        yield chunk
-        except LimitError as error:
-            raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
-        except (KernelError, SingularError) as error:
-            raise HaltError(describe_singularity(error, time)) from None
-        except ParadoxError as error:
-            raise HaltError(Halt(time, None, str(error), "lessen the friction, or give contacts a stiffness")) from None
-
-    def count(self, time: float) -> None:
-        """Count the switches at one time."""
-        self.stalled, self.time = (self.stalled + 1 if time == self.time else 0), time
-        if self.stalled > MOST:
-            finding = f"{MOST} switches of contacts at one time"
-            raise HaltError(Halt(time, None, finding, "change a restitution or a friction a little"))
 
     # --- at one state ---
 
