@@ -381,20 +381,28 @@ static void guess(mbs_stepper *s, const casadi_real *impulses)
             s->P[s->first[k] + i] = impulses[s->owner[k] + i];
 }
 
+/* Find the matrices and the closed rows at the middle for v1, with a guess of the impulses. */
+static int renew(mbs_stepper *s, const casadi_real *impulses, mbs_stepping_record *record)
+{
+    int status = linearise(s, record);
+    if (status)
+        return status;
+    release(s);
+    status = collect(s, record);
+    if (!status)
+        guess(s, impulses);
+    return status;
+}
+
 /* Solve for v1. */
 static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *impulses, mbs_stepping_record *record)
 {
     const casadi_int n = s->p->n;
     casadi_real change = 0, before, size;
     casadi_int k, i;
-    int status = linearise(s, record), renewed = 1;
+    int status = renew(s, impulses, record), renewed = 1;
     if (status)
         return status;
-    release(s);
-    status = collect(s, record);
-    if (status)
-        return status;
-    guess(s, impulses);
     s->factor = 1;
     for (k = 0; k < ITERATIONS; ++k) {
         ++record->iterations;
@@ -414,15 +422,10 @@ static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *imp
         if (change <= CONVERGED * size || (k > 1 && change > before / 2 && change <= fmax(AGREES, CLOSER * s->reached) * size))
             return 0;
         if (!renewed && change > SLOW * before) {
-            status = linearise(s, record);
+            status = renew(s, impulses, record);
             renewed = 1;
             if (status)
                 return status;
-            release(s);
-            status = collect(s, record);
-            if (status)
-                return status;
-            guess(s, impulses);
             continue;
         }
         renewed = 0;
