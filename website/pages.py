@@ -63,6 +63,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "simulation.md",
             "stops.md",
             "contacts.md",
+            "tyres.md",
             "batches.md",
             "gpu.md",
             "animation.md",

@@ -20,6 +20,7 @@ from mbsrun.cache import MODELS, find_or_make
 
 INCLUSION = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF
 MESH = re.compile(rb"""<mesh\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF, whose inertia counts
+TYRE = re.compile(rb"""\bfile["']?\s*:\s*["']?([^"'\s,}]+\.tir)""", re.IGNORECASE)  # of a model file
 MESHES = re.compile(rb"""\b(?:meshdir|assetdir)\s*=\s*["']([^"']*)""")
 MOST_INCLUDED = 1000
 
@@ -166,7 +167,7 @@ def fingerprint(model: Path, extent: Extent = WHOLE) -> str:
 
 
 def _read_all(model: Path) -> list[bytes]:
-    """Read a model, and the files of its folder that it includes or takes meshes from, as MJCF can."""
+    """Read a model, and the files of its folder that it includes or takes meshes or tyres from."""
     folder, files, texts = model.resolve().parent, [model], []
     for file in files:  # which grows
         texts.append(_read(file))
@@ -176,7 +177,8 @@ def _read_all(model: Path) -> list[bytes]:
         )
         if len(files) > MOST_INCLUDED:  # mbsgen refuses it
             break
-    return [*texts, *map(_read, _list_meshes(folder, texts))]
+    tyres = sorted({folder / name.decode(errors="replace") for text in texts for name in TYRE.findall(text)})
+    return [*texts, *map(_read, _list_meshes(folder, texts)), *(_read(x) for x in tyres if _is_inside(x, folder))]
 
 
 def _list_meshes(folder: Path, texts: Sequence[bytes]) -> list[Path]:

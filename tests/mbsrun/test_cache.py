@@ -529,6 +529,16 @@ def test_generated_folders_depend_on_meshes(tmp_path: Path) -> None:
         assert models.fingerprint(model) != found
 
 
+def test_generated_folders_depend_on_tyres(tmp_path: Path) -> None:
+    """A model file names them."""
+    model, tyre = tmp_path / "car.yaml", tmp_path / "road.tir"
+    model.write_text("contacts:\n  - {tyre: {file: road.tir, mirrored: true}}")
+    tyre.write_text("one")
+    found = models.fingerprint(model)
+    tyre.write_text("other")
+    assert models.fingerprint(model) != found
+
+
 @pytest.mark.parametrize("place", ["mbsgen", "templates", "csrc"])
 def test_generated_folders_depend_on_every_file_of_the_generator(
     sources: Path, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

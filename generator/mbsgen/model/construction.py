@@ -62,6 +62,7 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.sections import read_direction, read_friction, read_number
 from mbsgen.model.tree import Cut, Kind, Motion
+from mbsgen.model.tyres import BRUSH, MAGIC, Tyre
 
 Quantity = Expression | float | str  # a number, or an expression as text
 Vector = Sequence[Quantity]  # three of them
@@ -306,11 +307,13 @@ def contact(
     friction: tuple[Quantity, Quantity] | Quantity | None = None,
     restitution: Quantity | None = None,
     wheel: tuple[Quantity, Direction] | None = None,
+    tyre: Tyre | None = None,
 ) -> Contact:
     """Make a contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane.
 
     A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
-    restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, and its axis.
+    restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, and its axis; a `tyre` is made by
+    `brush` or `magic`.
     """
     grip = None
     if isinstance(friction, tuple):
@@ -322,7 +325,19 @@ def contact(
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
     law = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
     circle = None if wheel is None else Wheel(number(wheel[0]), _direct(wheel[1]))
-    return Contact(*body_part, other, *law, circle)
+    return Contact(*body_part, other, *law, circle, tyre)
+
+
+def brush(longitudinal: Quantity, lateral: Quantity, friction: Quantity, length: Quantity = 0.0) -> Tyre:
+    """Make a tyre of bristles: its stiffnesses [N], its friction, and half the length of its contact [m]."""
+    values = longitudinal, lateral, friction, length
+    return Tyre("brush", tuple(zip(BRUSH, map(number, values), strict=True)))
+
+
+def magic(coefficients: Mapping[str, Quantity], *, mirrored: bool = False) -> Tyre:
+    """Make a tyre by the Magic Formula, of coefficients by their names in TIR files."""
+    given = {**{key: 0.0 if x is None else x for key, x in MAGIC.items()}, **coefficients}
+    return Tyre("magic", tuple((key, number(x)) for key, x in given.items()), mirrored=mirrored)
 
 
 def loop(

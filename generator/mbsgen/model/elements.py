@@ -29,7 +29,8 @@ The wheel turns about c and its axis a. Its sphere is at c - R e, the point of t
 
     e = (n - (n.a) a) / sqrt(1 - (n.a)^2)
 
-A wheel that lies flat on the plane has no such point: kernels then fail, with a status of the contact.
+A wheel that lies flat on the plane has no such point: kernels then fail, with a status of the contact. With a tyre, the
+force and the moment of `mbsgen.model.tyres` act at p - gap n, the point of the plane below.
 
 A sphere with R -> inf is the plane, and either of two spheres may be called the other one. With the velocity v of the
 first side relative to the other one, both at p, and rate = n.v, the force
@@ -58,13 +59,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from sympy import DiracDelta, Expr, Integer, Mul, Symbol, sign, sqrt
+from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
 from mbsgen.expressions import Expression, parse
 from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
 from mbsgen.model.symbols import total
 from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Rigid, Vector, Wrench
+from mbsgen.model.tyres import Tyre
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -144,6 +146,15 @@ class Circle:
 
 
 @dataclass(frozen=True)
+class _Axle:
+    """The axis of a wheel in the base frame, and the sine of its lean out of the plane."""
+
+    axis: Vector
+    lean: Symbol
+    square: Symbol  # of the cosine
+
+
+@dataclass(frozen=True)
 class _Meeting:
     """The point at which two sides touch, or would touch."""
 
@@ -151,6 +162,7 @@ class _Meeting:
     gap: Symbol
     arm: Vector  # from the centre of the first side to the point
     reach: Vector  # from the place of the other side to the point
+    axle: _Axle | None = None  # of a wheel
 
 
 class Loads:
@@ -289,12 +301,27 @@ class Loads:
             [self._probe(name, k, reading, at) for reading in (Reading.VELOCITY, Reading.SPIN)]
             for k, at in (("c", centre), ("P", side.anchor))
         )
+        if contact.tyre is not None:
+            arm, reach = _subtract(arm, _scale(gap, n)), _subtract(reach, _scale(gap, n))
         relative = _subtract(_add(vc, _cross(wc, arm)), _add(vP, _cross(wP, reach)))
         v = self._define_vector(name, "v", relative)
         rate = self._define(name, "rate", _dot(n, v))
         self.distances.append(Distance(name, gap))
-        N = self._press(contact, name, gap, rate, exponent)
-        F = _scale(N, n)
+        depth, N = self._press(contact, name, gap, rate, exponent)
+        F, M = _scale(N, n), _NOTHING
+        if met.axle is not None and contact.tyre is not None:
+            across = _scale(1 / sqrt(met.axle.square), met.axle.axis)
+            forward = self._define_vector(name, "x", _cross(across, n))
+            left = self._define_vector(name, "y", _cross(n, forward))
+            slips = {
+                "vx": _dot(forward, _subtract(vc, _add(vP, _cross(wP, reach)))),
+                "sy": _dot(left, v),
+                "spin": _dot(met.axle.axis, _subtract(wc, wP)),
+                "gamma": asin(met.axle.lean),
+            }
+            force, moment = self._slide(contact, contact.tyre, name, {**slips, "load": N, "depth": depth})
+            F = _add(F, _add(_scale(force[0], forward), _scale(force[1], left)))
+            M = self._define_vector(name, "M", _combine(moment, (forward, left, n)))
         if contact.friction is not None:
             slip = self._define_vector(name, "slip", _subtract(v, _scale(rate, n)))
             own = {"normal": N, "square": _dot(slip, slip)}
@@ -302,8 +329,24 @@ class Loads:
             drag = self._define(name, "drag", self._read(_DRAG, own))
             F = _subtract(F, _scale(drag, slip))
         F = self._define_vector(name, "F", F)
-        self._act(name, centre, F, _cross(arm, F))
-        self._act(name, side.anchor, _scale(-1, F), _cross(F, reach))
+        self._act(name, centre, F, _add(_cross(arm, F), M))
+        self._act(name, side.anchor, _scale(-1, F), _subtract(_cross(F, reach), M))
+
+    def _slide(
+        self, contact: Contact, tyre: Tyre, name: str, given: Mapping[str, Expr]
+    ) -> tuple[tuple[Expr, Expr], Vector]:
+        """Define the force of a tyre forward and to the left, and its moment along these and the normal."""
+        assert contact.wheel is not None, "a tyre is of a wheel"
+        side = -1 if tyre.mirrored else 1
+        own = {key: self._read(x, {}) for key, x in (*tyre.numbers, ("speed", tyre.speed))}
+        own |= {key: x if x.is_Symbol else self._define(name, key, x) for key, x in given.items()}
+        own |= {key: side * own[key] for key in ("sy", "gamma")}
+        own["radius"] = self._read(contact.wheel.radius, {}) + self._read(contact.radius, {})
+        own["stiffness"] = self._read(contact.stiffness, {})
+        for key, law in tyre.law:
+            value = self._read(law, own)
+            own[key] = value if value.is_number else self._define(name, key, value)
+        return (own["Fx"], side * own["Fy"]), (side * own["Mx"], own["My"], side * own["Mz"])
 
     def _meet(self, contact: Contact, name: str, centre: Anchor, side: Side, circle: Circle | None) -> _Meeting:
         """Define the normal, the gap and the point of contact."""
@@ -315,19 +358,20 @@ class Loads:
             return self._meet_box(contact, contact.other, name, _subtract(c, P), r, side)
         (normal,) = side.axes
         n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, normal))
-        arm = _scale(-r, n)
+        arm, axle = _scale(-r, n), None
         if circle is not None:
-            arm = _add(arm, self._roll(name, n, centre, circle))
+            rim, axle = self._roll(name, n, centre, circle)
+            arm = _add(arm, rim)
         reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))
-        return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach)
+        return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach, axle)
 
-    def _roll(self, name: str, n: Vector, centre: Anchor, circle: Circle) -> Vector:
+    def _roll(self, name: str, n: Vector, centre: Anchor, circle: Circle) -> tuple[Vector, _Axle]:
         """Define the way from the centre of a wheel to the point of its circle that is nearest to a plane."""
         a = self._probe(name, "a", Reading.DIRECTION, Anchor(centre.body, circle.axis))
         lean = self._define(name, "lean", _dot(n, a))
         square = self._define(name, "square", 1 - lean**2, Length(name, Integer(1)))
         part = self._define(name, "part", -self._read(circle.radius, {}) / sqrt(square))
-        return self._define_vector(name, "rim", _scale(part, _subtract(n, _scale(lean, a))))
+        return self._define_vector(name, "rim", _scale(part, _subtract(n, _scale(lean, a)))), _Axle(a, lean, square)
 
     def _meet_sphere(self, name: str, c: Vector, P: Vector, r: Expr, R: Expr) -> _Meeting:
         d = self._define_vector(name, "d", _subtract(c, P))
@@ -359,15 +403,15 @@ class Loads:
         arm = _scale(-r, n)
         return _Meeting(n, gap, arm, _add(d, arm))
 
-    def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> Expr:
-        """Define the normal force."""
+    def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> tuple[Expr, Expr]:
+        """Define the depth and the normal force."""
         own = {key: self._read(getattr(contact, key), {}) for key in ("stiffness", "dissipation", "width")}
         own |= {"gap": gap, "rate": rate}
         own["depth"] = self._define(name, "depth", self._read(_DEPTH, own))
         own["power"] = own["depth"] ** int(exponent)
         if exponent % 1:
             own["power"] *= self._read(_ROOT, own)
-        return self._define(name, "N", self._read(_NORMAL, own))
+        return own["depth"], self._define(name, "N", self._read(_NORMAL, own))
 
     def _probe(self, name: str, key: str, reading: Reading, anchor: Anchor) -> Vector:
         x, y, z = (_symbolize(name, key, reading, axis) for axis in "xyz")

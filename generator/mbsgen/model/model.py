@@ -17,6 +17,7 @@ from mbsgen.model.muscles import LENGTH as LENGTH
 from mbsgen.model.muscles import LENGTH_RATE as LENGTH_RATE
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.tree import Cut, Kind, Motion
+from mbsgen.model.tyres import Tyre
 
 BASE = "base"  # the name of the fixed base
 COORDINATE, RATE = "q", "qd"  # a joint's own, in the expression of its force
@@ -440,6 +441,7 @@ class Contact:
     friction: Grip | None = None
     restitution: Expression | None = None  # of a rigid contact; None: compliant
     wheel: Wheel | None = None
+    tyre: Tyre | None = None  # of a wheel, in place of friction
 
     @property
     def is_rigid(self) -> bool:

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from mbsgen.documents import Finding, Place, examine, expect, read_document, refuse
+from mbsgen.documents import (
+    Document,
+    Finding,
+    Place,
+    examine,
+    expect,
+    lies_under,
+    read_document,
+    refuse,
+)
+from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import Expression
 from mbsgen.model.checks.checks import find_doubts, find_faults
 from mbsgen.model.file import schema
+from mbsgen.model.file.force_sections import TyreSection
+from mbsgen.model.file.tir import VERTICAL, TyreFile, read_tyre
 from mbsgen.model.file.visual_sections import make_visuals
 from mbsgen.model.joints.dh import DhSection, place_tail
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Row, Triple, Wrench
 from mbsgen.model.tree import Kind
+from mbsgen.model.tyres import NEEDED
 
 
 def read_model(path: Path) -> Model:
@@ -27,12 +40,17 @@ def read_model(path: Path) -> Model:
     faults = list(examination.faults)
     section = examination.value
     if section is not None:
-        model = _make_model(section)
+        tyres, amiss = _read_tyres(path, document, section, examination.stand_ins)
+        faults += amiss
+        model = _make_model(section, tyres)
         doubtful = examination.stand_ins | _follow_carriers(section, examination.stand_ins)
-        findings = [*_check_joints(section), *_check_contacts(section), *find_faults(model, doubtful)]
+        findings = [*_check_joints(section), *_check_contacts(section, tyres), *find_faults(model, doubtful)]
         faults += [document.fault(_locate(found.place, section), found.finding, found.remedy) for found in findings]
     if faults or section is None:
         raise refuse(faults)
+    for table in dict.fromkeys(tyres.values()):
+        if table.unused:
+            warnings.warn(f"{table.file}: {UNUSED.format(', '.join(table.unused))}", ModelWarning, stacklevel=2)
     for found in find_doubts(model):
         fault = document.fault(_locate(found.place, section), found.finding, found.remedy)
         warnings.warn(str(fault), ModelWarning, stacklevel=2)
@@ -43,7 +61,37 @@ class ModelWarning(UserWarning):
     """Something in a model file that is taken as it stands, but may not be meant."""
 
 
-def _make_model(section: schema.ModelSection) -> Model:
+UNUSED = "no formula of MF-Tyre 5.2 without turn slip, pressure and relaxation has {}; these are left out"
+NO_TYRE = TyreFile("", dict.fromkeys(NEEDED, 1.0), {}, ())  # in place of a file that is at fault
+
+
+def _read_tyres(
+    path: Path, document: Document, section: schema.ModelSection, doubtful: frozenset[Place]
+) -> tuple[dict[int, TyreFile], list[Fault]]:
+    """Read the files of tyres, by the numbers of their contacts; and list what is wrong with them."""
+    tables, faults, known = dict[int, TyreFile](), list[Fault](), dict[str, TyreFile]()
+    for i, contact in enumerate(section.contacts):
+        place = ("contacts", i, "tyre", "file")
+        if contact.tyre is None or (name := contact.tyre.file) is None:
+            continue
+        if lies_under(place, doubtful):
+            name = ""
+            known[name] = NO_TYRE
+        if name not in known:
+            known[name], file = NO_TYRE, path.parent / name
+            if not file.resolve().is_relative_to(path.parent.resolve()):
+                finding = "a link out of the model's folder"
+                faults.append(document.fault(place, finding, "name a file below that folder"))
+            else:
+                try:
+                    known[name] = read_tyre(file)
+                except InputError as error:
+                    faults += error.faults
+        tables[i] = known[name]
+    return tables, faults
+
+
+def _make_model(section: schema.ModelSection, tyres: Mapping[int, TyreFile]) -> Model:
     return Model(
         name=section.name,
         gravity=section.gravity,
@@ -52,7 +100,7 @@ def _make_model(section: schema.ModelSection) -> Model:
         frames=tuple(Frame(x.name, x.body, x.placement, x.sensor) for x in section.frames),
         wrenches=tuple(map(_make_wrench, section.wrenches)),
         forces=tuple(element.make() for element in section.forces),
-        contacts=tuple(contact.make() for contact in section.contacts),
+        contacts=tuple(contact.make(tyres.get(i)) for i, contact in enumerate(section.contacts)),
         signals=section.signals,
         loops=tuple(loop.make() for loop in section.loops),
         constraints=tuple(constraint.make() for constraint in section.constraints),
@@ -142,15 +190,28 @@ def _check_joints(section: schema.ModelSection) -> Iterator[Finding]:
                 yield replace(found, place=("bodies", i, "joint", *found.place))
 
 
-def _check_contacts(section: schema.ModelSection) -> Iterator[Finding]:
+def _check_contacts(section: schema.ModelSection, tyres: Mapping[int, TyreFile]) -> Iterator[Finding]:
     for i, contact in enumerate(section.contacts):
-        if contact.stiffness is None and contact.restitution is None:
+        table = tyres.get(i, NO_TYRE)
+        known = VERTICAL if table is NO_TYRE and i in tyres else table.vertical  # a file that is at fault may have all
+        if contact.stiffness is None and contact.restitution is None and "VERTICAL_STIFFNESS" not in known:
             yield Finding(("contacts", i, "stiffness"), "missing", "give it, or restitution of a rigid contact")
+        if contact.wheel is not None and contact.wheel.radius is None and "UNLOADED_RADIUS" not in known:
+            yield Finding(("contacts", i, "wheel", "radius"), "missing", "give it, or a tyre's file that has it")
+        yield from _check_tyre(("contacts", i, "tyre"), contact.tyre)
         sides = {"plane": contact.plane, "sphere": contact.sphere, "box": contact.box}
         given = [key for key, side in sides.items() if side is not None]
         if len(given) > 1:
             finding = " and ".join(f"a {key}" for key in given)
             yield Finding(("contacts", i, given[1]), finding, "give one of them, or make a contact for each")
+
+
+def _check_tyre(place: Place, tyre: TyreSection | None) -> Iterator[Finding]:
+    if tyre is None or tyre.brush is None:
+        return
+    for key, given in (("file", tyre.file), ("coefficients", tyre.coefficients)):
+        if given:
+            yield Finding((*place, key), f"{key} beside a brush", "give one of them")
 
 
 def _follow_carriers(section: schema.ModelSection, doubtful: frozenset[Place]) -> frozenset[Place]:

@@ -50,6 +50,7 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.tree import Kind
+from mbsgen.model.tyres import BRUSH, FADING, MAGIC, Tyre
 
 MAX_WIDTH = 110  # of a line that holds a mapping or a list as a whole
 
@@ -297,6 +298,19 @@ def _write_contact(contact: Contact) -> Mapped:
         content["width"] = _write_number(contact.width)
     if contact.friction is not None:
         content["friction"] = _write_given(contact.friction, ("coefficient", "speed"))
+    if contact.tyre is not None:
+        content["tyre"] = _write_tyre(contact.tyre)
+    return content
+
+
+def _write_tyre(tyre: Tyre) -> Mapped:
+    usual = BRUSH if tyre.kind == "brush" else {key: None if x is None else Number(x) for key, x in MAGIC.items()}
+    numbers = {key: _write_number(x) for key, x in tyre.numbers if x != usual[key]}
+    content: Mapped = {"brush" if tyre.kind == "brush" else "coefficients": numbers}
+    if tyre.mirrored:
+        content["mirrored"] = "true"
+    if tyre.speed != FADING:
+        content["speed"] = _write_number(tyre.speed)
     return content
 
 

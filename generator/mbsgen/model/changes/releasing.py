@@ -7,7 +7,8 @@ Parameters are the numbers that the author wrote: `elbow.position.x` and `elbow.
 centres of mass and tensors along the axes, that the author gave them in. Rotations are counted from 1, as are the
 numbers of a force law and of an equation: `elbow.orientation.1` [rad], `constraints.cam.2`. Other forms keep their
 words: `elbow.orientation.roll`, `forearm.inertia.about.x`, and `elbow.alpha` of a row in a Denavit-Hartenberg table. An
-expression over parameters stays that expression. Exponents and normals of contacts stay.
+expression over parameters stays that expression. Exponents and normals of contacts stay, and so do coefficients of a
+Magic Formula, apart from its factors.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import list_quantities
 from mbsgen.model.symbols import symbolic, to_double
 from mbsgen.model.tree import Cut, Kind
+from mbsgen.model.tyres import Tyre
 from mbsgen.model.valuation import Valuation
 
 _NUMBERS = symbolic({})
@@ -305,7 +307,16 @@ class _Release:
             wheel=contact.wheel
             and replace(contact.wheel, radius=self._number(f"{path}.wheel.radius", contact.wheel.radius)),
             friction=grip,
+            tyre=contact.tyre and self._tyre(f"{path}.tyre", contact.tyre),
         )
+
+    def _tyre(self, path: str, tyre: Tyre) -> Tyre:
+        """Release the numbers of a brush, and the factors of a Magic Formula; its other coefficients stay."""
+        released = tuple(
+            (key, self._number(f"{path}.{key}", x) if tyre.kind == "brush" or key.startswith("L") else x)
+            for key, x in tyre.numbers
+        )
+        return replace(tyre, numbers=released)
 
     def _other(self, path: str, other: Other) -> Other:
         if isinstance(other, Block):

@@ -29,6 +29,7 @@ from mbsgen.model.model import (
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import list_quantities
 from mbsgen.model.topology import find_carriers
+from mbsgen.model.tyres import MAGIC, NEEDED, POSITIVE, Tyre
 from mbsgen.model.valuation import Valuation
 
 State = Mapping[str, Expr]  # the symbols that forces may read, by name
@@ -171,6 +172,8 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield from _check_positive((*place, "size", k), edge, valuation)
         if contact.radius != ZERO:
             yield Finding((*place, "radius"), "a box with a radius", "give a size or a radius, or make two contacts")
+    if contact.tyre is not None:
+        yield from _check_tyre(place, contact, contact.tyre, valuation)
     if contact.wheel is not None:
         yield from _check_positive((*place, "wheel", "radius"), contact.wheel.radius, valuation)
         if contact.size is not None:
@@ -194,6 +197,33 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield Finding(at, finding, "give a speed that smooths it, or restitution in place of stiffness")
         else:
             yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+
+
+def _check_tyre(place: Place, contact: Contact, tyre: Tyre, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with a tyre and its numbers."""
+    at = (*place, "tyre")
+    if contact.wheel is None:
+        yield Finding(at, "a tyre without a wheel", "give the contact a wheel")
+    for key, given in (("friction", contact.friction), ("restitution", contact.restitution)):
+        if given is not None:
+            yield Finding((*place, key), f"{key} beside a tyre", "leave it out: the tyre has its own law")
+    yield from _check_positive((*at, "speed"), tyre.speed, valuation)
+    inner = (*at, "brush" if tyre.kind == "brush" else "coefficients")
+    for key, number in tyre.numbers:
+        if tyre.kind == "brush" and key == "length":
+            yield from _check_not_negative((*inner, key), number, valuation)
+        elif tyre.kind == "brush" or (key in POSITIVE and number != ZERO):
+            yield from _check_positive((*inner, key), number, valuation)
+        elif key not in MAGIC:
+            meant = nearest(key, [*MAGIC])
+            remedy = f"did you mean {meant}?" if meant else "give names as in TIR files of MF-Tyre 5.2"
+            yield Finding((*inner, key), f"there is no coefficient {abbreviate(key)}", remedy)
+        else:
+            valuation.number((*inner, key), number)
+    values = dict(tyre.numbers)
+    if missing := [key for key in (*NEEDED, *POSITIVE) if tyre.kind == "magic" and values[key] == ZERO]:
+        finding = f"{', '.join(dict.fromkeys(missing))} missing, or 0"
+        yield Finding(inner, finding, "give them, or a file: the formulas divide by them")
 
 
 def _check_rigid(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
 from mbsgen.documents import Section
 from mbsgen.expressions import Number
 from mbsgen.model.file.loops import LoopEndSection
+from mbsgen.model.file.tir import TyreFile
+from mbsgen.model.file.visual_sections import read_file_name
 from mbsgen.model.model import (
     BASE,
     GROUND,
@@ -31,6 +33,7 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
+from mbsgen.model.tyres import BRUSH, FADING, MAGIC, Tyre
 
 
 class PresenceSection(Section):
@@ -171,8 +174,47 @@ class GripSection(Section):
 class WheelSection(Section):
     """A circle about an axis of the body; with the contact's radius it is a torus."""
 
-    radius: NumberField = Field(examples=[0.35], description="m, of the circle")
+    radius: NumberField | None = Field(
+        None, examples=[0.35], description="m, of the circle; without, that in the file of the tyre"
+    )
     axis: DirectionField = Field(UNITS["y"], examples=["y"], description="in the contact's frame")
+
+
+def _read_tyre_name(value: Any) -> str:
+    return read_file_name(value, "road.tir", (".tir",))
+
+
+TyreFileField = Annotated[str, PlainValidator(_read_tyre_name, json_schema_input_type=str)]
+
+
+class BrushSection(Section):
+    """A tyre of bristles on a rigid wheel."""
+
+    longitudinal: NumberField = Field(examples=[8e4], description="force over slip, N")
+    lateral: NumberField = Field(examples=[8e4], description="the same across; bristles are alike where both are")
+    friction: NumberField = Field(examples=[0.9], description="Coulomb's coefficient")
+    length: NumberField = Field(ZERO, examples=[0.06], description="half of the contact's, m: moment about z")
+
+
+class TyreSection(Section):
+    """A tyre: by the Magic Formula, or a brush."""
+
+    file: TyreFileField | None = Field(None, examples=["road.tir"], description="a TIR file below the model's folder")
+    coefficients: dict[str, Annotated[NumberField, Field(examples=[1.0])]] = Field(
+        {}, examples=[{"LMUX": 0.8}], description="of the Magic Formula, beside the file's or in place of them"
+    )
+    brush: BrushSection | None = Field(None, examples=[None], description="in place of a Magic Formula")
+    mirrored: bool = Field(False, examples=[False], description="measured for the other side of a car")
+    speed: NumberField = Field(FADING, examples=[0.1], description="below which slips fade, m/s")
+
+    def make(self, table: TyreFile | None) -> Tyre:
+        """Make the part of a Model, with the file that is named."""
+        if self.brush is not None:
+            return Tyre("brush", tuple((key, getattr(self.brush, key)) for key in BRUSH), self.speed, self.mirrored)
+        given = {} if table is None else {key: Number(value) for key, value in table.magic.items()}
+        numbers = {key: None if x is None else Number(x) for key, x in MAGIC.items()} | given | self.coefficients
+        known = tuple((key, x or ZERO) for key, x in numbers.items())  # a check names what is missing
+        return Tyre("magic", known, self.speed, self.mirrored)
 
 
 class ContactSection(PlacementSection):
@@ -198,6 +240,7 @@ class ContactSection(PlacementSection):
         WIDTH, examples=[1e-4], description="of the transition from distance to depth, m; else 1e-4"
     )
     friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
+    tyre: TyreSection | None = Field(None, examples=[None], description="of a wheel, in place of friction")
 
     @property
     def other(self) -> Other:
@@ -208,21 +251,32 @@ class ContactSection(PlacementSection):
             return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position)
         return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)
 
-    def make(self) -> Contact:
-        """Make the part of a Model."""
+    def make(self, table: TyreFile | None = None) -> Contact:
+        """Make the part of a Model; `table` is the file of its tyre."""
         grip = None if self.friction is None else Grip(self.friction.coefficient, self.friction.speed)
+        vertical = {} if table is None else table.vertical
+        stiffness, exponent, dissipation, wheel = self.stiffness, self.exponent, self.dissipation, None
+        if self.wheel is not None:
+            free = vertical.get("UNLOADED_RADIUS")
+            wheel = Wheel(self.wheel.radius or (ONE if free is None else Number(free)), self.wheel.axis)
+        if stiffness is None and self.restitution is not None:
+            stiffness = ZERO
+        elif stiffness is None and table is not None and "VERTICAL_STIFFNESS" in vertical:
+            stiffness, exponent = Number(vertical["VERTICAL_STIFFNESS"]), ONE
+            dissipation = Number(vertical.get("VERTICAL_DAMPING", 0.0) / table.magic["FNOMIN"])
         return Contact(
             self.name,
             self.body,
-            (ZERO if self.restitution is not None else ABSENT) if self.stiffness is None else self.stiffness,
+            ABSENT if stiffness is None else stiffness,
             self.placement,
             self.radius,
             self.size,
             self.other,
-            self.exponent,
-            self.dissipation,
+            exponent,
+            dissipation,
             self.width,
             grip,
             self.restitution,
-            None if self.wheel is None else Wheel(self.wheel.radius, self.wheel.axis),
+            wheel,
+            None if self.tyre is None else self.tyre.make(table),
         )

@@ -25,12 +25,18 @@ COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
 def read_mesh_name(value: Any) -> str:
     """Read the name of a mesh file below the model's folder. Raises WrongValueError."""
+    return read_file_name(value, "meshes/arm.stl", MESHES)
+
+
+def read_file_name(value: Any, example: str, suffixes: tuple[str, ...]) -> str:
+    """Read the name of a file below the model's folder, of one of these suffixes. Raises WrongValueError."""
     if not isinstance(value, str) or not value or len(value) > LONGEST or not value.isprintable():
-        raise WrongValueError(f"found {abbreviate(value)}", "give the name of a file, such as meshes/arm.stl")
+        raise WrongValueError(f"found {abbreviate(value)}", f"give the name of a file, such as {example}")
     if find_escape(value):
         raise WrongValueError(f"{abbreviate(value)} leads out of the model's folder", "name a file below that folder")
-    if PurePosixPath(value).suffix.lower() not in MESHES:
-        raise WrongValueError(f"{abbreviate(value)} is no mesh that is read", f"give {', '.join(MESHES)}")
+    if PurePosixPath(value).suffix.lower() not in suffixes:
+        kind = "mesh" if suffixes == MESHES else "file"
+        raise WrongValueError(f"{abbreviate(value)} is no {kind} that is read", f"give {', '.join(suffixes)}")
     return value
 
 

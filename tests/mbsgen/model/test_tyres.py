@@ -1,0 +1,260 @@
+"""Tyres: the Magic Formula as it is printed, the brush in closed form, files and their faults."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy import arctan, cos, sign, sin, tan
+from numpy.typing import NDArray
+
+from mbsgen.assembly import assemble
+from mbsgen.errors import InputError
+from mbsgen.formulations import impl
+from mbsgen.formulations.reductions import ALL
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.construction import body, brush, contact, joint, make_model
+from mbsgen.model.file.tir import read_tyre
+from mbsgen.model.model import Model
+from mbsgen.model.reader import ModelWarning, read_model
+from mbsgen.model.tyres import MAGIC, Tyre
+from mbsgen.model.writer import write_model
+from mbsgen.procedure.procedure import straight
+from mbsgen.tape.interpreter import evaluate
+
+Array = NDArray[np.float64]
+
+ROAD = Path(__file__).parents[3] / "models" / "vehicles" / "road.tir"
+RADIUS, STIFFNESS = 0.313, 2.1e5
+
+RIG = """
+name: rig
+gravity: [0, 0, 0]
+bodies:
+  - {name: hub, joint: {type: floating, order: zxy}, mass: 10, inertia: [1, 1, 1]}
+contacts:
+  - {name: road, body: hub, wheel: {axis: y}, tyre: {file: road.tir}}
+"""
+
+
+def make_rig(tyre: Tyre) -> Model:
+    """Make a wheel on a floating hub, without gravity: the residual of a straight motion is the ground's force."""
+    hub = body("hub", joint("floating", order="zxy"), mass=10, inertia=(1, 1, 1))
+    law = contact("road", "hub", stiffness=STIFFNESS, exponent=1, wheel=(RADIUS, "y"), tyre=tyre)
+    return make_model("rig", [hub], gravity=(0, 0, 0), contacts=[law])
+
+
+def measure(model: Model, depth: float, camber: float, velocity: tuple[float, float], spin: float) -> Array:
+    """Return Fx, Fy, Fz at the ground and the moment about the hub's centre along x, the axle and z."""
+    tree = assemble(build_tree(model))
+    height = RADIUS * cos(camber) - depth
+    q, qd = [0, 0, height, 0, camber, 0], [*velocity, 0, 0, 0, spin]
+    values = {"q": q, "qd": qd, "qdd": [0.0] * 6, "u": [], "w": []}
+    tape = straight(impl.build(tree, ALL))
+    given = {port.name: values[port.name] for port in tape.inputs}
+    return -np.array(evaluate(tape, given)["Phi"], float).ravel()[[0, 1, 2, 4, 5, 3]]
+
+
+def lay_out(force: Array, moment: Array, depth: float, camber: float) -> Array:
+    """Return the same of a force and a moment at the point on the ground below the wheel."""
+    arm = np.array([0.0, RADIUS * sin(camber), depth - RADIUS * cos(camber)])
+    about = np.cross(arm, force) + moment
+    return np.array([*force, about[0], about[1] * cos(camber) + about[2] * sin(camber), about[2]])
+
+
+def print_formulas(c: dict[str, float], Fz: float, kappa: float, alpha: float, gamma: float, V: float) -> Array:
+    """Return Fx, Fy, Mx, My, Mz as MF-Tyre's manual prints them: not simplified, with signs and absolute values."""
+
+    def curve(x: float, E: float) -> float:
+        return float(arctan(x - E * (x - arctan(x))))
+
+    Fz0, R0 = c["FNOMIN"] * c["LFZO"], RADIUS
+    dfz = (Fz - Fz0) / Fz0
+    kx = kappa + (c["PHX1"] + c["PHX2"] * dfz) * c["LHX"]
+    mux = (c["PDX1"] + c["PDX2"] * dfz) * (1 - c["PDX3"] * (gamma * c["LGAX"]) ** 2) * c["LMUX"]
+    Cx, Dx = c["PCX1"] * c["LCX"], mux * Fz
+    Ex = (c["PEX1"] + c["PEX2"] * dfz + c["PEX3"] * dfz**2) * (1 - c["PEX4"] * sign(kx)) * c["LEX"]
+    Kx = Fz * (c["PKX1"] + c["PKX2"] * dfz) * np.exp(c["PKX3"] * dfz) * c["LKX"]
+    SVx = Fz * (c["PVX1"] + c["PVX2"] * dfz) * c["LVX"] * c["LMUX"]
+    Fx0 = Dx * sin(Cx * curve(Kx / (Cx * Dx) * kx, min(Ex, 1))) + SVx
+    Bxa, Exa = c["RBX1"] * cos(arctan(c["RBX2"] * kappa)) * c["LXAL"], c["REX1"] + c["REX2"] * dfz
+    Gxa = [cos(c["RCX1"] * curve(Bxa * a, Exa)) for a in (alpha + c["RHX1"], c["RHX1"])]
+    Fx = Fx0 * Gxa[0] / Gxa[1]
+
+    gy = gamma * c["LGAY"]
+    SHy = (c["PHY1"] + c["PHY2"] * dfz) * c["LHY"] + c["PHY3"] * gy
+    SVy = Fz * ((c["PVY1"] + c["PVY2"] * dfz) * c["LVY"] + (c["PVY3"] + c["PVY4"] * dfz) * gy) * c["LMUY"]
+    ay = alpha + SHy
+    muy = (c["PDY1"] + c["PDY2"] * dfz) * (1 - c["PDY3"] * gy**2) * c["LMUY"]
+    Cy, Dy = c["PCY1"] * c["LCY"], muy * Fz
+    Ey = (c["PEY1"] + c["PEY2"] * dfz) * (1 - (c["PEY3"] + c["PEY4"] * gy) * sign(ay)) * c["LEY"]
+    Ky = c["PKY1"] * Fz0 * sin(2 * arctan(Fz / (c["PKY2"] * Fz0))) * c["LKY"] * (1 - c["PKY3"] * abs(gy))
+    By = Ky / (Cy * Dy)
+    Fy0 = Dy * sin(Cy * curve(By * ay, min(Ey, 1))) + SVy
+    Byk = c["RBY1"] * cos(arctan(c["RBY2"] * (alpha - c["RBY3"]))) * c["LYKA"]
+    Eyk, SHyk = c["REY1"] + c["REY2"] * dfz, c["RHY1"] + c["RHY2"] * dfz
+    Gyk = [cos(c["RCY1"] * curve(Byk * k, Eyk)) for k in (kappa + SHyk, SHyk)]
+    DVyk = muy * Fz * (c["RVY1"] + c["RVY2"] * dfz + c["RVY3"] * gamma) * cos(arctan(c["RVY4"] * alpha))
+    SVyk = DVyk * sin(c["RVY5"] * arctan(c["RVY6"] * kappa)) * c["LVYKA"]
+    Fy = Fy0 * Gyk[0] / Gyk[1] + SVyk
+
+    gz = gamma * c["LGAZ"]
+    at, ar = alpha + c["QHZ1"] + c["QHZ2"] * dfz + (c["QHZ3"] + c["QHZ4"] * dfz) * gz, ay + SVy / Ky
+    ateq, areq = (arctan(np.sqrt(tan(a) ** 2 + (Kx / Ky * kappa) ** 2)) * sign(a) for a in (at, ar))
+    Bt = (c["QBZ1"] + c["QBZ2"] * dfz + c["QBZ3"] * dfz**2) * (1 + c["QBZ4"] * gz + c["QBZ5"] * abs(gz))
+    Bt, Ct = Bt * c["LKY"] / c["LMUY"], c["QCZ1"]
+    Dt = Fz * (c["QDZ1"] + c["QDZ2"] * dfz) * (1 + c["QDZ3"] * gz + c["QDZ4"] * gz**2) * R0 / Fz0 * c["LTR"]
+    Et = (c["QEZ1"] + c["QEZ2"] * dfz + c["QEZ3"] * dfz**2) * (
+        1 + (c["QEZ4"] + c["QEZ5"] * gz) * 2 / np.pi * arctan(Bt * Ct * at)
+    )
+    trail = Dt * cos(Ct * curve(Bt * ateq, min(Et, 1))) * cos(alpha)
+    Br = c["QBZ9"] * c["LKY"] / c["LMUY"] + c["QBZ10"] * By * Cy
+    Dr = Fz * ((c["QDZ6"] + c["QDZ7"] * dfz) * c["LRES"] + (c["QDZ8"] + c["QDZ9"] * dfz) * gz) * R0 * c["LMUY"]
+    s = R0 * (c["SSZ1"] + c["SSZ2"] * Fy / Fz0 + (c["SSZ3"] + c["SSZ4"] * dfz) * gamma) * c["LS"]
+    Mz = -trail * (Fy - SVyk) + Dr * cos(arctan(Br * areq)) * cos(alpha) + s * Fx
+    Mx = R0 * Fz * (c["QSX1"] * c["LVMX"] + (-c["QSX2"] * gamma + c["QSX3"] * Fy / Fz0) * c["LMX"])
+    fast = V / c["LONGVL"]
+    My = -R0 * Fz * c["LMY"] * (c["QSY1"] + c["QSY2"] * Fx / Fz0 + c["QSY3"] * fast + c["QSY4"] * fast**4)
+    return np.array([Fx, Fy, Mx, My, Mz])
+
+
+@pytest.mark.parametrize(
+    ("depth", "kappa", "alpha", "camber"),
+    [(0.02, 0.0, 0.0, 0.0), (0.015, 0.05, -0.04, 0.03), (0.03, -0.12, 0.1, -0.06), (0.004, 0.9, 0.4, 0.1)],
+)
+def test_the_magic_formula_is_the_printed_one(
+    tmp_path: Path, depth: float, kappa: float, alpha: float, camber: float
+) -> None:
+    """At combined slip and camber, from light to twice the nominal load; mirrored, it is its own mirror image."""
+    (tmp_path / "road.tir").write_text(ROAD.read_text())
+    (tmp_path / "rig.yaml").write_text(RIG)
+    model = read_model(tmp_path / "rig.yaml")
+    c = {key: 0.0 if value is None else value for key, value in MAGIC.items()} | dict(read_tyre(ROAD).magic)
+    V, Fz = 20.0, STIFFNESS * depth
+    at = c["FNOMIN"] / STIFFNESS
+    rolling = RADIUS - at * (c["DREFF"] * arctan(c["BREFF"] * depth / at) + c["FREFF"] * depth / at)
+    Fx, Fy, Mx, My, Mz = print_formulas(c, Fz, kappa, alpha, camber, V)
+    expected = lay_out(np.array([Fx, Fy, Fz]), np.array([Mx, My, Mz]), depth, camber)
+    spin = V * (1 + kappa) / rolling
+    found = measure(model, depth, camber, (V, V * tan(alpha)), spin)
+    assert found == pytest.approx(expected, rel=1e-11, abs=1e-9 * Fz)
+    (law,) = model.contacts
+    assert law.tyre is not None
+    turned = replace(model, contacts=(replace(law, tyre=replace(law.tyre, mirrored=True)),))
+    found = measure(turned, depth, -camber, (V, -V * tan(alpha)), spin)
+    assert found * [1, -1, 1, -1, 1, -1] == pytest.approx(expected, rel=1e-11, abs=1e-9 * Fz)
+
+
+@pytest.mark.parametrize(("slip", "angle"), [(1e-9, 0.3), (0.02, -1.2), (0.06, 2.5), (0.4, 0.7)])
+def test_a_brush_is_its_integral_over_the_bristles(slip: float, angle: float) -> None:
+    """Bristles adhere up to where friction under a parabolic pressure breaks them away; then all of them slide."""
+    C, mu, a, depth, V = 8e4, 0.9, 0.06, 0.02, 30.0
+    Fz, sx, sy = STIFFNESS * depth, slip * np.cos(angle), slip * np.sin(angle)
+    # a bristle at x from the leading edge is bent by slip x; the stiffness per length is C/(2 a^2)
+    x, weights = np.polynomial.legendre.leggauss(40)
+    edge = max(2 * a * (1 - C * slip / (3 * mu * Fz)), 0.0)  # C/(2 a^2) slip x = mu 3 Fz/(4 a) (1 - (x/a - 1)^2)
+    parts = [(0.0, edge, lambda x: C / (2 * a**2) * slip * x)]
+    parts += [(edge, 2 * a, lambda x: mu * 3 * Fz / (4 * a) * (1 - (x / a - 1) ** 2))]
+    force = moment = 0.0
+    for begin, end, pull in parts:
+        places = begin + (x + 1) / 2 * (end - begin)
+        force += float(weights @ pull(places)) * (end - begin) / 2
+        moment += float(weights @ (pull(places) * (a - places))) * (end - begin) / 2
+    spin = V / RADIUS
+    found = measure(make_rig(brush(C, C, mu, a)), depth, 0.0, (V * (1 - sx), V * sy), spin)
+    direction = np.array([sx, -sy]) / slip
+    F, M = np.array([*force * direction, Fz]), np.array([0, 0, moment * direction[1]])
+    expected = lay_out(F, M, depth, 0.0)
+    assert found == pytest.approx(expected, rel=1e-11, abs=3e-8)
+    if slip == 0.4:
+        assert force == pytest.approx(mu * Fz)
+
+
+def test_a_wheel_in_the_air_has_no_force(tmp_path: Path) -> None:
+    """No load divides anything; of a brush a third of 1e-9 N is left."""
+    (tmp_path / "road.tir").write_text(ROAD.read_text())
+    (tmp_path / "rig.yaml").write_text(RIG)
+    for model in (read_model(tmp_path / "rig.yaml"), make_rig(brush(8e4, 6e4, 0.9))):
+        assert np.abs(measure(model, -0.5, 0.1, (20.0, 1.0), 50.0)).max() < 1e-9
+        assert np.isfinite(measure(model, 0.01, 0.0, (0.0, 0.0), 0.0)).all()
+
+
+def test_files_keep_tyres(tmp_path: Path) -> None:
+    """A model is written with its coefficients, and reads as the same one; factors become inputs."""
+    (tmp_path / "road.tir").write_text(ROAD.read_text())
+    (tmp_path / "rig.yaml").write_text(RIG.replace("file: road.tir", "file: road.tir, coefficients: {LMUX: 0.7}"))
+    for model in (read_model(tmp_path / "rig.yaml"), make_rig(brush(8e4, 6e4, 0.9, 0.05))):
+        (tmp_path / "copy.yaml").write_text(write_model(model))
+        assert read_model(tmp_path / "copy.yaml") == model
+    model = with_runtime_numbers(read_model(tmp_path / "rig.yaml"))
+    names = {x.name for x in model.parameters}
+    assert {"contacts.road.tyre.LMUX", "contacts.road.stiffness"} <= names
+    assert "contacts.road.tyre.PCX1" not in names
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            ("FITTYP        = 6", "FITTYP = 61"),
+            r"road\.tir:14: FITTYP: formulas of type 61; give a file of MF-Tyre 5\.2",
+        ),
+        (("'meter'", "'mm'"), r"road\.tir:7: LENGTH: a unit .mm.; convert the file to SI: meter"),
+        (("PCX1          = 1.58", "PCX1 = wide"), r"PCX1: found .wide.; give a number"),
+        (("PDX1          = 1.04", "PDX1 = nan"), r"PDX1: found no number"),
+        (("PKY1 ", "PKX9 "), r"PKY1: missing"),
+        (("QSY2          = 0", "PCY1 = 1"), r"PCY1: given again in line"),
+        (("FNOMIN        = 4000", "FNOMIN = -1"), r"FNOMIN: found -1; give more than 0"),
+        (("UNLOADED_RADIUS = 0.313", ""), r"rig\.yaml:7: contacts\[0\]\.wheel\.radius: missing"),
+        (("VERTICAL_STIFFNESS = 2.1e5", ""), r"contacts\[0\]\.stiffness: missing"),
+    ],
+)
+def test_a_fault_of_a_file_is_named(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    text = ROAD.read_text()
+    assert text.count(change[0]) == 1
+    (tmp_path / "road.tir").write_text(text.replace(*change))
+    (tmp_path / "rig.yaml").write_text(RIG)
+    with pytest.raises(InputError, match=message) as found:
+        read_model(tmp_path / "rig.yaml")
+    assert len(found.value.faults) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("file: road.tir", "file: none.tir"), r"none\.tir: there is no such file"),
+        (("file: road.tir", "file: ../road.tir"), "leads out of the model's folder"),
+        (("file: road.tir", "file: road.yaml"), r"no file that is read; give \.tir"),
+        (("file: road.tir", "file: road.tir, coefficients: {PCX9: 1}"), r"no coefficient .PCX9.; did you mean PCX1"),
+        (("file: road.tir", "file: road.tir, coefficients: {LMUX: 0}"), "LMUX missing, or 0"),
+        (
+            ("{axis: y}, tyre: {file: road.tir}", "{radius: 1}, stiffness: 1, tyre: {coefficients: {PCX1: 1}}"),
+            "FNOMIN, PDX1, PKX1, PCY1, PDY1, PKY1, PKY2 missing, or 0",
+        ),
+        (
+            ("file: road.tir", "file: road.tir, brush: {longitudinal: 1, lateral: 1, friction: 1}"),
+            "file beside a brush",
+        ),
+        (("file: road.tir", "file: road.tir, speed: 0"), "found 0; give more than 0"),
+        (("wheel: {axis: y}, ", ""), "a tyre without a wheel"),
+        (("wheel:", "friction: {coefficient: 1, speed: 1}, wheel:"), "friction beside a tyre"),
+        (("wheel:", "restitution: 0, wheel:"), "restitution beside a tyre"),
+    ],
+)
+def test_a_fault_of_a_tyre_is_named(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    (tmp_path / "road.tir").write_text(ROAD.read_text())
+    (tmp_path / "rig.yaml").write_text(RIG.replace(*change))
+    with pytest.raises(InputError, match=message) as found:
+        read_model(tmp_path / "rig.yaml")
+    assert len(found.value.faults) == 1
+
+
+def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+    """Relaxation lengths and pressures are not computed."""
+    (tmp_path / "road.tir").write_text(ROAD.read_text() + "PTX1 = 1.5\nPTY1 = 0\nPPX1 = 0.3\n")
+    (tmp_path / "rig.yaml").write_text(RIG)
+    with pytest.warns(ModelWarning, match=r"road\.tir: no formula .* has PTX1, PPX1; these are left out"):
+        read_model(tmp_path / "rig.yaml")
