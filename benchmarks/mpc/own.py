@@ -120,7 +120,9 @@ class OwnRunner:
             self._tables.lib.mbs_stages_shift(workspace.solver)
         self._shifts = shifts
         self._kept = workspace.memory.copy(), fill(workspace.evaluator, self._pack(guess))
-        self._options = self._make_options(**({"warm": 1, "barrier": self.settings.barrier} if shifts else {}))
+        self._options = self._make_options(
+            **({"warm_start_init_point": 1, "mu_init": self.settings.barrier} if shifts else {})
+        )
 
     def solve(self) -> Answer:
         """Solve once."""
@@ -138,7 +140,7 @@ class OwnRunner:
         """Move the robot in real time from rest, from a converged solution: one step of Newton's method a period."""
         task, lib, ffi = self._task, self._tables.lib, self._tables.ffi
         workspace = self._lay(np.concatenate([task.start, np.zeros(JOINTS)]))
-        options = self._make_options(least_barrier=LEAST_BARRIER)
+        options = self._make_options(mu_target=LEAST_BARRIER)
         lib.mbs_stages_solve(workspace.solver, options)
         x, inner = np.concatenate([task.start, np.zeros(JOINTS)]), np.zeros(2 * JOINTS)
         times: list[tuple[float, float]] = []
@@ -182,7 +184,7 @@ class OwnRunner:
 
     def _make_options(self, **values: float) -> Any:
         options = self._tables.ffi.new("mbs_stages_options *", self._tables.lib.mbs_stages_default_options())
-        options.tolerance = self.settings.tolerance
+        options.tol = self.settings.tolerance
         for name, value in values.items():
             setattr(options, name, value)
         return options

@@ -22,6 +22,8 @@ typedef mbs_stages_real real;
 #define real_log10 log10
 #endif
 
+#include "constants.h"
+
 #define MBS_STAGES_LANES 4
 
 /* As many numbers, written as a vector where there are such: a loop over four is taken apart before a compiler sees

@@ -11,9 +11,6 @@
 
 #include <string.h>
 
-#define OFTEN 4 /* an order that fails in one of as many stages is given up */
-#define TRIES 3
-
 /* The row of V of inner variable i of all variables. */
 static real *row_of_v(const mbs_stages_stage *s, int i)
 {
@@ -70,7 +67,7 @@ static void review_orders(mbs_stages_recursion *r)
     }
     for (k = 0; k < r->stages; ++k) {
         mbs_stages_pivots *p = r->stage[k].inner.pivots;
-        if (r->stage[k].inner.n > 0 && OFTEN * p->failed > p->stages) {
+        if (r->stage[k].inner.n > 0 && FAILING_SHARE * p->failed > p->stages) {
             p->ready = 0;
             r->stage[k].inner.stale = 1;
         }
@@ -98,13 +95,13 @@ void mbs_stages_order_pivots(mbs_stages_recursion *r)
     review_orders(r);
     for (k = 0; k < r->stages; ++k) {
         mbs_stages_pivots *p = r->stage[k].inner.pivots;
-        if (r->stage[k].inner.n > 0 && !p->ready && p->stage <= k && tries < TRIES && choose(r, k)) {
+        if (r->stage[k].inner.n > 0 && !p->ready && p->stage <= k && tries < ORDER_TRIES && choose(r, k)) {
             ++tries;
             p->stage = k + 1;
         }
     }
     for (k = 0; k < r->stages; ++k)
-        if (r->stage[k].inner.n > 0 && !r->stage[k].inner.pivots->ready && tries < TRIES)
+        if (r->stage[k].inner.n > 0 && !r->stage[k].inner.pivots->ready && tries < ORDER_TRIES)
             r->stage[k].inner.pivots->stage = 0;
 }
 

@@ -1,35 +1,31 @@
 /* Termination: what the errors, the clock and the iterate say. */
 #include "solver.h"
 
-#define UNBOUNDED ((real)1e20)
-#define CERTAIN ((real)1e-2) /* barrier parameters that a least violation is believed at */
-#define CLEAR ((real)1000)   /* how much larger than the barrier parameter it must be */
-
 static int is_late(const mbs_stages *s)
 {
     const mbs_stages_problem *p = s->problem;
-    return p->clock && s->options.seconds > 0 && p->clock(p->context) - s->began >= s->options.seconds;
+    return p->clock && s->options.max_wall_time > 0 && p->clock(p->context) - s->began >= s->options.max_wall_time;
 }
 
-/* The cost of distances, KAPPA mu, is not in the conditions; it does not vanish where mu stays. */
+/* The cost of distances, kappa_d mu, is not in the conditions; it does not vanish where mu stays. */
 int mbs_stages_is_solved(const mbs_stages *s, const mbs_stages_errors *e, real tolerance)
 {
-    const real most = s->options.violation_tolerance, stays = (real)1.01 * MBS_STAGES_KAPPA * mbs_stages_least_barrier(s);
+    const real most = s->options.constr_viol_tol, stays = (real)1.01 * s->options.kappa_d * mbs_stages_least_barrier(s);
     return e->scaled <= (tolerance > stays ? tolerance : stays) && e->violation <= most && e->complementarity / s->cost_scale <= most;
 }
 
 static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
 {
-    p->acceptable = mbs_stages_is_solved(s, e, s->options.acceptable_tolerance) ? p->acceptable + 1 : 0;
-    return s->options.acceptable_iterations > 0 && p->acceptable >= s->options.acceptable_iterations;
+    p->acceptable = mbs_stages_is_solved(s, e, s->options.acceptable_tol) ? p->acceptable + 1 : 0;
+    return s->options.acceptable_iter > 0 && p->acceptable >= s->options.acceptable_iter;
 }
 
-/* Whether restoration is at a least violation. Elastic variables keep some mu / PENALTY by themselves; a violation far
+/* Whether restoration is at a least violation. Elastic variables keep some mu / penalty by themselves; a violation far
  * beyond that stays, however small mu becomes, and a smaller mu would only cost digits. */
 static int is_least(mbs_stages *s, mbs_stages_phase *p)
 {
     const real worst = mbs_stages_worst_violation(s);
-    return p->elastic && p->mu <= CERTAIN && worst > CLEAR * p->mu &&
+    return p->elastic && p->mu <= LEAST_FROM && worst > LEAST_BEYOND * p->mu &&
            mbs_stages_measure_errors(s, p, p->mu).scaled <= 10 * p->mu + mbs_stages_rounding(p);
 }
 
@@ -38,15 +34,15 @@ int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors
 {
     if (is_least(s, p))
         return MBS_STAGES_SOLVED;
-    if (mbs_stages_is_solved(s, e, s->options.tolerance))
+    if (mbs_stages_is_solved(s, e, s->options.tol))
         return MBS_STAGES_SOLVED;
     if (is_acceptable(s, p, e))
         return MBS_STAGES_ACCEPTABLE;
-    if (s->result.iterations >= s->options.iterations)
+    if (s->result.iterations >= s->options.max_iter)
         return MBS_STAGES_ITERATION_LIMIT;
     if (is_late(s))
         return MBS_STAGES_TIME_LIMIT;
-    if (!(mbs_stages_largest(s->variables, p->x) < UNBOUNDED))
+    if (!(mbs_stages_largest(s->variables, p->x) < s->options.diverging_iterates_tol))
         return MBS_STAGES_UNBOUNDED;
     return MBS_STAGES_RUNNING;
 }
@@ -59,7 +55,7 @@ int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
         return status;
     mbs_stages_find_lagrangian(s, p);
     e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
-    return mbs_stages_is_solved(s, &e, s->options.acceptable_tolerance) ? MBS_STAGES_ACCEPTABLE : status;
+    return mbs_stages_is_solved(s, &e, s->options.acceptable_tol) ? MBS_STAGES_ACCEPTABLE : status;
 }
 
 void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)

@@ -3,26 +3,18 @@
 
 #include <string.h>
 
-#define KAPPA_EPSILON ((real)10)  /* errors that a barrier parameter is lowered at, beside itself */
-#define CONVEX ((real)3)          /* and where the last step needed no curvature, as many times larger ones */
-#define LONG ((real)0.8)          /* a step that followed the barrier problem, */
-#define EARLY ((real)3e-2)        /* of a barrier parameter as small as this, */
-#define FAR ((real)100)           /* with errors of as many times the parameter, */
-#define LATE ((real)1e-2)         /* or with any errors from here on */
-#define KAPPA_MU ((real)0.2)
-#define THETA_MU ((real)1.5)
-#define TAU ((real)0.99)
-#define NEAR ((real)0.5)          /* the first step of a warm start that is near its solution, at least */
-#define MOST_VIOLATION ((real)100) /* over the first violation; with 1e4, as in the paper, searches leave for no return */
-#define KAPPA_SIGMA ((real)1e10)  /* how far z may be from mu / distance */
+static real larger(real a, real b)
+{
+    return a > b ? a : b;
+}
 
 /* Start the filter, and the limits of the violation, at x. */
 void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 {
     const real theta = mbs_stages_sum(s->rows, p->c), size = theta > 1 ? theta : 1;
-    p->theta_most = MOST_VIOLATION * size;
-    p->theta_least = (real)1e-4 * size;
-    p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
+    p->theta_most = s->options.theta_max_fact * size;
+    p->theta_least = s->options.theta_min_fact * size;
+    p->tau = larger(1 - p->mu, s->options.tau_min);
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
     p->shortened = p->cautious = 0;
     p->regular = p->added = p->alpha = 0;
@@ -35,35 +27,38 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
  * end. Other errors count only as long as they may choose among minima. */
 static int is_followed(mbs_stages *s, mbs_stages_phase *p)
 {
-    if (p->elastic || p->soft > 0 || p->watchdog.active || p->mu > EARLY)
+    if (p->elastic || p->soft > 0 || p->watchdog.active || p->mu > FOLLOWED_BELOW)
         return 0;
-    if (p->added > 0 || p->alpha < LONG || (p->theta > p->theta_before && p->theta > s->options.tolerance))
+    if (p->added > 0 || p->alpha < FOLLOWED_FROM || (p->theta > p->theta_before && p->theta > s->options.tol))
         return 0;
     if (mbs_stages_largest(s->rows, p->c) > real_sqrt(real_sqrt(p->mu)))
         return 0;
-    if (mbs_stages_measure_errors(s, p, 0).complementarity > KAPPA_EPSILON * p->mu)
+    if (mbs_stages_measure_errors(s, p, 0).complementarity > s->options.barrier_tol_factor * p->mu)
         return 0;
-    return p->mu <= LATE || mbs_stages_measure_errors(s, p, p->mu).scaled <= FAR * p->mu;
+    return p->mu <= FOLLOWED_ANYHOW || mbs_stages_measure_errors(s, p, p->mu).scaled <= FOLLOWED_WITHIN * p->mu;
 }
 
 /* Lower the barrier parameter while its problem is solved well enough, and once where a step followed it; superlinearly
  * near the end. */
 static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 {
+    const mbs_stages_options *o = &s->options;
+    const real allowed = o->barrier_tol_factor;
     const real fixed = p->elastic ? 0 : mbs_stages_least_barrier(s);
-    const real products = s->options.violation_tolerance * s->cost_scale; /* of distances and multipliers */
-    const real tolerance = s->options.tolerance < products ? s->options.tolerance : products;
-    const real zero = tolerance / (KAPPA_EPSILON + 1), least = fixed > zero ? fixed : zero;
+    const real products = o->constr_viol_tol * s->cost_scale; /* of distances and multipliers */
+    const real tolerance = o->tol < products ? o->tol : products;
+    const real zero = tolerance / (allowed + 1), least = fixed > zero ? fixed : zero;
     int force = p->tiny && p->tiny_before;
-    const real factor = p->added > 0 || p->elastic ? KAPPA_EPSILON : CONVEX * KAPPA_EPSILON;
+    const real factor = p->added > 0 || p->elastic ? allowed : CONVEX_FACTOR * allowed;
     const real rounding = mbs_stages_rounding(p);
     int followed = p->mu > least && is_followed(s, p);
     while (force || followed || mbs_stages_measure_errors(s, p, p->mu).scaled <= factor * p->mu + rounding) {
-        const real a = KAPPA_MU * p->mu, b = real_pow(p->mu, THETA_MU), lower = a < b ? a : b;
+        const real a = o->mu_linear_decrease_factor * p->mu;
+        const real b = real_pow(p->mu, o->mu_superlinear_decrease_power), lower = a < b ? a : b;
         if (p->mu <= least)
             return force ? -1 : 0;
         p->mu = lower > least ? lower : least;
-        p->tau = 1 - p->mu > TAU ? 1 - p->mu : TAU;
+        p->tau = larger(1 - p->mu, s->options.tau_min);
         p->rejected = 0;
         mbs_stages_search_anew(p);
         mbs_stages_filter_clear(&p->filter);
@@ -74,7 +69,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
 }
 
 /* Keep z near mu / distance, and the distance from 0. */
-static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
+static void mend_bound(real *x, real *bound, real *z, real mu, real kappa, real sign)
 {
     const real least = MBS_STAGES_APART * mbs_stages_bound_size(*bound);
     real distance = sign * (*x - *bound);
@@ -82,10 +77,10 @@ static void mend_bound(real *x, real *bound, real *z, real mu, real sign)
         *bound -= sign * least;
         distance = sign * (*x - *bound);
     }
-    if (*z > KAPPA_SIGMA * mu / distance)
-        *z = KAPPA_SIGMA * mu / distance;
-    if (*z < mu / (KAPPA_SIGMA * distance))
-        *z = mu / (KAPPA_SIGMA * distance);
+    if (*z > kappa * mu / distance)
+        *z = kappa * mu / distance;
+    if (*z < mu / (kappa * distance))
+        *z = mu / (kappa * distance);
 }
 
 static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
@@ -95,9 +90,9 @@ static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
         if (s->fixed[i])
             continue;
         if (real_abs(p->lower[i]) < MBS_STAGES_INFINITE)
-            mend_bound(&p->x[i], &p->lower[i], &p->zl[i], p->mu, 1);
+            mend_bound(&p->x[i], &p->lower[i], &p->zl[i], p->mu, s->options.kappa_sigma, 1);
         if (real_abs(p->upper[i]) < MBS_STAGES_INFINITE)
-            mend_bound(&p->x[i], &p->upper[i], &p->zu[i], p->mu, -1);
+            mend_bound(&p->x[i], &p->upper[i], &p->zu[i], p->mu, s->options.kappa_sigma, -1);
     }
 }
 
@@ -105,7 +100,7 @@ static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
 static int contradict(const mbs_stages *s, const mbs_stages_phase *p)
 {
     const real worst = mbs_stages_largest(s->rows, p->c);
-    return worst > s->options.tolerance && s->left > worst / 2;
+    return worst > s->options.tol && s->left > worst / 2;
 }
 
 static int find_step(mbs_stages *s, mbs_stages_phase *p)
@@ -143,8 +138,8 @@ static int search(mbs_stages *s, mbs_stages_phase *p)
 /* Whether the first step of a warm start is short, or there is none. */
 static int is_far(const mbs_stages *s, const mbs_stages_phase *p, int failed)
 {
-    return failed || mbs_stages_boundary(s, p, p->x, p->step.x, p->tau) < NEAR ||
-           mbs_stages_dual_boundary(s, p, &p->step) < NEAR;
+    return failed || mbs_stages_boundary(s, p, p->x, p->step.x, p->tau) < WARM_STEP ||
+           mbs_stages_dual_boundary(s, p, &p->step) < WARM_STEP;
 }
 
 static int advance(mbs_stages *s, mbs_stages_phase *p)

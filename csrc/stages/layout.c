@@ -5,9 +5,6 @@
 
 #define SEARCHES MBS_STAGES_SEARCHES
 #define ALIGNMENT ((SEARCHES ? 2 : 1) * sizeof(void *)) /* small machines have small pointers, and no vectors */
-#define SPARE (SEARCHES ? 8 : 0) /* inner variables that the recursion has room for, where inner equations do not
-                                  * determine them */
-#define FILL 4   /* nonzeros that factors of inner equations may have for one of these */
 
 /* Memory from `base` on, or only a count of it where base is NULL. */
 typedef struct {
@@ -258,7 +255,7 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     if (y->n == 0)
         return;
     lay_shared(a, s, problem, k, t);
-    y->spare = smaller(y->n, SPARE);
+    y->spare = smaller(y->n, SEARCHES ? SPARE : 0);
     if (lane == 0) {
         y->factors.lower = numbers(a, y->capacity, MBS_STAGES_TOGETHER);
         y->factors.inverse = numbers(a, y->n, MBS_STAGES_TOGETHER);
@@ -434,6 +431,7 @@ static void lay_solver(arena *a, mbs_stages *s)
     for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)
         *of_slacks[i] = numbers(a, s->slacks, 1);
     s->least.elastic = 1;
+    s->main.options = s->least.options = &s->options;
     s->recursion.zero_pivot = MBS_STAGES_ZERO;
     s->recursion.small_pivot = MBS_STAGES_SMALL;
     s->recursion.growth = MBS_STAGES_GROWTH;

@@ -110,30 +110,63 @@ typedef enum {
     MBS_STAGES_DIVERGED         /* the plan is none any more: steps do not come back from its violation; solve anew */
 } mbs_stages_status;
 
+/* Options. Where IPOPT has the same, it has the same name there. */
 typedef struct {
-    mbs_stages_real tolerance;            /* of the scaled optimality conditions: 1e-8 (float: 1e-4) */
-    mbs_stages_real violation_tolerance;  /* of rows and of complementarity, unscaled: 1e-4 (float: 1e-3) */
-    mbs_stages_real acceptable_tolerance; /* 1e-6 (float: 1e-3) ... */
-    int acceptable_iterations;            /* ... in as many iterations in a row: 15 */
-    int iterations;                       /* limit: 3000 */
-    double seconds;                       /* limit by the clock; 0: none */
-    mbs_stages_real barrier;              /* the first barrier parameter: 0.1 */
-    int adaptive;                         /* 1: choose the first barrier parameter by an affine step */
-    int warm;                             /* 1: the point holds multipliers too; start from all of it, with the scales
-                                           * of the solve before, if there was one */
-    int by_stage;                         /* 1: add curvature only from the stage on that lacks it: 0 */
-    int scaled;                           /* 1: scale the cost and rows by their first gradients: 1 */
-    int scale_by_bounds;                  /* 1: variables without given scales take the larger of two bounds: 0 */
-    mbs_stages_real push;                 /* least relative distance of the first point from bounds: 0.01 */
-    mbs_stages_real least_barrier;        /* solve for this barrier parameter, in units of the cost; 0: as low as the
-                                           * tolerance asks for (in real time: 1e-4) */
-    mbs_stages_real relax;                /* bounds that are not equal give by this part of their size, or of 1, while
-                                           * a solve goes on: 1e-8 (float: 1e-5) */
-    int follow;                           /* 1: where a trial is refused, inner variables are solved for anew, as if
-                                           * they were functions of the others: 0 */
-    mbs_stages_real most_violation;       /* in real time: the violation of scaled rows from which on a plan has
-                                           * diverged; 0: 10 times the largest of the plan that steps began with: its
-                                           * scaled numbers, its own violation, 1 */
+    mbs_stages_real tol;             /* of the scaled optimality conditions: 1e-8 (float: 1e-4) */
+    mbs_stages_real constr_viol_tol; /* of rows and of complementarity, unscaled: 1e-4 (float: 1e-3) */
+    mbs_stages_real acceptable_tol;  /* 1e-6 (float: 1e-3) ... */
+    int acceptable_iter;             /* ... in as many iterations in a row: 15 */
+    int max_iter;                    /* 3000 */
+    double max_wall_time;            /* s by the clock; 0: no limit */
+    mbs_stages_real mu_init;         /* the first barrier parameter; 0: 0.1 */
+    mbs_stages_real mu_target;       /* solve for this barrier parameter, in units of the cost; 0: as low as the
+                                      * tolerance asks for (in real time: 1e-4) */
+    int adaptive;                    /* 1: choose the first barrier parameter by an affine step */
+    int warm_start_init_point;       /* 1: the point holds multipliers too; start from all of it, with the scales of the
+                                      * solve before, if there was one */
+    int by_stage;                    /* 1: add curvature only from the stage on that lacks it: 0 */
+    int scaled;                      /* 1: scale the cost and rows by their first gradients: 1 */
+    int scale_by_bounds;             /* 1: variables without given scales take the larger of two bounds: 0 */
+    mbs_stages_real bound_push;      /* least relative distance of the first point from bounds: 0.01 */
+    mbs_stages_real bound_relax_factor; /* bounds that are not equal give by this part of their size, or of 1, while a
+                                         * solve goes on: 1e-8 (float: 1e-5) */
+    int follow;                      /* 1: where a trial is refused, inner variables are solved for anew, as if they were
+                                      * functions of the others: 0 */
+    mbs_stages_real most_violation;  /* in real time: the violation of scaled rows from which on a plan has diverged; 0:
+                                      * 10 times the largest of the plan that steps began with: its scaled numbers, its
+                                      * own violation, 1 */
+
+    /* the barrier problem, and scales */
+    mbs_stages_real barrier_tol_factor; /* the barrier parameter falls where errors are below it times this: 10 */
+    mbs_stages_real mu_linear_decrease_factor, mu_superlinear_decrease_power; /* 0.2, 1.5 */
+    mbs_stages_real tau_min;            /* part of the way to a bound that a step may go: 0.99 */
+    mbs_stages_real kappa_d;            /* price of the distance from a bound, beside the barrier parameter: 1e-5 */
+    mbs_stages_real kappa_sigma;        /* how far a multiplier may be from barrier parameter / distance: 1e10 */
+    mbs_stages_real s_max;              /* mean of multipliers beyond which errors are scaled: 100 */
+    mbs_stages_real diverging_iterates_tol;   /* 1e20 */
+    mbs_stages_real nlp_scaling_max_gradient; /* gradients that are not scaled down: 100 */
+    mbs_stages_real nlp_scaling_min_value;    /* 1e-16 */
+
+    /* the line search, and restoration */
+    mbs_stages_real theta_max_fact, theta_min_fact; /* violations beside the first one: the most, 100 (with 1e4, as in
+                                                     * the paper, searches leave for no return); small ones, 1e-4 */
+    mbs_stages_real gamma_theta, gamma_phi;      /* margins of the filter: 1e-5, 1e-8 */
+    mbs_stages_real delta, s_theta, s_phi;       /* the switching condition: 1, 1.1, 2.3 */
+    mbs_stages_real eta_phi;                     /* Armijo's condition: 1e-8 */
+    mbs_stages_real alpha_min_frac;              /* 0.05 */
+    mbs_stages_real obj_max_inc;                 /* orders of magnitude that the barrier function may rise by: 5 */
+    int max_soc;                                 /* second-order corrections: 4 */
+    mbs_stages_real kappa_soc;                   /* of the violation, by each of them: 0.99 */
+    int watchdog_shortened_iter_trigger, watchdog_trial_iter_max;     /* 10, 3 */
+    int max_soft_resto_iters;                    /* steps that lower the errors alone, in a row: 10 */
+    mbs_stages_real soft_resto_pderror_reduction_factor;              /* 0.9999 */
+    mbs_stages_real required_infeasibility_reduction;                 /* of the largest violation: 0.9 */
+    mbs_stages_real resto_penalty_parameter, bound_mult_reset_threshold; /* 1000, 1000 */
+
+    /* curvature that is added, and refinement */
+    mbs_stages_real first_hessian_perturbation, min_hessian_perturbation, max_hessian_perturbation; /* 1e-4, 1e-20, 1e20 */
+    mbs_stages_real perturb_inc_fact_first, perturb_inc_fact;         /* 100, 6 */
+    int max_refinement_steps;                    /* 8 */
 } mbs_stages_options;
 
 /* A row or a bound that stays violated. */
@@ -198,7 +231,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *solver, const mbs_stages_options 
 /* Move the iterate one stage ahead: each stage takes the numbers of the next one, where their sizes are equal. */
 void mbs_stages_shift(mbs_stages *solver);
 
-/* Control in real time: a step of Newton's method for the problem with the barrier parameter `least_barrier`, without a
+/* Control in real time: a step of Newton's method for the problem with the barrier parameter `mu_target`, without a
  * line search, in two parts.
  *
  * `mbs_stages_prepare` does all that needs no measurement: it moves the iterate ahead if `shift` is not 0, calls the
@@ -213,9 +246,8 @@ void mbs_stages_shift(mbs_stages *solver);
  * Steps can go wrong, after a blow for instance. Where the violation of the plan exceeds `most_violation`, the preparation
  * returns MBS_STAGES_DIVERGED, and no step is made until there is another plan: write a guess, and solve or begin anew.
  *
- * The first preparation after a solve starts from its solution, or from the caller's guess. Only the tolerance-free
- * options `least_barrier`, `most_violation`, `by_stage`, `scaled`, `scale_by_bounds` are read. `options` may be NULL for
- * the default. */
+ * The first preparation after a solve starts from its solution, or from the caller's guess. Limits and
+ * tolerances among the options are not read. `options` may be NULL for the default. */
 typedef struct {
     mbs_stages_status status;
     int stage;          /* of a failed callback or a bad bound, or -1 */

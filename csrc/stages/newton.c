@@ -15,15 +15,6 @@
 
 #include <string.h>
 
-#define FIRST ((real)1e-4)  /* multiple of the identity that is tried first */
-#define LEAST ((real)1e-20)
-#define MOST ((real)1e20)
-#define FREE ((real)1e20)
-#define REFINEMENTS 8
-#define MANY 2               /* refinements that show a loss of digits */
-#define ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
-#define NOTHING ((real)1e-2) /* share of the tolerance that no step needs to be refined to */
-
 static void find_sigma(const mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
@@ -69,7 +60,7 @@ static real yield(const mbs_stages *s, const mbs_stages_phase *p, int i)
 {
     if (s->fixed[i])
         return 0;
-    return p->sigma[i] > 0 ? 1 / p->sigma[i] : FREE;
+    return p->sigma[i] > 0 ? 1 / p->sigma[i] : FREE_COMPLIANCE;
 }
 
 static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
@@ -149,11 +140,14 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     return mbs_stages_factorise(&s->recursion, 0);
 }
 
-static real first_curvature(real before)
+static real larger(real a, real b)
 {
-    if (before == 0)
-        return FIRST;
-    return before / 3 > LEAST ? before / 3 : LEAST;
+    return a > b ? a : b;
+}
+
+static real first_curvature(const mbs_stages_options *o, real before)
+{
+    return before == 0 ? o->first_hessian_perturbation : larger(before / 3, o->min_hessian_perturbation);
 }
 
 /* Let rows be soft where more curvature than there is anywhere does not make hard ones convex: they take all digits. */
@@ -184,12 +178,12 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
             continue;
         }
         if (regular == 0)
-            regular = first_curvature(before);
+            regular = first_curvature(&s->options, before);
         else if (k >= first)
-            regular *= before == 0 ? 100 : 6;
+            regular *= before == 0 ? s->options.perturb_inc_fact_first : s->options.perturb_inc_fact;
         k = s->options.by_stage ? k : 0;
         first = k < first ? k : first;
-        if (!(regular < MOST))
+        if (!(regular < s->options.max_hessian_perturbation))
             return -1;
     }
     s->result.dependent = s->recursion.dependent;
@@ -264,18 +258,13 @@ static residuals measure(const mbs_stages *s, const real *w, const real *c)
     return most;
 }
 
-static real larger(real a, real b)
-{
-    return a > b ? a : b;
-}
-
 /* Residuals over their limits: a share of the right-hand sides, little beside the tolerance of a solution, or the
  * rounding of numbers as large as the solution. Multipliers can be a million times the right-hand sides. */
 static real rate(const mbs_stages *s, residuals error, residuals right, real share)
 {
-    const real least = s->options.tolerance * NOTHING;
-    const real w = larger(least, ROUNDING * mbs_stages_largest(s->rows, s->dy));
-    const real c = larger(least, ROUNDING * mbs_stages_largest(s->variables, s->dw));
+    const real least = s->options.tol * REFINED_SHARE;
+    const real w = larger(least, SUM_ROUNDING * mbs_stages_largest(s->rows, s->dy));
+    const real c = larger(least, SUM_ROUNDING * mbs_stages_largest(s->variables, s->dw));
     return larger(error.w / larger(share * right.w, w), error.c / larger(share * right.c, c));
 }
 
@@ -306,7 +295,7 @@ static int solve_reduced(mbs_stages *s)
         memcpy(s->best_y, s->dy, (size_t)s->rows * sizeof *s->dy);
         if (error <= 1)
             return i;
-        if (error > last / 2 || i == REFINEMENTS)
+        if (error > last / 2 || i == s->options.max_refinement_steps)
             break;
         last = error;
         ++s->result.refinements;
@@ -359,11 +348,11 @@ static int solve_again(mbs_stages *s, mbs_stages_phase *p, const real *c)
 static void solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
 {
     int passes = solve_reduced(s);
-    if ((passes < 0 || passes >= MANY) && mbs_stages_mind_growth(&s->recursion, 0))
+    if ((passes < 0 || passes >= MANY_REFINEMENTS) && mbs_stages_mind_growth(&s->recursion, 0))
         passes = solve_again(s, p, c);
     if (!MBS_STAGES_SEARCHES || p->elastic)
         return;
-    if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY)) {
+    if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY_REFINEMENTS)) {
         s->softening = MBS_STAGES_SOFTENED;
         passes = passes < 0 ? solve_again(s, p, c) : passes;
     }

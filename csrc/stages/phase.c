@@ -6,10 +6,6 @@
 
 #include <string.h>
 
-#define USUAL ((real)100)    /* size of multipliers beyond which errors are scaled */
-#define FORGIVEN ((real)100) /* most that errors are scaled by: multipliers that diverge are no solution */
-#define ROUNDED ((real)5000) /* units of rounding in the residual of a row that is scaled */
-
 real mbs_stages_sum(int n, const real *c)
 {
     real sum[4] = {0};
@@ -49,7 +45,7 @@ static real elastic_cost(const mbs_stages *s, const real *x)
         const real d = s->weight[i] * (x[i] - s->reference[i]);
         distance += d * d;
     }
-    return MBS_STAGES_PENALTY * mbs_stages_sum(2 * s->rows, p) + s->weight_factor * distance / 2;
+    return s->options.resto_penalty_parameter * mbs_stages_sum(2 * s->rows, p) + s->weight_factor * distance / 2;
 }
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
@@ -84,7 +80,7 @@ int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
     if (mbs_stages_jacobians(s, p->x, p->gradient))
         return -1;
     for (i = s->variables; i < p->size; ++i)
-        p->gradient[i] = i < s->variables + s->slacks ? 0 : MBS_STAGES_PENALTY;
+        p->gradient[i] = i < s->variables + s->slacks ? 0 : s->options.resto_penalty_parameter;
     if (p->elastic)
         elastic_gradient(s, p);
     return 0;
@@ -123,7 +119,7 @@ real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const re
         if (above && !below)
             distances += p->upper[i] - x[i];
     }
-    return cost - p->mu * (logarithms - MBS_STAGES_KAPPA * distances);
+    return cost - p->mu * (logarithms - s->options.kappa_d * distances);
 }
 
 static real barrier_slope(const mbs_stages_phase *p, int i)
@@ -135,7 +131,7 @@ static real barrier_slope(const mbs_stages_phase *p, int i)
     if (above)
         slope += p->mu / (p->upper[i] - p->x[i]);
     if (below != above)
-        slope += below ? MBS_STAGES_KAPPA * p->mu : -MBS_STAGES_KAPPA * p->mu;
+        slope += below ? p->options->kappa_d * p->mu : -p->options->kappa_d * p->mu;
     return slope;
 }
 
@@ -220,17 +216,17 @@ real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, con
     return count > 0 ? sum / (real)count : 0;
 }
 
-static real size_of(real sum, int count)
+static real size_of(real sum, int count, real usual)
 {
     const real mean = count > 0 ? sum / (real)count : 0;
-    const real size = mean > USUAL ? mean / USUAL : 1;
-    return size < FORGIVEN ? size : FORGIVEN;
+    const real size = mean > usual ? mean / usual : 1;
+    return size < MOST_FORGIVEN ? size : MOST_FORGIVEN;
 }
 
 /* The residual of a row in its own unit; a row with steep slopes, as of squares of many metres, rounds by more. */
 static real unscale_residual(real c, real scale)
 {
-    const real rounding = scale < 1 ? ROUNDED * MBS_STAGES_EPSILON : 0, own = real_abs(c) - rounding;
+    const real rounding = scale < 1 ? ROW_ROUNDING * MBS_STAGES_EPSILON : 0, own = real_abs(c) - rounding;
     return own > 0 || own != own ? own / scale : 0;
 }
 
@@ -243,8 +239,8 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
     e.complementarity = complementarity(s, p, mu, &sum, &count);
     e.stationarity = mbs_stages_largest(p->size, p->slope);
     e.scaled = mbs_stages_largest(s->rows, p->c);
-    dual = e.stationarity / size_of(sum + mbs_stages_sum(s->rows, p->y), count + s->rows);
-    slack = e.complementarity / size_of(sum, count);
+    dual = e.stationarity / size_of(sum + mbs_stages_sum(s->rows, p->y), count + s->rows, s->options.s_max);
+    slack = e.complementarity / size_of(sum, count, s->options.s_max);
     e.violation = 0;
     for (i = 0; i < s->rows; ++i) {
         const real c = unscale_residual(p->c[i], s->row_scale[i]);
@@ -259,7 +255,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
  * penalty. */
 real mbs_stages_rounding(const mbs_stages_phase *p)
 {
-    return p->elastic ? 100 * MBS_STAGES_EPSILON * MBS_STAGES_PENALTY : 0;
+    return p->elastic ? 100 * MBS_STAGES_EPSILON * p->options->resto_penalty_parameter : 0;
 }
 
 /* The largest step, at most 1, that keeps a part 1 - tau of each distance. */

@@ -13,12 +13,6 @@
 
 #include <string.h>
 
-#define SHARE ((real)0.01)     /* of a pivot in its row, at least, when an order is chosen */
-#define LOST ((real)1e9)      /* how much larger than a pivot the rest of its row may become later; h^2 is a pivot */
-#define PASSES 3
-#define SMALL ((real)1e-5)     /* entries beside the largest that rows are not balanced by */
-#define FULL ((real)0.95)       /* nonzeros of a block that is taken as full */
-
 /* The block that remains while an order is chosen. */
 typedef struct {
     int n, done;
@@ -65,7 +59,7 @@ static int balance(real *a, int count, int stride)
     least = most;
     for (i = 0; i < (size_t)count; ++i) {
         const real b = real_abs(a[i * step]);
-        least = b > SMALL * most && b < least ? b : least;
+        least = b > BALANCING_SMALL * most && b < least ? b : least;
     }
     factor = 1 / (real_sqrt(least) * real_sqrt(most));
     for (i = 0; i < (size_t)count; ++i)
@@ -78,7 +72,7 @@ static int balance(real *a, int count, int stride)
 static int balance_block(remainder_block *r)
 {
     int pass, i;
-    for (pass = 0; pass < PASSES; ++pass)
+    for (pass = 0; pass < BALANCING_PASSES; ++pass)
         for (i = 0; i < r->n; ++i)
             if (balance(r->a + i, r->n, r->n) || balance(r->a + (size_t)i * (size_t)r->n, r->n, 1))
                 return -1;
@@ -109,7 +103,7 @@ static int find_best(const remainder_block *r, int full, int *at_row, int *at_co
             const int j = r->column[t];
             const real size = real_abs(a[j]);
             const long cost = full ? 0 : (long)(r->in_row[i] - 1) * (r->in_column[j] - 1);
-            if (!(size > r->zero_pivot * r->size[i]) || size < SHARE * most || (best >= 0 && cost > best))
+            if (!(size > r->zero_pivot * r->size[i]) || size < PIVOT_SHARE * most || (best >= 0 && cost > best))
                 continue;
             if (best < 0 || cost < best || size > best_size) {
                 best = cost;
@@ -178,7 +172,7 @@ static int is_nearly_full(const remainder_block *r)
     int s;
     for (s = r->done; s < r->n; ++s)
         count += r->in_row[r->row[s]];
-    return (real)count >= FULL * (real)left * (real)left;
+    return (real)count >= FULL_BLOCK * (real)left * (real)left;
 }
 
 static void fill(remainder_block *r)
@@ -347,7 +341,7 @@ static void eliminate_row(const elimination *a, int i)
 static void take_pivots(const elimination *a, int i, const lanes *size, real zero_pivot)
 {
     const mbs_stages_pivots *p = a->p;
-    const real zero = zero_pivot * zero_pivot, lost = LOST * LOST;
+    const real zero = zero_pivot * zero_pivot, lost = PIVOT_LOSS * PIVOT_LOSS;
     const int first = p->upper[i], count = p->upper[i + 1] - first, *restrict place = p->upper_place + first;
     const lanes *restrict row = a->row, pivot = row[i];
     lanes *restrict upper = a->upper + first, inverse, minus, most;

@@ -1,8 +1,8 @@
 /* Bounds that give, and a solution that is put back on them.
  *
  * Bounds, and rows beside them, may leave one point alone: where a motion ends at a limit, for instance. There is no
- * interior then, and multipliers have no bound. So bounds give by the option `relax`, as in IPOPT: multipliers of the
- * barrier problem stay below mu / relax, and fall with mu.
+ * interior then, and multipliers have no bound. So bounds give by the option `bound_relax_factor`, as in IPOPT: multipliers of the
+ * barrier problem stay below mu / that factor, and fall with mu.
  *
  * Where this changes the cost little, whole steps of Newton's method then bring back all that lies beyond the caller's
  * bounds. Where bounds in their last digits decide the cost, or the steps fail, the solution keeps its violation. */
@@ -10,12 +10,10 @@
 
 #include <string.h>
 
-#define STEPS 3
-
 /* How far the caller's bound is from the one that gives. */
 static real give(const mbs_stages *s, real bound)
 {
-    return s->options.relax * mbs_stages_bound_size(bound);
+    return s->options.bound_relax_factor * mbs_stages_bound_size(bound);
 }
 
 /* How far a number lies beyond the caller's bounds, where that is more than rounding; below them it is negative. */
@@ -96,7 +94,7 @@ static int make_step(mbs_stages *s, mbs_stages_phase *p)
 static int is_polished(mbs_stages *s, mbs_stages_phase *p)
 {
     const mbs_stages_errors e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
-    return mbs_stages_is_solved(s, &e, s->options.tolerance);
+    return mbs_stages_is_solved(s, &e, s->options.tol);
 }
 
 /* Exchange the point with the one that the watchdog has room for; bounds go into the room of its step. */
@@ -120,7 +118,7 @@ void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
     keep(s, p, 0);
     tighten(s, p);
     if (evaluate(s, p) == 0)
-        for (i = 0; i < STEPS && make_step(s, p) == 0; ++i)
+        for (i = 0; i < POLISHING_STEPS && make_step(s, p) == 0; ++i)
             if (is_polished(s, p))
                 return;
     keep(s, p, 1);

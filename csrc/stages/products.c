@@ -11,16 +11,10 @@
 
 #include <string.h>
 
-#define LATE ((real)1e-2)  /* the barrier parameter, at most */
-#define SHORT ((real)0.9)  /* steps below this length are corrected */
-#define GAIN ((real)0.1)   /* in length, by a correction */
-#define LEAST ((real)0.1)  /* products beside mu that are good enough: from here */
-#define MOST ((real)10)    /* to here; and the most that is corrected */
-
 /* What a product after the whole step lacks to be good. */
 static real lack(real product, real mu)
 {
-    const real least = LEAST * mu, most = MOST * mu;
+    const real least = PRODUCT_LEAST * mu, most = PRODUCT_MOST * mu;
     if (product < least)
         return least - product;
     if (product > most)
@@ -68,10 +62,10 @@ static void find_corrected(mbs_stages *s, mbs_stages_phase *p, mbs_stages_direct
 void mbs_stages_correct_products(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
-    if (p->elastic || p->soft > 0 || p->watchdog.active || p->added > 0 || p->mu > LATE || before >= SHORT)
+    if (p->elastic || p->soft > 0 || p->watchdog.active || p->added > 0 || p->mu > CORRECTED_BELOW || before >= CORRECTED_SHORT)
         return;
     find_corrected(s, p, &p->other);
-    if (mbs_stages_boundary(s, p, p->x, p->other.x, p->tau) >= before + GAIN) {
+    if (mbs_stages_boundary(s, p, p->x, p->other.x, p->tau) >= before + CORRECTION_GAIN) {
         const mbs_stages_direction step = p->step;
         p->step = p->other;
         p->other = step;

@@ -14,17 +14,13 @@
 
 #include <string.h>
 
-#define BARRIER ((real)1e-4)
-#define HOPELESS ((real)10) /* violation, beside the first plan: steps come back from 1.5 times its size */
-#define CENTRAL ((real)100) /* most ratio of distance z and mu, either way, that a step begins with */
-
 static void limit_ratio(real distance, real *z, real mu)
 {
     const real middle = mu / distance;
-    if (!(*z >= middle / CENTRAL))
-        *z = middle / CENTRAL;
-    if (*z > middle * CENTRAL)
-        *z = middle * CENTRAL;
+    if (!(*z >= middle / CENTRAL_RATIO))
+        *z = middle / CENTRAL_RATIO;
+    if (*z > middle * CENTRAL_RATIO)
+        *z = middle * CENTRAL_RATIO;
 }
 
 /* The least distance from a bound that has digits enough for a step to leave a part of it. */
@@ -163,7 +159,7 @@ static int find_step(mbs_stages *s, mbs_stages_phase *p)
 static int has_diverged(const mbs_stages *s, const mbs_stages_phase *p)
 {
     const real given = s->options.most_violation;
-    return mbs_stages_largest(s->rows, p->c) > (given > 0 ? given : HOPELESS * s->usual);
+    return mbs_stages_largest(s->rows, p->c) > (given > 0 ? given : HOPELESS_VIOLATION * s->usual);
 }
 
 /* The first plan gives the measure of violations: its numbers, and its own violation where it is a guess. */
@@ -203,11 +199,11 @@ mbs_stages_realtime mbs_stages_prepare(mbs_stages *s, const mbs_stages_options *
     memset(about, 0, sizeof *about);
     memset(&s->result, 0, sizeof s->result);
     s->options = options ? *options : mbs_stages_default_options();
-    s->options.warm = 1;
+    s->options.warm_start_init_point = 1;
     s->options.adaptive = 0;
-    s->options.barrier = MBS_STAGES_EPSILON;
-    if (!(s->options.least_barrier > 0))
-        s->options.least_barrier = BARRIER;
+    s->options.mu_init = MBS_STAGES_EPSILON;
+    if (!(s->options.mu_target > 0))
+        s->options.mu_target = REALTIME_BARRIER;
     s->failed_stage = -1;
     if (shift)
         mbs_stages_shift(s);

@@ -10,25 +10,22 @@
 
 #include <string.h>
 
-#define REDUCTION ((real)0.9) /* of the largest violation, at least */
-#define LARGE ((real)1000)    /* multipliers of bounds that are not worth keeping */
-
 static void copy_main(real *to, const real *from, int n)
 {
     memcpy(to, from, (size_t)n * sizeof *to);
 }
 
 /* The p and n of least barrier cost for a residual c. */
-static void split_residual(real c, real mu, real *plus, real *minus)
+static void split_residual(real c, real mu, real penalty, real *plus, real *minus)
 {
-    const real a = (mu - MBS_STAGES_PENALTY * c) / (2 * MBS_STAGES_PENALTY), b = mu * c / (2 * MBS_STAGES_PENALTY);
+    const real a = (mu - penalty * c) / (2 * penalty), b = mu * c / (2 * penalty);
     const real root = real_sqrt(a * a + b > 0 ? a * a + b : 0);
     *minus = a >= 0 || !(root - a > 0) ? a + root : b / (root - a);
     *plus = c + *minus;
     if (!(*minus > 0))
-        *minus = mu / MBS_STAGES_PENALTY;
+        *minus = mu / penalty;
     if (!(*plus > 0))
-        *plus = mu / MBS_STAGES_PENALTY;
+        *plus = mu / penalty;
 }
 
 /* Inner rows hold exactly in restoration too, as their variables are condensed by them. */
@@ -52,7 +49,7 @@ static void start_elastics(mbs_stages *s, mbs_stages_phase *q)
         if (s->fixed[plus + i])
             q->x[plus + i] = q->x[minus + i] = 0;
         else
-            split_residual(s->main.c[i], q->mu, &q->x[plus + i], &q->x[minus + i]);
+            split_residual(s->main.c[i], q->mu, s->options.resto_penalty_parameter, &q->x[plus + i], &q->x[minus + i]);
     for (i = plus; i < q->size; ++i) {
         q->lower[i] = 0;
         q->upper[i] = 2 * MBS_STAGES_INFINITE;
@@ -66,7 +63,7 @@ static int start(mbs_stages *s)
     const mbs_stages_phase *p = &s->main;
     mbs_stages_phase *q = &s->least;
     const int n = s->variables + s->slacks;
-    const real worst = mbs_stages_largest(s->rows, p->c);
+    const real worst = mbs_stages_largest(s->rows, p->c), penalty = s->options.resto_penalty_parameter;
     int i;
     q->mu = p->mu > worst ? p->mu : worst;
     copy_main(q->x, p->x, n);
@@ -76,8 +73,8 @@ static int start(mbs_stages *s)
     for (i = 0; i < s->variables; ++i)
         s->weight[i] = real_abs(p->x[i]) > 1 ? 1 / real_abs(p->x[i]) : 1;
     for (i = 0; i < n; ++i) {
-        q->zl[i] = p->zl[i] < MBS_STAGES_PENALTY ? p->zl[i] : MBS_STAGES_PENALTY;
-        q->zu[i] = p->zu[i] < MBS_STAGES_PENALTY ? p->zu[i] : MBS_STAGES_PENALTY;
+        q->zl[i] = p->zl[i] < penalty ? p->zl[i] : penalty;
+        q->zu[i] = p->zu[i] < penalty ? p->zu[i] : penalty;
     }
     start_elastics(s, q);
     memset(q->y, 0, (size_t)s->rows * sizeof *q->y);
@@ -112,7 +109,7 @@ int mbs_stages_restored(mbs_stages *s)
     int i;
     for (i = 0; i < s->rows; ++i)
         theta += real_abs(violation(s, i));
-    if (!(mbs_stages_worst_violation(s) <= REDUCTION * mbs_stages_largest(s->rows, p->c)))
+    if (!(mbs_stages_worst_violation(s) <= s->options.required_infeasibility_reduction * mbs_stages_largest(s->rows, p->c)))
         return 0;
     if (mbs_stages_phase_values(s, p, q->x, &cost, s->main.trial_c))
         return 0;
@@ -132,6 +129,7 @@ static void reset_bounds(mbs_stages *s, mbs_stages_phase *p)
 /* Multipliers of bounds follow the way of x, or start anew where they are large. */
 static void follow_bounds(mbs_stages *s, mbs_stages_phase *p)
 {
+    const real large = s->options.bound_mult_reset_threshold;
     real alpha, most;
     int i;
     for (i = 0; i < p->size; ++i)
@@ -143,7 +141,7 @@ static void follow_bounds(mbs_stages *s, mbs_stages_phase *p)
         p->zu[i] += alpha * p->step.zu[i];
     }
     most = mbs_stages_largest(p->size, p->zl);
-    if (!(most <= LARGE) || !(mbs_stages_largest(p->size, p->zu) <= LARGE))
+    if (!(most <= large) || !(mbs_stages_largest(p->size, p->zu) <= large))
         reset_bounds(s, p);
 }
 
@@ -191,7 +189,7 @@ static void insert(mbs_stages_result *r, mbs_stages_clash clash)
 /* List the rows whose violation stays: those beyond the tolerance, and not small beside the worst. */
 static void find_clashes(mbs_stages *s)
 {
-    const real worst = mbs_stages_largest(s->rows, s->main.c) / 1000, tolerance = 10 * s->options.tolerance;
+    const real worst = mbs_stages_largest(s->rows, s->main.c) / 1000, tolerance = 10 * s->options.tol;
     const real least = worst > tolerance ? worst : tolerance;
     int k, i;
     for (k = 0; k < s->problem->stages; ++k) {
@@ -205,7 +203,7 @@ static void find_clashes(mbs_stages *s)
 /* Restoration found no point to go on from. */
 static int conclude(mbs_stages *s, int status)
 {
-    const int stays = mbs_stages_largest(s->rows, s->main.c) > 100 * s->options.tolerance;
+    const int stays = mbs_stages_largest(s->rows, s->main.c) > 100 * s->options.tol;
     if (status != MBS_STAGES_SOLVED && status != MBS_STAGES_ACCEPTABLE)
         return status;
     if (!stays)
@@ -219,7 +217,7 @@ int mbs_stages_restore(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     int status;
-    if (mbs_stages_largest(s->rows, p->c) <= s->options.tolerance)
+    if (mbs_stages_largest(s->rows, p->c) <= s->options.tol)
         return MBS_STAGES_OUT_OF_DIGITS;
     mbs_stages_filter_add(&p->filter, p->theta, p->phi);
     if (start(s))

@@ -15,25 +15,6 @@
 
 #include <string.h>
 
-#define GAMMA_THETA ((real)1e-5)
-#define GAMMA_PHI ((real)1e-8)
-#define DELTA ((real)1)
-#define S_THETA ((real)1.1)
-#define S_PHI ((real)2.3)
-#define ETA ((real)1e-8)
-#define GAMMA_ALPHA ((real)0.05)
-#define CORRECTIONS 4
-#define GAIN ((real)0.99) /* of the violation by a correction */
-#define SHORT 10          /* steps in a row that rouse the watchdog */
-#define TRIALS 3          /* of the watchdog */
-#define CUT ((real)0.02)  /* step lengths that show too little curvature */
-#define AGAIN 2           /* as many of them in a row */
-#define SOFTLY 10         /* steps that lower the errors alone, in a row */
-#define SOFT_GAIN ((real)0.9999)
-#define FOLLOWED 8        /* corrections of inner variables, at most */
-#define CLOSER ((real)0.99) /* of the violation, by each of them */
-#define RISE 5            /* orders of magnitude that the barrier function may rise by */
-
 typedef struct {
     real descent; /* derivative of the barrier function along the step */
     real theta, phi; /* at the trial */
@@ -42,15 +23,15 @@ typedef struct {
 
 static real shortest(const mbs_stages_phase *p, const search *t)
 {
-    real alpha = GAMMA_THETA;
+    real alpha = p->options->gamma_theta;
     if (t->descent < 0) {
-        const real b = GAMMA_PHI * p->theta / -t->descent;
-        const real c = DELTA * (real_pow(p->theta, S_THETA) / real_pow(-t->descent, S_PHI));
+        const real b = p->options->gamma_phi * p->theta / -t->descent;
+        const real c = p->options->delta * (real_pow(p->theta, p->options->s_theta) / real_pow(-t->descent, p->options->s_phi));
         alpha = b < alpha ? b : alpha;
         if (p->theta <= p->theta_least && c < alpha)
             alpha = c;
     }
-    return GAMMA_ALPHA * alpha;
+    return p->options->alpha_min_frac * alpha;
 }
 
 /* A number that rounding put on a bound, or beyond it: half of the way there, or none if that has no digit. */
@@ -91,26 +72,26 @@ static int try_step(mbs_stages *s, mbs_stages_phase *p, const real *dx, real alp
 
 static int is_descent(const mbs_stages_phase *p, const search *t, real alpha)
 {
-    return t->descent < 0 && alpha * real_pow(-t->descent, S_PHI) > DELTA * real_pow(p->theta, S_THETA);
+    return t->descent < 0 && alpha * real_pow(-t->descent, p->options->s_phi) > p->options->delta * real_pow(p->theta, p->options->s_theta);
 }
 
 static int holds_armijo(const mbs_stages_phase *p, const search *t, real alpha)
 {
-    return mbs_stages_below(t->phi - p->phi, ETA * alpha * t->descent, p->phi);
+    return mbs_stages_below(t->phi - p->phi, p->options->eta_phi * alpha * t->descent, p->phi);
 }
 
 static int rises_too_much(const mbs_stages_phase *p, const search *t)
 {
     const real size = real_abs(p->phi) > 10 ? real_log10(real_abs(p->phi)) : 1;
-    return t->phi > p->phi && real_log10(t->phi - p->phi) > RISE + size;
+    return t->phi > p->phi && real_log10(t->phi - p->phi) > p->options->obj_max_inc + size;
 }
 
 static int is_progress(const mbs_stages_phase *p, const search *t)
 {
     if (rises_too_much(p, t))
         return 0;
-    return mbs_stages_below(t->theta, (1 - GAMMA_THETA) * p->theta, p->theta) ||
-           mbs_stages_below(t->phi - p->phi, -GAMMA_PHI * p->theta, p->phi);
+    return mbs_stages_below(t->theta, (1 - p->options->gamma_theta) * p->theta, p->theta) ||
+           mbs_stages_below(t->phi - p->phi, -p->options->gamma_phi * p->theta, p->phi);
 }
 
 static int is_accepted(const mbs_stages_phase *p, search *t, real alpha)
@@ -146,14 +127,14 @@ static void correct_inner(mbs_stages *s, mbs_stages_phase *p)
 static int follow(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha)
 {
     int i;
-    for (i = 0; s->options.follow && i < FOLLOWED; ++i) {
+    for (i = 0; s->options.follow && i < FOLLOWING_CORRECTIONS; ++i) {
         const real before = t->theta;
         correct_inner(s, p);
         if (evaluate(s, p, t))
             return -1;
         if (is_accepted(p, t, alpha))
             return 0;
-        if (!(t->theta <= CLOSER * before))
+        if (!(t->theta <= FOLLOWING_GAIN * before))
             return -1;
     }
     return -1;
@@ -173,7 +154,7 @@ static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, re
     int k, i;
     memcpy(p->soc_c, p->c, (size_t)s->rows * sizeof *p->c);
     *length = alpha;
-    for (k = 0; k < CORRECTIONS; ++k) {
+    for (k = 0; k < p->options->max_soc; ++k) {
         for (i = 0; i < s->rows; ++i)
             p->soc_c[i] = *length * p->soc_c[i] + p->trial_c[i];
         mbs_stages_newton_solve(s, p, p->soc_c, &p->other);
@@ -184,7 +165,7 @@ static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, re
             exchange(&p->step, &p->other);
             return 0;
         }
-        if (!(t->theta <= GAIN * before))
+        if (!(t->theta <= p->options->kappa_soc * before))
             return -1;
         before = t->theta;
     }
@@ -194,8 +175,8 @@ static int correct(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha, re
 /* Steps with added curvature that are cut short again and again show that inner variables need curvature too. */
 static void mind_length(mbs_stages_phase *p, real alpha)
 {
-    p->shortened = p->added > 0 && alpha < CUT ? p->shortened + 1 : 0;
-    p->cautious |= p->shortened == AGAIN;
+    p->shortened = p->added > 0 && alpha < CUT_LENGTH ? p->shortened + 1 : 0;
+    p->cautious |= p->shortened == CUT_OFTEN;
 }
 
 /* Take the trial: x and y by alpha, z by its own longest step. */
@@ -223,23 +204,23 @@ static void accept(mbs_stages *s, mbs_stages_phase *p, const search *t, real alp
 static void augment(mbs_stages_phase *p, const search *t, real alpha)
 {
     if (!is_descent(p, t, alpha) || !holds_armijo(p, t, alpha))
-        mbs_stages_filter_add(&p->filter, (1 - GAMMA_THETA) * p->theta, p->phi - GAMMA_PHI * p->theta);
+        mbs_stages_filter_add(&p->filter, (1 - p->options->gamma_theta) * p->theta, p->phi - p->options->gamma_phi * p->theta);
 }
 
 static int is_tiny(const mbs_stages *s, const mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i)
-        if (real_abs(p->step.x[i]) > 10 * MBS_STAGES_EPSILON * (1 + real_abs(p->x[i])))
+        if (real_abs(p->step.x[i]) > TINY_STEP * (1 + real_abs(p->x[i])))
             return 0;
-    return mbs_stages_largest(s->rows, p->c) <= (real)1e-4;
+    return mbs_stages_largest(s->rows, p->c) <= TINY_VIOLATION;
 }
 
 /* A filter that alone refuses first trials again and again was made far from here: start it anew. */
 static void mind_refusals(mbs_stages_phase *p, int refused)
 {
     p->rejected = refused ? p->rejected + 1 : 0;
-    if (p->rejected >= 5 && p->resets < 5) {
+    if (p->rejected >= MOST_REFUSALS && p->resets < MOST_RESETS) {
         mbs_stages_filter_clear(&p->filter);
         p->rejected = 0;
         ++p->resets;
@@ -351,7 +332,7 @@ static int step_unseen(mbs_stages *s, mbs_stages_phase *p, search *t)
     if (!failed && is_accepted(p, t, w->alpha)) {
         augment(p, t, w->alpha);
         w->active = w->shortened = 0;
-    } else if (failed || ++w->trials > TRIALS) {
+    } else if (failed || ++w->trials > p->options->watchdog_trial_iter_max) {
         return go_back(s, p);
     }
     accept(s, p, t, alpha);
@@ -409,7 +390,7 @@ static int lowers_errors(mbs_stages *s, mbs_stages_phase *p, real alpha)
     move_multipliers(s, p, alpha);
     if (mbs_stages_phase_derivatives(s, p) == 0) {
         mbs_stages_find_lagrangian(s, p);
-        if (mean_errors(s, p) <= SOFT_GAIN * before)
+        if (mean_errors(s, p) <= p->options->soft_resto_pderror_reduction_factor * before)
             return 1;
     }
     take_trial(p);
@@ -423,10 +404,10 @@ int mbs_stages_search_softly(mbs_stages *s, mbs_stages_phase *p)
     const real dual = mbs_stages_dual_boundary(s, p, &p->step), alpha = primal < dual ? primal : dual;
     search t;
     t.descent = 0;
-    if (p->elastic || p->soft >= SOFTLY || try_step(s, p, p->step.x, alpha, &t))
+    if (p->elastic || p->soft >= p->options->max_soft_resto_iters || try_step(s, p, p->step.x, alpha, &t))
         return -1;
     if (p->soft == 0)
-        mbs_stages_filter_add(&p->filter, (1 - GAMMA_THETA) * p->theta, p->phi - GAMMA_PHI * p->theta);
+        mbs_stages_filter_add(&p->filter, (1 - p->options->gamma_theta) * p->theta, p->phi - p->options->gamma_phi * p->theta);
     if (is_accepted(p, &t, 0)) {
         take_trial(p);
         move_multipliers(s, p, alpha);
@@ -470,7 +451,7 @@ int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
     }
     if (p->soft > 0)
         return mbs_stages_search_softly(s, p);
-    if (!p->elastic && !p->watchdog.active && p->watchdog.shortened >= SHORT)
+    if (!p->elastic && !p->watchdog.active && p->watchdog.shortened >= p->options->watchdog_shortened_iter_trigger)
         start_watching(s, p, t.descent);
     return p->watchdog.active ? step_unseen(s, p, &t) : backtrack(s, p, &t, 0);
 }

@@ -4,25 +4,71 @@
 
 #include <string.h>
 
-#define STEEPEST ((real)100) /* gradients that are not scaled down */
-#define LEAST_SCALE ((real)1e-16)
-#define MOST ((real)2e-4) /* barrier parameter that a warm start needs for its violation: larger ones leave the plan */
-
 static const real NONE = 2 * MBS_STAGES_INFINITE;
+
+static void set_barrier(mbs_stages_options *o)
+{
+    o->barrier_tol_factor = 10;
+    o->mu_linear_decrease_factor = (real)0.2;
+    o->mu_superlinear_decrease_power = (real)1.5;
+    o->tau_min = (real)0.99;
+    o->kappa_d = (real)1e-5;
+    o->kappa_sigma = (real)1e10;
+    o->s_max = 100;
+    o->diverging_iterates_tol = (real)1e20;
+    o->nlp_scaling_max_gradient = 100;
+    o->nlp_scaling_min_value = (real)1e-16;
+}
+
+static void set_search(mbs_stages_options *o)
+{
+    o->theta_max_fact = 100;
+    o->theta_min_fact = (real)1e-4;
+    o->gamma_theta = (real)1e-5;
+    o->gamma_phi = (real)1e-8;
+    o->delta = 1;
+    o->s_theta = (real)1.1;
+    o->s_phi = (real)2.3;
+    o->eta_phi = (real)1e-8;
+    o->alpha_min_frac = (real)0.05;
+    o->obj_max_inc = 5;
+    o->max_soc = 4;
+    o->kappa_soc = (real)0.99;
+    o->watchdog_shortened_iter_trigger = 10;
+    o->watchdog_trial_iter_max = 3;
+    o->max_soft_resto_iters = 10;
+    o->soft_resto_pderror_reduction_factor = (real)0.9999;
+    o->required_infeasibility_reduction = (real)0.9;
+    o->resto_penalty_parameter = 1000;
+    o->bound_mult_reset_threshold = 1000;
+}
+
+static void set_curvature(mbs_stages_options *o)
+{
+    o->first_hessian_perturbation = (real)1e-4;
+    o->min_hessian_perturbation = (real)1e-20;
+    o->max_hessian_perturbation = (real)1e20;
+    o->perturb_inc_fact_first = 100;
+    o->perturb_inc_fact = 6;
+    o->max_refinement_steps = 8;
+}
 
 mbs_stages_options mbs_stages_default_options(void)
 {
     mbs_stages_options o;
     const int few = MBS_STAGES_EPSILON > (real)1e-10; /* digits */
     memset(&o, 0, sizeof o);
-    o.tolerance = few ? (real)1e-4 : (real)1e-8;
-    o.violation_tolerance = few ? (real)1e-3 : (real)1e-4;
-    o.acceptable_tolerance = few ? (real)1e-3 : (real)1e-6;
-    o.acceptable_iterations = 15;
-    o.iterations = 3000;
+    o.tol = few ? (real)1e-4 : (real)1e-8;
+    o.constr_viol_tol = few ? (real)1e-3 : (real)1e-4;
+    o.acceptable_tol = few ? (real)1e-3 : (real)1e-6;
+    o.acceptable_iter = 15;
+    o.max_iter = 3000;
     o.scaled = 1;
-    o.push = (real)0.01;
-    o.relax = few ? (real)1e-5 : (real)1e-8;
+    o.bound_push = (real)0.01;
+    o.bound_relax_factor = few ? (real)1e-5 : (real)1e-8;
+    set_barrier(&o);
+    set_search(&o);
+    set_curvature(&o);
     return o;
 }
 
@@ -85,8 +131,8 @@ static int set_bounds(mbs_stages *s, int at, int n, const real *lower, const rea
         if (!(a <= b) || a >= MBS_STAGES_INFINITE || b <= -MBS_STAGES_INFINITE)
             return -1;
         s->fixed[at + i] = a == b;
-        p->lower[at + i] = a == b ? a : relaxed(a, -s->options.relax);
-        p->upper[at + i] = a == b ? b : relaxed(b, s->options.relax);
+        p->lower[at + i] = a == b ? a : relaxed(a, -s->options.bound_relax_factor);
+        p->upper[at + i] = a == b ? b : relaxed(b, s->options.bound_relax_factor);
         equal += a == b;
     }
     return equal;
@@ -123,15 +169,15 @@ static void start_variables(mbs_stages *s)
         p->x[i] = s->point.w[i] / s->variable_scale[i];
         if (s->fixed[i])
             p->x[i] = p->lower[i];
-        else if (MBS_STAGES_SEARCHES && !s->options.warm)
-            mbs_stages_push_inside(&p->x[i], p->lower[i], p->upper[i], s->options.push);
+        else if (MBS_STAGES_SEARCHES && !s->options.warm_start_init_point)
+            mbs_stages_push_inside(&p->x[i], p->lower[i], p->upper[i], s->options.bound_push);
     }
 }
 
-static real gentle(real steepest)
+static real gentle(const mbs_stages_options *o, real steepest)
 {
-    const real scale = steepest > STEEPEST ? STEEPEST / steepest : 1;
-    return scale > LEAST_SCALE ? scale : LEAST_SCALE;
+    const real scale = steepest > o->nlp_scaling_max_gradient ? o->nlp_scaling_max_gradient / steepest : 1;
+    return scale > o->nlp_scaling_min_value ? scale : o->nlp_scaling_min_value;
 }
 
 static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A)
@@ -139,7 +185,7 @@ static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A)
     int i;
     mbs_stages_matrix_row_maxima(A, s->row_scale + at);
     for (i = at; i < at + A->rows; ++i)
-        s->row_scale[i] = gentle(s->row_scale[i]);
+        s->row_scale[i] = gentle(&s->options, s->row_scale[i]);
 }
 
 /* Scale the cost and the rows of e and g by their first derivatives. */
@@ -155,7 +201,7 @@ static int scale_functions(mbs_stages *s)
         scale_rows(s, t->e, &t->E);
         scale_rows(s, t->g, &t->G);
     }
-    s->cost_scale = gentle(mbs_stages_largest(s->variables, s->main.gradient));
+    s->cost_scale = gentle(&s->options, mbs_stages_largest(s->variables, s->main.gradient));
     return 0;
 }
 
@@ -174,8 +220,8 @@ static int start_slacks(mbs_stages *s)
         for (i = 0; i < t->ng; ++i) {
             const int at = s->variables + t->s + i;
             p->x[at] = s->fixed[at] ? p->lower[at] : p->c[t->g + i];
-            if (MBS_STAGES_SEARCHES && !s->fixed[at] && !s->options.warm)
-                mbs_stages_push_inside(&p->x[at], p->lower[at], p->upper[at], s->options.push);
+            if (MBS_STAGES_SEARCHES && !s->fixed[at] && !s->options.warm_start_init_point)
+                mbs_stages_push_inside(&p->x[at], p->lower[at], p->upper[at], s->options.bound_push);
         }
     }
     return 0;
@@ -275,13 +321,13 @@ static int choose_barrier(mbs_stages *s, mbs_stages_phase *p)
 /* The barrier parameter to end with, scaled; 0: as low as the tolerance asks for. */
 real mbs_stages_least_barrier(const mbs_stages *s)
 {
-    return s->options.least_barrier > 0 ? s->options.least_barrier * s->cost_scale : 0;
+    return s->options.mu_target > 0 ? s->options.mu_target * s->cost_scale : 0;
 }
 
 static real first_barrier(const mbs_stages *s)
 {
     const mbs_stages_options *o = &s->options;
-    const real first = o->barrier > 0 ? o->barrier : o->warm ? MBS_STAGES_LOW : (real)0.1;
+    const real first = o->mu_init > 0 ? o->mu_init : o->warm_start_init_point ? MBS_STAGES_LOW : (real)0.1;
     const real least = mbs_stages_least_barrier(s);
     return first > least ? first : least;
 }
@@ -290,12 +336,12 @@ static real first_barrier(const mbs_stages *s)
  * barrier parameter: the higher, the farther it is from its rows. The caller may choose one. */
 static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
 {
-    if (!(s->options.barrier > 0)) {
+    if (!(s->options.mu_init > 0)) {
         real violation;
         if (mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
             return -1;
         violation = mbs_stages_largest(s->rows, p->c);
-        s->farther = violation * violation < MOST ? violation * violation : MOST;
+        s->farther = violation * violation < WARM_BARRIER ? violation * violation : WARM_BARRIER;
     }
     start_warm(s, p);
     return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);
@@ -320,7 +366,7 @@ int mbs_stages_start(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
-    const int keeps = o->warm && s->has_scales;
+    const int keeps = o->warm_start_init_point && s->has_scales;
     if ((!keeps && set_scales(s)) || mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
@@ -333,13 +379,13 @@ int mbs_stages_start(mbs_stages *s)
         return MBS_STAGES_CALLBACK_FAILED;
     p->mu = first_barrier(s);
     s->farther = 0;
-    if (MBS_STAGES_SEARCHES && !o->warm)
+    if (MBS_STAGES_SEARCHES && !o->warm_start_init_point)
         start_bounds(s, p);
-    if (!MBS_STAGES_SEARCHES || o->warm ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
+    if (!MBS_STAGES_SEARCHES || o->warm_start_init_point ? centre_warm(s, p) : mbs_stages_phase_values(s, p, p->x, &p->cost, p->c))
         return MBS_STAGES_CALLBACK_FAILED;
     if (mbs_stages_phase_derivatives(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
-    if (MBS_STAGES_SEARCHES && !o->warm)
+    if (MBS_STAGES_SEARCHES && !o->warm_start_init_point)
         mbs_stages_estimate_multipliers(s, p);
     if (MBS_STAGES_SEARCHES && o->adaptive && choose_barrier(s, p))
         return MBS_STAGES_CALLBACK_FAILED;
@@ -402,7 +448,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->softening = MBS_STAGES_HARD;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
-    if (!s->options.warm)
+    if (!s->options.warm_start_init_point)
         mbs_stages_forget_orders(&s->recursion);
     status = mbs_stages_start(s);
     if (status == MBS_STAGES_RUNNING)

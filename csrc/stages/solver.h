@@ -4,35 +4,6 @@
 
 #include "recursion.h"
 
-#include <float.h>
-
-#ifdef MBS_STAGES_FLOAT
-#define MBS_STAGES_EPSILON FLT_EPSILON
-#define MBS_STAGES_LARGEST FLT_MAX
-#define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
-#define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
-#define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
-#define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
-#define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
-#define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
-#define MBS_STAGES_DEAR 1e-3f /* share of the cost that the last digits of bounds should not decide */
-#define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
-#else
-#define MBS_STAGES_EPSILON DBL_EPSILON
-#define MBS_STAGES_LARGEST DBL_MAX
-#define MBS_STAGES_LOW 1e-7
-#define MBS_STAGES_REFINED 1e-4
-#define MBS_STAGES_SOFT 6e-8
-#define MBS_STAGES_ZERO 1.5e-8
-#define MBS_STAGES_GROWTH 5e4
-#define MBS_STAGES_SMALL 1e-4
-#define MBS_STAGES_DEAR 1e-4
-#define MBS_STAGES_APART 1.8189894035458565e-12
-#endif
-#define MBS_STAGES_INFINITE ((real)1e19)
-#define MBS_STAGES_KAPPA ((real)1e-5) /* price of the distance from a bound, beside the barrier parameter */
-#define MBS_STAGES_ENTRIES 64  /* of a filter */
-#define MBS_STAGES_PENALTY ((real)1000) /* of violations in restoration */
 #define MBS_STAGES_RUNNING (-1) /* no status yet */
 #define MBS_STAGES_RESTORED (-2)
 
@@ -72,6 +43,7 @@ typedef struct {
  * Its variables lie in one vector x = (w, slacks s of g, and if elastic p, n of each row), with bounds
  * lower <= x <= upper. Its rows are c = (e, d - next x, g - s), and if elastic c - p + n. */
 typedef struct {
+    const mbs_stages_options *options; /* the solver's */
     int elastic, size;
     real *x, *trial, *lower, *upper, *zl, *zu, *y;
     real *gradient;           /* of the cost */

@@ -12,8 +12,6 @@
 
 #include <string.h>
 
-#define CLEAR ((real)0.25) /* share of a pivot in its row that needs no better one */
-
 /* The inverse of the largest entry of each row. */
 static void weigh_rows(const mbs_stages_step *p, real *weight)
 {
@@ -103,7 +101,7 @@ static int eliminate_clear(mbs_stages_step *p, real *weight, char *used, int fro
             row = share > most ? i : row;
             most = share > most ? share : most;
         }
-        if (most >= CLEAR)
+        if (most >= CLEAR_PIVOT)
             take_pivot(p, weight, used, done++, row, j);
     }
     return done;

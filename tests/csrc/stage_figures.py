@@ -112,12 +112,12 @@ def compare_warm(library: Library) -> list[list[str]]:
         for change in moved:
             solver.set(**solution)
             solver.lower[:nx] = solver.upper[:nx] = first + change
-            counts.append(solver.solve(warm=1).result.iterations)
+            counts.append(solver.solve(warm_start_init_point=1).result.iterations)
         solver.set(**solution)
         ahead = solution["w"][nx + 1 : 2 * nx + 1] + 0.003 * rng.standard_normal(nx)
         library.lib.mbs_stages_shift(solver.solver)
         solver.lower[:nx] = solver.upper[:nx] = ahead
-        counts.append(solver.solve(warm=1).result.iterations)
+        counts.append(solver.solve(warm_start_init_point=1).result.iterations)
         rows.append([problem.name, *map(str, counts)])
     return rows
 
@@ -139,7 +139,7 @@ def compare_far(library: Library) -> str:
     ratios = []
     problems = list(far_guesses(6))
     for problem in problems:
-        answer = Solver(library, problem).solve(iterations=400)
+        answer = Solver(library, problem).solve(max_iter=400)
         _, statistics = problem.ipopt(**{"ipopt.max_iter": 400})
         solved = answer.status == "solved", statistics["success"]
         ours[0], theirs[0] = ours[0] + solved[0], theirs[0] + solved[1]

@@ -80,13 +80,13 @@ def test_first_states_without_equal_bounds_are_free(library: Library) -> None:
 @pytest.mark.parametrize("problem", nonlinear(), ids=lambda p: p.name)
 def test_steps_converge_to_the_solution_at_their_barrier_parameter(library: Library, problem: Problem) -> None:
     """Quadratically in the end, from a point nearby; slacks and multipliers stay positive."""
-    answer = Solver(library, problem).solve(least_barrier=1e-3, tolerance=1e-9)
+    answer = Solver(library, problem).solve(mu_target=1e-3, tol=1e-9)
     assert (answer.status, answer.result.barrier) == ("solved", pytest.approx(1e-3, rel=1e-12))
     solver = Solver(library, problem)
     solver.set(w=answer.w + 0.02 * np.random.default_rng(1).standard_normal(len(answer.w)))
     errors = []
     for _ in range(12):
-        assert solver.prepare(least_barrier=1e-3)[0] == "prepared"
+        assert solver.prepare(mu_target=1e-3)[0] == "prepared"
         status, _, figures = solver.feedback(state(problem))
         assert status == "stepped"
         bounded = (problem.lower > -1e19) & (problem.lower < problem.upper)
@@ -148,8 +148,8 @@ def test_the_nominal_loop_follows_the_solution(library: Library) -> None:
     """With the problem solved, shifted steps keep to the optimal path: the horizon ends at rest, wherever it ends."""
     problem = shooting("pendulum", pendulum_ode, 2, 60, 0.1, np.zeros(2), UP, 4.0, 1.0, softly=True)
     solver = Solver(library, problem)
-    w = solver.solve(least_barrier=1e-3).w
-    states = follow(solver, problem, 40, {}, least_barrier=1e-3)
+    w = solver.solve(mu_target=1e-3).w
+    states = follow(solver, problem, 40, {}, mu_target=1e-3)
     planned = [w[3 * k : 3 * k + 2] for k in range(41)]
     assert np.abs(np.array(states) - planned).max() < 1e-4
 
@@ -241,9 +241,9 @@ def test_figures_of_a_step_have_the_units_of_the_caller(library: Library) -> Non
     problem = scaled(balance()[0], np.random.default_rng(4))
     problem = replace(problem, kinds=[replace(kind, cost=1000 * kind.cost) for kind in problem.kinds])
     assert problem.scale is not None
-    solver = stepped(library, problem, 2, least_barrier=1.0)
+    solver = stepped(library, problem, 2, mu_target=1.0)
     w, y, below, above = (solver.get(name) for name in ("w", "y", "below", "above"))
-    _, figures = solver.prepare(least_barrier=1.0)
+    _, figures = solver.prepare(mu_target=1.0)
     fixed = problem.lower == problem.upper
     nlp = problem.program["nlp"]
     rows = np.asarray(ca.Function("rows", [nlp["x"]], [nlp["g"]])(w)).ravel()  # all are equations
@@ -274,12 +274,12 @@ def lagrangian(problem: Problem, w: Array, y: Array) -> Array:
 def test_multipliers_of_a_plan_are_limited(library: Library, side: str, given: float, product: float) -> None:
     """A step begins with products of distances and multipliers from a hundredth to a hundred times the barrier's."""
     problem, mu = balance()[0], 1e-3
-    solver = stepped(library, problem, 1, least_barrier=mu)
+    solver = stepped(library, problem, 1, mu_target=mu)
     w, multipliers = solver.get("w"), solver.get(side)
     distance = (w - problem.lower if side == "below" else problem.upper - w)[2]
     multipliers[2] = given * mu / distance if given < 1e9 else given
     solver.set(**{side: multipliers})
-    _, figures = solver.prepare(least_barrier=mu)
+    _, figures = solver.prepare(mu_target=mu)
     assert figures.complementarity == pytest.approx(
         max(abs(product - 1) * mu, others(solver, problem, side, mu)), rel=1e-6
     )
@@ -301,13 +301,13 @@ def others(solver: Solver, problem: Problem, side: str, mu: float) -> float:
 def test_a_plan_outside_of_its_bounds_is_put_on_the_central_path(library: Library, side: str) -> None:
     """Bounds may change between periods: variables come inside, and a step goes on from there."""
     problem, mu = balance()[0], 1e-3
-    solver = stepped(library, problem, 1, least_barrier=mu)
+    solver = stepped(library, problem, 1, mu_target=mu)
     at = np.flatnonzero((problem.lower > -1e19) & (problem.lower < problem.upper))
     u = solver.get("w")[at]
     bounds = solver.lower if side == "lower" else solver.upper
     bounds[at] = np.median(u)
     assert (solver.get("w")[at] < solver.lower[at]).any() or (solver.get("w")[at] > solver.upper[at]).any()
-    status, figures = solver.prepare(least_barrier=mu)
+    status, figures = solver.prepare(mu_target=mu)
     assert status == "prepared"
     assert figures.complementarity <= 99.001 * mu
     assert solver.feedback(state(problem))[0] == "stepped"
@@ -318,7 +318,7 @@ def test_a_plan_outside_of_its_bounds_is_put_on_the_central_path(library: Librar
 @pytest.mark.parametrize("relax", [0.0, 1e-8, 1e-3])
 def test_a_step_goes_almost_to_a_bound(library: Library, relax: float) -> None:
     """99 % of the way to the bound that gives, each variable its own; the figure is the least part that one took."""
-    problem, options = balance()[0], {"least_barrier": 1e-3, "relax": relax}
+    problem, options = balance()[0], {"mu_target": 1e-3, "bound_relax_factor": relax}
     solver = stepped(library, problem, 1, **options)
     before = solver.get("w")
     solver.prepare(**options)
@@ -357,9 +357,9 @@ def test_curvature_is_added_and_remembered(library: Library) -> None:
         H[3, 3] = -5.0
     problem.lower[:], problem.upper[:] = np.maximum(problem.lower, -9.0), np.minimum(problem.upper, 9.0)
     solver = Solver(library, problem)
-    _, first = solver.prepare(least_barrier=1e-2)
+    _, first = solver.prepare(mu_target=1e-2)
     assert solver.feedback(state(problem))[0] == "stepped"
-    _, second = solver.prepare(least_barrier=1e-2)
+    _, second = solver.prepare(mu_target=1e-2)
     assert first.curvature > 0
     assert second.curvature > 0
     assert second.factorisations < first.factorisations
@@ -370,8 +370,8 @@ def test_single_precision_in_the_loop(library: Library, single: Library) -> None
     ends = []
     for one in (library, single):
         solver = Solver(one, problem)
-        solver.solve(least_barrier=1e-3)
-        ends.append(follow(solver, problem, 70, {}, least_barrier=1e-3)[-1])
+        solver.solve(mu_target=1e-3)
+        ends.append(follow(solver, problem, 70, {}, mu_target=1e-3)[-1])
     assert np.abs(ends[1] - UP).max() < 1e-2
 
 

@@ -90,7 +90,7 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
     rng = np.random.default_rng(seed)
     sizes = [(a, b, min(c, 2), int(rng.integers(0, 4))) for a, b, c, _ in random_sizes(rng, int(rng.integers(1, 25)))]
     problem = random_problem(rng, sizes, bounds=0.6, width=(1.0, 0.05)[seed % 3 == 0], flat=(0.0, 0.5)[seed % 2])
-    answer = Solver(library, problem).solve(tolerance=1e-10)
+    answer = Solver(library, problem).solve(tol=1e-10)
     solution, statistics = problem.ipopt(**{"ipopt.tol": 1e-10})
     assert statistics["success"]
     assert answer.status == "solved"
@@ -104,7 +104,7 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
 def test_solutions_keep_their_bounds_to_the_last_digits(library: Library, seed: int) -> None:
     """Bounds give in a solve. Where that decides little, whole steps put the solution back; else it stays."""
     problem = random_problem(np.random.default_rng(seed), [(2, 3, 1, 2)] * 8 + [(2, 1, 0, 0)], bounds=0.6, width=0.05)
-    exact, loose = Solver(library, problem).solve(), Solver(library, problem).solve(relax=1e-2)
+    exact, loose = Solver(library, problem).solve(), Solver(library, problem).solve(bound_relax_factor=1e-2)
     sizes = np.maximum(np.minimum(np.abs(problem.lower), np.abs(problem.upper)), 1.0)
     for answer, most in ((exact, 1e-11), (loose, 1e-2)):
         assert answer.status == "solved"
@@ -272,7 +272,7 @@ def test_nonlinear_problems_have_the_optimum_of_ipopt(library: Library, problem:
     """Optimality is measured with CasADi's derivatives; to 1e-10, since either cost lacks the products of distances and
     multipliers.
     """
-    answer = Solver(library, problem).solve(tolerance=1e-10)
+    answer = Solver(library, problem).solve(tol=1e-10)
     solution, statistics = problem.ipopt(**{"ipopt.tol": 1e-10})
     assert statistics["success"]
     assert answer.status == "solved"
@@ -286,7 +286,7 @@ def test_violations_of_rows_end_below_their_tolerance_in_the_units_of_rows(libra
     x = ca.SX.sym("x", 2)
     kind = Kind(x, ca.SX(0, 1), (x[0] - 2) ** 2 + x[1] ** 4, e=1e6 * (ca.sumsqr(x) - 1))
     problem = assemble("circle", [kind], [0], [(-free(2), free(2))], [], [np.array([3.0, 2.0])])
-    answer = Solver(library, problem).solve(tolerance=1e-1, violation_tolerance=most)
+    answer = Solver(library, problem).solve(tol=1e-1, constr_viol_tol=most)
     assert answer.status == "solved"
     assert abs(1e6 * (answer.w @ answer.w - 1)) <= most
 
@@ -295,7 +295,7 @@ def test_violations_of_rows_end_below_their_tolerance_in_the_units_of_rows(libra
 def test_coarse_tolerances_end(library: Library, tolerance: float) -> None:
     """The barrier parameter falls until products of distances and multipliers are below their own tolerance."""
     for problem in nonlinear():
-        answer = Solver(library, problem).solve(tolerance=tolerance)
+        answer = Solver(library, problem).solve(tol=tolerance)
         assert answer.status == "solved"
         assert answer.result.complementarity <= 1e-4
         assert answer.result.iterations <= Solver(library, problem).solve().result.iterations
@@ -307,7 +307,7 @@ def test_a_problem_is_solved_from_a_far_guess(library: Library) -> None:
     The guess is one of the comparison in stage_figures.
     """
     problem = far_guesses(6)[11]
-    answer = Solver(library, problem).solve(iterations=150)
+    answer = Solver(library, problem).solve(max_iter=150)
     assert (problem.name, answer.status) == ("pendulum, softly", "solved")
     assert max(problem.residuals(*answer.point)) < 1e-7
 
@@ -350,7 +350,7 @@ def test_a_function_that_gives_no_numbers_ends_the_solve(
     answer = fails.solve()
     assert (answer.status, answer.result.stage) == ("callback failed", stage)
     assert answer.result.iterations > 0
-    before = Solver(either, pendulum()).solve(iterations=answer.result.iterations)
+    before = Solver(either, pendulum()).solve(max_iter=answer.result.iterations)
     assert before.status == "iteration limit"
     assert np.array_equal(answer.w, before.w)
 
@@ -363,9 +363,9 @@ def test_no_numbers_at_the_guess(either: Library) -> None:
 
 def test_limits_of_iterations_and_time(either: Library) -> None:
     """The clock of these tests counts its readings, one before the first iteration and one in each."""
-    answer = Solver(either, pendulum()).solve(iterations=3)
+    answer = Solver(either, pendulum()).solve(max_iter=3)
     assert (answer.status, answer.result.iterations) == ("iteration limit", 3)
-    late = Solver(either, pendulum()).solve(seconds=4.0)
+    late = Solver(either, pendulum()).solve(max_wall_time=4.0)
     assert (late.status, late.result.iterations) == ("time limit", 3)
     assert np.array_equal(late.w, answer.w)
 
@@ -428,13 +428,13 @@ def test_multipliers_of_fixed_variables(library: Library) -> None:
     """They are the derivatives of the optimal cost by the fixed numbers, here by central differences."""
     rng = np.random.default_rng(1)
     problem = random_problem(rng, [(3, 2, 0, 1)] * 5 + [(3, 0, 0, 0)], bounds=0.4)
-    answer = Solver(library, problem).solve(tolerance=1e-10)
+    answer = Solver(library, problem).solve(tol=1e-10)
     for i in range(3):
         costs = []
         for step in (-1e-4, 1e-4):
             moved = replace(problem, lower=problem.lower.copy(), upper=problem.upper.copy())
             moved.lower[i] = moved.upper[i] = problem.lower[i] + step
-            costs.append(Solver(library, moved).solve(tolerance=1e-10).result.cost)
+            costs.append(Solver(library, moved).solve(tol=1e-10).result.cost)
         assert answer.below[i] - answer.above[i] == pytest.approx((costs[1] - costs[0]) / 2e-4, rel=1e-5, abs=1e-6)
 
 
@@ -443,13 +443,13 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
     problem = cart_pole()
     solver = Solver(either, problem)
     cold = solver.solve()
-    again = solver.solve(warm=1)
+    again = solver.solve(warm_start_init_point=1)
     assert (again.status, again.result.iterations <= 2) == ("solved", True)
     for _ in range(3):
         start = solver.get("w")[5:9] + np.array([0.002, -0.002, 0.01, 0.01])
         either.lib.mbs_stages_shift(solver.solver)
         solver.lower[:4] = solver.upper[:4] = start
-        loop = solver.solve(warm=1)
+        loop = solver.solve(warm_start_init_point=1)
         assert loop.status == "solved"
         assert loop.result.iterations <= 5 < cold.result.iterations
         assert np.array_equal(loop.w[:4], solver.lower[:4])
@@ -463,10 +463,10 @@ def test_a_warm_start_far_away_begins_with_a_larger_barrier_parameter(library: L
     for move in (0.0, 1e-4, 0.02, 1.5):
         solver.set(w=cold.w, y=cold.y, below=cold.below, above=cold.above)
         solver.lower[:4] = solver.upper[:4] = cold.w[:4] + move
-        barriers.append(solver.solve(warm=1, iterations=1).result.barrier)
+        barriers.append(solver.solve(warm_start_init_point=1, max_iter=1).result.barrier)
     assert max(barriers[:3]) <= 1e-7
     assert barriers[3] > 1e-4
-    assert solver.solve(warm=1).status == "solved"
+    assert solver.solve(warm_start_init_point=1).status == "solved"
 
 
 def test_a_warm_start_takes_the_scales_of_the_solve_before(library: Library) -> None:
@@ -484,7 +484,7 @@ def test_a_warm_start_takes_the_scales_of_the_solve_before(library: Library) -> 
     counts = []
     for one in (solver, fresh):
         calls.clear()
-        assert one.solve(warm=1).status == "solved"
+        assert one.solve(warm_start_init_point=1).status == "solved"
         counts.append(len(calls))
     assert counts[1] == counts[0] + 1
 
@@ -503,8 +503,8 @@ def test_curvature_is_added_from_the_stage_on_that_lacks_it(library: Library) ->
 def test_an_adaptive_start_finds_the_same_optimum(library: Library) -> None:
     rng = np.random.default_rng(2)
     problem = random_problem(rng, [(3, 2, 1, 2)] * 12 + [(3, 0, 0, 1)], bounds=0.5)
-    plain = Solver(library, problem).solve(tolerance=1e-10)
-    adaptive = Solver(library, problem).solve(tolerance=1e-10, adaptive=1)
+    plain = Solver(library, problem).solve(tol=1e-10)
+    adaptive = Solver(library, problem).solve(tol=1e-10, adaptive=1)
     assert plain.status == adaptive.status == "solved"
     assert adaptive.result.cost == pytest.approx(plain.result.cost, rel=1e-9)
 

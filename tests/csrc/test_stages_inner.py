@@ -132,7 +132,7 @@ def test_more_missing_variables_than_the_recursion_has_room_for(library: Library
     w = Solver(library, problem).solve().w
     problem.E[1][:, 2:14] = 0.0
     meet(problem, 1, w)
-    answer = Solver(library, condensed(problem, [14, 14, 14, 0])).solve(iterations=50)
+    answer = Solver(library, condensed(problem, [14, 14, 14, 0])).solve(max_iter=50)
     assert answer.result.singular == 1
     if answer.status == "solved":
         assert max(problem.residuals(*answer.point)) < 1e-7
@@ -327,7 +327,7 @@ def test_a_cold_solve_does_not_depend_on_the_solves_before_it(library: Library) 
     first = Solver(library, problem).solve()
     used = Solver(library, problem)
     used.set(w=np.concatenate([np.full(5, np.pi / 2)] * 6 + [np.zeros(2)]))
-    assert used.solve(iterations=1).result.factorisations > 0
+    assert used.solve(max_iter=1).result.factorisations > 0
     used.set(w=problem.guess)
     again = used.solve()
     assert again.path == first.path

@@ -18,7 +18,7 @@ int main(void)
     solver = mbs_stages_create(&problem.problem, workspace, sizeof workspace);
     if (solver == NULL)
         return 1;
-    options.iterations = 100;
+    options.max_iter = 100;
     began = mbs_bare_instructions();
     result = mbs_stages_solve(solver, &options);
     mbs_bare_print_integer("instructions", (long)(mbs_bare_instructions() - began));

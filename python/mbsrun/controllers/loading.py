@@ -147,7 +147,7 @@ class Controller:
 
     @property
     def options(self) -> Any:
-        """The options of the solver as a struct, see mbs_stages.h: `c.options.least_barrier = 1e-5`."""
+        """The options of the solver as a struct, see mbs_stages.h: `c.options.mu_target = 1e-5`."""
         return self._call("get_options", self._controller)
 
     def reset(self) -> None:

@@ -279,15 +279,15 @@ def _list_options(problem: Problem) -> Iterator[_Option]:
     """List the options of the solver as `mbsrun solve` sets them; a limit of time is the caller's, with a clock."""
     solver = problem.solver
     given: dict[str, float | int | str] = {
-        "tolerance": solver.tolerance,
-        "acceptable_tolerance": max(solver.tolerance, 1e-6),
-        "iterations": solver.max_iterations,
+        "tol": solver.tolerance,
+        "acceptable_tol": max(solver.tolerance, 1e-6),
+        "max_iter": solver.max_iterations,
     }
     if choose(solver) == METHOD:
-        given |= {name: value for name, value in solver.options if name != "seconds"}
+        given |= {name: value for name, value in solver.options if name != "max_wall_time"}
     switches = {"yes": "1", "no": "0"}
     for name, value in given.items():
-        yield _Option(name, switches.get(str(value), repr(value)), name.endswith("tolerance"))
+        yield _Option(name, switches.get(str(value), repr(value)), name.endswith("tol"))
 
 
 def scale_cost(problem: Problem) -> float:

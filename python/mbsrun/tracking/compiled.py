@@ -66,7 +66,7 @@ class CompiledController:
             raise MisfitError(f"{controller.folder / FILE_NAME}: {'; '.join(misfit)}")
         self._controller, self._period, self._stepping = controller, period, stepping
         if stepping is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
-            controller.options.least_barrier = stepping.barrier * manifest.scale * abs(manifest.cost)
+            controller.options.mu_target = stepping.barrier * manifest.scale * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False

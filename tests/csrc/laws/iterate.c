@@ -93,11 +93,13 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     memset(room, 0, sizeof room);
     memset(&given, 0, sizeof given);
     memset(fixed, 0, sizeof fixed);
+    s->options = mbs_stages_default_options();
+    p->options = &s->options;
     p->x = room[0], p->lower = room[1], p->upper = room[2], p->zl = room[3], p->zu = room[4], p->c = room[5];
     p->step.x = room[6], p->slope = room[7];
     p->filter.theta = pairs[0], p->filter.phi = pairs[1];
     s->fixed = fixed, s->rows = 1, p->size = 2;
-    s->options.tolerance = 1.1e-7, s->options.violation_tolerance = 1e-3, s->cost_scale = 1;
+    s->options.tol = 1.1e-7, s->options.constr_viol_tol = 1e-3, s->cost_scale = 1;
     p->mu = 0.1, p->alpha = 1, p->theta_before = 1, p->theta = 0.5;
     given.boundary = given.dual = given.step = 1;
 }

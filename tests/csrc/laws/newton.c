@@ -40,6 +40,8 @@ static void anew(mbs_stages *s)
     memset(room, 0, sizeof room);
     memset(stages, 0, sizeof stages);
     memset(&phase, 0, sizeof phase);
+    s->options = mbs_stages_default_options();
+    phase.options = &s->options;
     s->recursion.stage = stages, s->recursion.stages = 2;
     s->rw = room[0], s->rc = room[1], s->dw = room[2], s->dy = room[3], s->residual_w = room[4];
     s->residual_c = room[5], s->best_w = room[6], s->best_y = room[7];
@@ -88,8 +90,10 @@ static void softening(void)
     LAW("once", !softens(s, &phase, 1.1));
     s->softening = MBS_STAGES_HARD_FOR_GOOD;
     LAW("or never", !softens(s, &phase, 1.1));
-    LAW("curvature begins at a third of the last one", near(first_curvature(9), 3) && first_curvature(0) == FIRST);
-    LAW("and at the least one", first_curvature(LEAST) == LEAST);
+    LAW("curvature begins at a third of the last one", near(first_curvature(&s->options, 9), 3));
+    s->options.first_hessian_perturbation = 5, s->options.min_hessian_perturbation = 2;
+    LAW("and where there was none, as the options say", first_curvature(&s->options, 0) == 5);
+    LAW("at the least one", first_curvature(&s->options, 3) == 2);
 }
 
 static void stepping(void)
@@ -107,7 +111,7 @@ static void stepping(void)
     LAW("and above", near((zu[0] + dzu[0]) * 3 - zu[0] * 0.5, 0.25));
     LAW("a variable yields by the barrier's curvature", near(yield(s, p, 0), 0.2));
     sigma[0] = 0;
-    LAW("freely without bounds", yield(s, p, 0) == FREE);
+    LAW("freely without bounds", yield(s, p, 0) == FREE_COMPLIANCE);
     lower[0] = -1e20, upper[0] = 1e20;
     mbs_stages_bound_steps(s, p, &d);
     LAW("no bound, no step", dzl[0] == 0 && dzu[0] == 0);

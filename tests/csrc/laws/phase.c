@@ -17,6 +17,8 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     memset(s, 0, sizeof *s);
     memset(p, 0, sizeof *p);
     memset(room, 0, sizeof room);
+    s->options = mbs_stages_default_options();
+    p->options = &s->options;
     p->x = room[0], p->lower = room[1], p->upper = room[2], p->zl = room[3], p->zu = room[4];
     p->gradient = room[5], p->lagrangian = room[6], p->slope = room[7], p->c = room[8], p->y = room[9];
     s->row_scale = room[10], s->fixed = fixed;
@@ -101,9 +103,9 @@ static void errors(void)
                              (2.5 * 3.25 + 7.5 * 0.375 + 2.5 * 2.25 + 4.5 * 2.25) / 4.0));
     p->size = 0;
     LAW("without bounds there is none", mbs_stages_mean_product(&solver, p, NULL, 0, 0) == 0);
-    LAW("usual multipliers forgive nothing", size_of(300, 3) == 1 && size_of(0, 0) == 1);
-    LAW("larger ones do", near(size_of(600, 3), 2));
-    LAW("to a limit: those that diverge are no solution", size_of(1e9, 3) == 100);
+    LAW("usual multipliers forgive nothing", size_of(300, 3, 100) == 1 && size_of(0, 0, 100) == 1);
+    LAW("larger ones do", near(size_of(600, 3, 100), 2));
+    LAW("to a limit: those that diverge are no solution", size_of(1e9, 3, 100) == 100);
     LAW("residuals are in the row's unit", near(unscale_residual(-3, 2), 1.5) && near(unscale_residual(3, 1), 3));
     LAW("rounding of steep rows is none", unscale_residual(4000 * MBS_STAGES_EPSILON, 0.01) == 0);
     LAW("more is", near(unscale_residual(-6000 * MBS_STAGES_EPSILON, 0.01), 1e5 * MBS_STAGES_EPSILON));

@@ -100,10 +100,12 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     memset(p, 0, sizeof *p);
     memset(room, 0, sizeof room);
     memset(fixed, 0, sizeof fixed);
+    s->options = mbs_stages_default_options();
+    p->options = &s->options;
     for (i = 0; i < 20; ++i)
         *arrays[i] = room[i];
     s->fixed = fixed, s->rows = p->size = 1;
-    s->options.relax = 1e-8, s->options.tolerance = 1e-9;
+    s->options.bound_relax_factor = 1e-8, s->options.tol = 1e-9;
     p->lower[0] = -1e-8, p->upper[0] = 4 + 4e-8;
     p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99;
     given.boundary = given.dual = 1, given.target = 1, given.barrier = -1, given.fails = 0;

@@ -56,6 +56,7 @@ static mbs_stages_phase *anew(mbs_stages *s)
     memset(room, 0, sizeof room);
     memset(fixed, 0, sizeof fixed);
     memset(&given, 0, sizeof given);
+    s->options = mbs_stages_default_options();
     problem.stages = 1, s->problem = &problem, s->recursion.stage = &stage;
     stage.nx = stage.nv = stage.ng = 1;
     p->x = room[0], p->lower = room[1], p->upper = room[2], p->zl = room[3], p->zu = room[4], p->y = room[5];
@@ -140,7 +141,7 @@ static void loading(void)
     s->point.w[0] = 3e-3, s->point.w[1] = 2, s->point.below[1] = 6, s->point.above[1] = 8, s->point.y[0] = 5;
     p->lower[1] = -10, p->upper[1] = 10, p->lower[2] = -20, p->upper[2] = 20;
     s->slack[0] = 4, s->slack_below[0] = 0.25, s->slack_above[0] = 0.5;
-    s->options.least_barrier = 1;
+    s->options.mu_target = 1;
     LAW("the last plan is loaded", load(s) == MBS_STAGES_RUNNING);
     LAW("in scaled units", near(p->x[0], 3) && near(p->x[1], 4) && near(p->y[0], 5 * 0.1 / 0.25));
     LAW("with multipliers of bounds", near(p->zl[1], 0.3) && near(p->zu[1], 0.4) && p->zl[0] == 0 && p->zu[0] == 0);

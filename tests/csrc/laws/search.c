@@ -106,6 +106,8 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     memset(room, 0, sizeof room);
     memset(&given, 0, sizeof given);
     memset(fixed, 0, sizeof fixed);
+    s->options = mbs_stages_default_options();
+    p->options = &s->options;
     for (i = 0; i < sizeof arrays / sizeof *arrays; ++i)
         *arrays[i] = room[i];
     p->filter.theta = pairs[0], p->filter.phi = pairs[1];

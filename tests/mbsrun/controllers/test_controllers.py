@@ -295,7 +295,7 @@ def test_the_feedback_matrix_is_the_derivative_of_the_optimum(case: Case, contro
     coordinates = [part.name for part in case.plant.manifest.coordinates]
     names = [f"start.{key}.{name}" for key in ("pose", "velocity") for name in coordinates]
     derivatives = problem.derivatives(problem.solve(check=False), names)
-    controller.options.least_barrier = 1e-10
+    controller.options.mu_target = 1e-10
     controller.solve()
     controller.prepare()
     expected = [derivatives.by(name).trajectory.u[0, 0] for name in names]
@@ -324,7 +324,7 @@ def test_steps_take_the_exported_barrier_parameter(controller: Controller) -> No
     def find_inputs(barrier: float) -> float:
         controller.reset()
         controller.solve()
-        controller.options.least_barrier = barrier
+        controller.options.mu_target = barrier
         for _ in range(6):
             controller.prepare()
             inputs, _ = controller.feedback(state)

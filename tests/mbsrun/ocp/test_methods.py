@@ -12,6 +12,7 @@ from mbsgen.errors import InputError
 from mbsrun.external import OnDemand
 from mbsrun.ocp import methods
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.evaluation.stages.interface import load
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.guessing.guess import interpolate
@@ -63,7 +64,7 @@ CHOSEN = {
     "kernels in C": (True, (), "mbs"),
     "kernels in Python": (False, (), "ipopt"),
     "an option that IPOPT alone has": (True, (("mu_strategy", "adaptive"),), "ipopt"),
-    "an option of the project's own": (True, (("barrier", 0.01),), "mbs"),
+    "an option of the project's own": (True, (("mu_init", 0.01),), "mbs"),
 }
 
 
@@ -83,7 +84,17 @@ def test_a_method_is_chosen_where_none_is_given(
 def test_expressions_of_casadi_need_ipopt() -> None:
     assert methods.choose(SolverOptions(), calls_casadi=True) == "ipopt"
     assert methods.choose(SolverOptions(method="mbs"), calls_casadi=True) == "mbs"  # which is then refused
-    assert dict(methods.warm(SolverOptions(options=(("push", 0.1),))).options) == {"barrier": 1e-5, "push": 0.1}
+    assert dict(methods.warm(SolverOptions(options=(("bound_push", 0.1),))).options) == {
+        "mu_init": 1e-5,
+        "bound_push": 0.1,
+    }
+
+
+def test_each_field_of_the_options_in_c_can_be_given() -> None:
+    """All but the fields of keys of a problem, of starts that a solve sets, and of steps in real time."""
+    fields = {name for name, _ in load()[0].typeof("mbs_stages_options").fields}
+    assert fields - set(METHODS["mbs"].options) == {"tol", "max_iter", "warm_start_init_point", "follow", "most_violation"}
+    assert set(METHODS["mbs"].options) <= fields
 
 
 def test_what_later_solves_share_is_no_time_of_a_search() -> None:
@@ -148,7 +159,7 @@ def test_options_of_the_solver(arm: Peer, tmp_path: Path, text: str, expected: t
 WRONG_OPTIONS = {
     "unknown": ("options: {mu_strateg: adaptive}", 'did you mean "mu_strategy"?'),
     "a file to write": ("options: {output_file: /tmp/x}", "mbs takes no option"),
-    "a library to load": ("options: {hsllib: evil.so, mu_init: 1}", "ipopt takes no option"),
+    "a library to load": ("options: {hsllib: evil.so, mu_strategy: adaptive}", "ipopt takes no option"),
     "another solver's": ("method: sqpmethod, options: {mu_init: 1}", "sqpmethod takes no option"),
     "a word that is none": ("options: {mu_strategy: 3}", "one of monotone, adaptive"),
     "a number out of range": ("options: {mumps_pivtol: 2}", "a number from 0 to 1"),

@@ -146,15 +146,20 @@ def test_an_optimum_of_another_representation_is_held(study: Study) -> None:
         chosen = choose_options(problem, trial, replace(study, method=method)).solver
         return {"method": chosen.method, **dict(chosen.options)}
 
-    own = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
+    given = (("mu_init", 0.5), ("mu_strategy", "adaptive"))  # IPOPT alone has the second
+    own = replace(study.problem, solver=replace(study.problem.solver, options=given))
     assert tell(own, is_held=True)["linear_solver"] == "mbs"
-    assert tell(study.problem, is_held=True) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
+    assert tell(study.problem, is_held=True) == {"method": "mbs", "mu_init": 1e-6, "bound_push": 1e-8}
     assert tell(study.problem, is_held=False) == {"method": "mbs"}
-    assert tell(study.problem, is_held=True, protocol=MULTISTART) == {"method": "mbs", "barrier": 1e-6, "push": 1e-8}
+    assert tell(study.problem, is_held=True, protocol=MULTISTART) == {
+        "method": "mbs",
+        "mu_init": 1e-6,
+        "bound_push": 1e-8,
+    }
     assert tell(study.problem, is_held=True, protocol=MULTISTART, method="ipopt")["mu_init"] == 1e-6
     assert "mu_init" not in tell(study.problem, is_held=False, protocol=MULTISTART, method="ipopt")
-    early = replace(study.problem, solver=replace(study.problem.solver, options=(("barrier", 0.5),)))
-    assert tell(early, is_held=True) == {"method": "mbs", "barrier": 0.5, "push": 1e-8}
+    early = replace(study.problem, solver=replace(study.problem.solver, options=(("mu_init", 0.5),)))
+    assert tell(early, is_held=True) == {"method": "mbs", "mu_init": 0.5, "bound_push": 1e-8}
     assert tell(own, is_held=True)["mu_init"] == 0.5
     pivots = replace(own, solver=replace(own.solver, options=(("mumps_pivtol", 0.1),)))
     assert tell(pivots, is_held=False) == {"method": "ipopt", "linear_solver": "mumps", "mumps_pivtol": 0.1}

@@ -192,7 +192,7 @@ def test_steps_end_at_the_barrier_parameter_that_is_asked_for(written: Controlle
         controller = CompiledController(written, problem, 0.05, Stepping(1, barrier=barrier))
         controller.feedback(np.zeros(1), np.ones(1))
         manifest = written.manifest
-        assert written.options.least_barrier == barrier * manifest.scale * abs(manifest.cost) > 0
+        assert written.options.mu_target == barrier * manifest.scale * abs(manifest.cost) > 0
 
 
 def test_a_plan_that_has_diverged_is_solved_for_anew(written: Controller, problem: Problem) -> None:

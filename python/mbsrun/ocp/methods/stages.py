@@ -21,20 +21,57 @@ from mbsrun.ocp.ground.memory import Memory
 from mbsrun.ocp.ground.program import Program
 from mbsrun.ocp.ground.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNumbersError
 from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
-from mbsrun.ocp.methods.options import COUNT, POSITIVE, SWITCH, Amount, Option, Settings
+from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Option, Settings
 
+# Fields of mbs_stages_options in mbs_stages.h, which states what they mean, and their defaults.
 STAGES_OPTIONS: Mapping[str, Option] = {
-    "acceptable_iterations": COUNT,
-    "acceptable_tolerance": POSITIVE,
+    "acceptable_iter": COUNT,
+    "acceptable_tol": POSITIVE,
     "adaptive": SWITCH,
-    "barrier": POSITIVE,
+    "alpha_min_frac": FRACTION,
+    "barrier_tol_factor": POSITIVE,
+    "bound_mult_reset_threshold": POSITIVE,
+    "bound_push": Amount(1e-20, 0.5),
+    "bound_relax_factor": Amount(0.0, 0.5),
     "by_stage": SWITCH,
-    "push": Amount(1e-20, 0.5),
-    "relax": Amount(0.0, 0.5),
+    "constr_viol_tol": POSITIVE,
+    "delta": POSITIVE,
+    "diverging_iterates_tol": POSITIVE,
+    "eta_phi": Amount(1e-20, 0.5),
+    "first_hessian_perturbation": POSITIVE,
+    "gamma_phi": FRACTION,
+    "gamma_theta": FRACTION,
+    "kappa_d": FRACTION,
+    "kappa_sigma": Amount(1.0, 1e20),
+    "kappa_soc": FRACTION,
+    "max_hessian_perturbation": POSITIVE,
+    "max_refinement_steps": COUNT,
+    "max_soc": COUNT,
+    "max_soft_resto_iters": COUNT,
+    "max_wall_time": POSITIVE,
+    "min_hessian_perturbation": POSITIVE,
+    "mu_init": POSITIVE,
+    "mu_linear_decrease_factor": Amount(1e-10, 1 - 1e-10),
+    "mu_superlinear_decrease_power": Amount(1 + 1e-10, 2 - 1e-10),
+    "mu_target": Amount(0.0, 1e20),
+    "nlp_scaling_max_gradient": POSITIVE,
+    "nlp_scaling_min_value": POSITIVE,
+    "obj_max_inc": Amount(1.0, 100.0),
+    "perturb_inc_fact": Amount(1.0 + 1e-10, 1e20),
+    "perturb_inc_fact_first": Amount(1.0 + 1e-10, 1e20),
+    "required_infeasibility_reduction": FRACTION,
+    "resto_penalty_parameter": POSITIVE,
+    "s_max": POSITIVE,
+    "s_phi": Amount(1.0 + 1e-10, 100.0),
+    "s_theta": Amount(1.0 + 1e-10, 100.0),
     "scale_by_bounds": SWITCH,
     "scaled": SWITCH,
-    "seconds": POSITIVE,
-    "violation_tolerance": POSITIVE,
+    "soft_resto_pderror_reduction_factor": FRACTION,
+    "tau_min": Amount(1e-10, 1 - 1e-10),
+    "theta_max_fact": POSITIVE,
+    "theta_min_fact": POSITIVE,
+    "watchdog_shortened_iter_trigger": COUNT,
+    "watchdog_trial_iter_max": COUNT,
 }
 
 INFEASIBLE, OVERDETERMINED = "Infeasible_Problem_Detected", "Not_Enough_Degrees_Of_Freedom"
@@ -104,13 +141,13 @@ def _read_settings(order: Assignment) -> binding.Settings:
 
     Where the program eliminates variables, as in shooting, they follow the others in line searches, too.
     """
-    given: Settings = {"acceptable_tolerance": max(order.tolerance, 1e-6), **order.options}
+    given: Settings = {"acceptable_tol": max(order.tolerance, 1e-6), **order.options}
     words = {"yes": 1.0, "no": 0.0}
-    numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name != "seconds"}
+    numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name != "max_wall_time"}
     program = order.program.data
-    limits = {"tolerance": order.tolerance, "iterations": float(order.max_iterations)}
+    limits = {"tol": order.tolerance, "max_iter": float(order.max_iterations)}
     limits["follow"] = float(len(program.kept) < program.variables)
-    return binding.Settings({**limits, **numbers}, float(given.get("seconds", 0.0)))
+    return binding.Settings({**limits, **numbers}, float(given.get("max_wall_time", 0.0)))
 
 
 def _expand(program: Program, start: Instance, scaling: float) -> binding.Numbers:
@@ -210,7 +247,7 @@ STAGES = Method(
     "the project's own interior-point method, by stages",
     STAGES_OPTIONS,
     make_stages,
-    {"barrier": 1e-5},
+    {"mu_init": 1e-5},
     calls_casadi=False,
     has_threads=True,
 )

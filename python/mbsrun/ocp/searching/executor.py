@@ -39,7 +39,7 @@ Environment = Mapping[str, str | int]
 
 # Methods begin with a barrier that would push a motion out of a shallow minimum. These options keep the motion in it.
 HOLD = MappingProxyType({"mu_init": 1e-6, "bound_push": 1e-8, "bound_frac": 1e-8})
-HOLD_STAGES = (("barrier", 1e-6), ("push", 1e-8))
+HOLD_STAGES = (("mu_init", 1e-6), ("bound_push", 1e-8))
 DIGITS = 12  # of the hash of the generated code, as outcomes keep it
 SOLVERS = 12  # kept for the next trial: the representations, with the standard form and others
 

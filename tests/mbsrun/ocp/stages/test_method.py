@@ -110,7 +110,7 @@ def test_limits_end_a_search(swing: tuple[Problem, OnDemand]) -> None:
     problem, plant = swing
     for changes, status in (
         ({"max_iterations": 3}, "Maximum_Iterations_Exceeded"),
-        ({"options": (("seconds", 1e-6),)}, "Maximum_WallTime_Exceeded"),
+        ({"options": (("max_wall_time", 1e-6),)}, "Maximum_WallTime_Exceeded"),
     ):
         outcome = solve(replace(problem, solver=replace(problem.solver, **changes)), plant)  # type: ignore[arg-type]
         assert isinstance(outcome, Failure)

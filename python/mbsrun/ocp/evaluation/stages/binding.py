@@ -358,7 +358,7 @@ class Solver:
         options = self.ffi.new("mbs_stages_options *", self.lib.mbs_stages_default_options())
         for name, value in settings.values.items():
             setattr(options, name, int(value) if isinstance(getattr(options, name), int) else value)
-        options.seconds = settings.seconds or (0.0 if watch is None else _NEVER)
+        options.max_wall_time = settings.seconds or (0.0 if watch is None else _NEVER)
         with memory.team.at_work():
             result = self.lib.mbs_stages_solve(memory.solver, options)
         observer.end()

@@ -1,0 +1,89 @@
+/* Numbers that the solver's parts decide by, and that are no options.
+ *
+ * Those of the first group depend on the precision; errors and steps are scaled, as the solver sees them. */
+#ifndef MBS_STAGES_CONSTANTS_H
+#define MBS_STAGES_CONSTANTS_H
+
+#include <float.h>
+
+#ifdef MBS_STAGES_FLOAT
+#define MBS_STAGES_EPSILON FLT_EPSILON
+#define MBS_STAGES_LARGEST FLT_MAX
+#define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
+#define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
+#define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
+#define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
+#define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
+#define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
+#define MBS_STAGES_DEAR 1e-3f      /* share of the cost that the last digits of bounds should not decide */
+#define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
+#else
+#define MBS_STAGES_EPSILON DBL_EPSILON
+#define MBS_STAGES_LARGEST DBL_MAX
+#define MBS_STAGES_LOW 1e-7
+#define MBS_STAGES_REFINED 1e-4
+#define MBS_STAGES_SOFT 6e-8
+#define MBS_STAGES_ZERO 1.5e-8
+#define MBS_STAGES_GROWTH 5e4
+#define MBS_STAGES_SMALL 1e-4
+#define MBS_STAGES_DEAR 1e-4
+#define MBS_STAGES_APART 1.8189894035458565e-12
+#endif
+#define MBS_STAGES_INFINITE ((real)1e19)
+#define MBS_STAGES_ENTRIES 64 /* of a filter */
+
+/* the barrier parameter: see `is_followed` of iterate.c */
+#define CONVEX_FACTOR ((real)3)     /* where a step needed no curvature, larger errors lower it, by this factor */
+#define FOLLOWED_FROM ((real)0.8)   /* a step of this length followed the barrier problem, */
+#define FOLLOWED_BELOW ((real)3e-2) /* of a barrier parameter as small as this, */
+#define FOLLOWED_WITHIN ((real)100) /* with errors of as many times the parameter, */
+#define FOLLOWED_ANYHOW ((real)1e-2) /* or with any errors from here on */
+#define WARM_STEP ((real)0.5)       /* the first step of a warm start that is near its solution, at least */
+#define WARM_BARRIER ((real)2e-4)   /* the most that a warm start needs for its violation: larger ones leave the plan */
+
+/* steps, and their corrections */
+#define FREE_COMPLIANCE ((real)1e20)  /* of an elastic variable without curvature */
+#define MANY_REFINEMENTS 2            /* show a loss of digits */
+#define SUM_ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
+#define REFINED_SHARE ((real)1e-2)    /* of the tolerance, that no step needs to be refined to */
+#define CORRECTED_BELOW ((real)1e-2)  /* the barrier parameter, at most, for corrections of products, */
+#define CORRECTED_SHORT ((real)0.9)   /* and the length of the step, */
+#define CORRECTION_GAIN ((real)0.1)   /* that a correction must lengthen by as much */
+#define PRODUCT_LEAST ((real)0.1)     /* products beside mu that are good enough: from here */
+#define PRODUCT_MOST ((real)10)       /* to here; and the most that is corrected */
+#define POLISHING_STEPS 3
+
+/* the line search */
+#define CUT_LENGTH ((real)0.02)       /* step lengths that show too little curvature, */
+#define CUT_OFTEN 2                   /* as many of them in a row */
+#define FOLLOWING_CORRECTIONS 8       /* of inner variables, at most, */
+#define FOLLOWING_GAIN ((real)0.99)   /* of the violation, by each of them */
+#define TINY_STEP (10 * MBS_STAGES_EPSILON)
+#define TINY_VIOLATION ((real)1e-4)   /* with which a tiny step is taken as it is */
+#define MOST_REFUSALS 5               /* of first trials by the filter alone, in a row, before it starts anew, */
+#define MOST_RESETS 5                 /* which it does as often */
+
+/* ends */
+#define LEAST_FROM ((real)1e-2)       /* barrier parameters that a least violation is believed at, */
+#define LEAST_BEYOND ((real)1000)     /* and how much larger than the parameter it must be */
+#define MOST_FORGIVEN ((real)100)     /* that errors are scaled by: multipliers that diverge are no solution */
+#define ROW_ROUNDING ((real)5000)     /* units of rounding in the residual of a row that is scaled */
+
+/* control in real time */
+#define REALTIME_BARRIER ((real)1e-4)
+#define HOPELESS_VIOLATION ((real)10) /* beside the first plan: steps come back from 1.5 times its size */
+#define CENTRAL_RATIO ((real)100)     /* of distance z and mu, either way, at most, that a step begins with */
+
+/* pivots, and orders of elimination */
+#define PIVOT_SHARE ((real)0.01)      /* of a pivot in its row, at least, when an order is chosen */
+#define PIVOT_LOSS ((real)1e9)        /* how much larger the rest of its row may become later; h^2 is a pivot */
+#define CLEAR_PIVOT ((real)0.25)      /* share of a pivot in its row that needs no better one */
+#define BALANCING_PASSES 3
+#define BALANCING_SMALL ((real)1e-5)  /* entries beside the largest that rows are not balanced by */
+#define FULL_BLOCK ((real)0.95)       /* nonzeros of a block that is taken as full */
+#define FAILING_SHARE 4               /* an order that fails in one of as many stages is given up */
+#define ORDER_TRIES 3
+#define FILL 4                        /* nonzeros that factors may have for one of the inner equations */
+#define SPARE 8 /* inner variables that the recursion has room for, where inner equations do not determine them */
+
+#endif
