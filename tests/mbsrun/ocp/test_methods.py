@@ -93,7 +93,8 @@ def test_expressions_of_casadi_need_ipopt() -> None:
 def test_each_field_of_the_options_in_c_can_be_given() -> None:
     """All but the fields of keys of a problem, of starts that a solve sets, and of steps in real time."""
     fields = {name for name, _ in load()[0].typeof("mbs_stages_options").fields}
-    assert fields - set(METHODS["mbs"].options) == {"tol", "max_iter", "warm_start_init_point", "follow", "most_violation"}
+    others = {"tol", "max_iter", "warm_start_init_point", "follow", "most_violation"}
+    assert fields - set(METHODS["mbs"].options) == others
     assert set(METHODS["mbs"].options) <= fields
 
 
