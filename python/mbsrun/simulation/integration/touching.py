@@ -14,7 +14,6 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance
@@ -399,6 +398,8 @@ class _Course(Course):
                 high = middle
             else:
                 return high
+        from scipy.optimize import brentq  # here, and late: it takes long to load
+
         return float(brentq(value, low, high, xtol=CLOSEST * high, rtol=CLOSEST, maxiter=100))
 
     def gather(self, piece: Piece, mode: Mode, times: list[float], states: list[Array]) -> Chunk:
