@@ -227,7 +227,7 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
         cable=element.cable is not None,
         first=first,
         second=second,
-        law=None if element.via else tension,  # arrows are of straight lines
+        law=None if element.via or element.wraps else tension,  # arrows are of straight lines
         via=tuple(_point((seat.frame, seat.position)) for seat in via),
     )
 

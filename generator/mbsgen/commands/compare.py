@@ -33,18 +33,20 @@ def compare_command(model: Path, peer: str, choices: Choices) -> None:
 
 
 def _compare_with_opensim(model: Path, choices: Choices) -> None:
-    from mbsgen.osim_comparison import TOLERANCE, compare_with_opensim
+    from mbsgen.osim_comparison import AROUND, NEAR, TOLERANCE, compare_with_opensim
 
     if model.suffix.lower() != ".osim":
         raise click.UsageError(f"{model}: files of OpenSim are compared with opensim")
     found = compare_with_opensim(model, choices)
+    width = max(map(len, found.misses)) + 3
     for name, miss in found.misses.items():
-        click.echo(f"{name:10}{miss:.1e}")
+        click.echo(f"{name:{width}}{miss:.1e}")
     click.echo(f"{len(found.lines)} muscles and springs along paths" if found.lines else "no muscles")
     for name in found.absent:
         click.echo(f"{name}: not in the model")
     if not found.agrees:
-        click.echo(f"the models differ by more than {TOLERANCE:g}", err=True)
+        around = f", or by {NEAR:g} around cylinders" if any(AROUND in name for name in found.misses) else ""
+        click.echo(f"the models differ by more than {TOLERANCE:g}{around}", err=True)
         sys.exit(DIFFERENT)
 
 

@@ -50,6 +50,7 @@ from mbsgen.model.model import (
     Stops,
     Triple,
     Visual,
+    Wrap,
 )
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.orientations import turn
@@ -293,6 +294,7 @@ class Draft:
         path: Sequence[PathPoint],
         force: Expression,
         muscle: Muscle | None,
+        wraps: Sequence[Wrap],
         signals: Sequence[str],
         source: Element,
     ) -> None:
@@ -300,7 +302,8 @@ class Draft:
         own = self._choose_name("force", name, source)
         self._labels[own] = name
         first, *via, last = path
-        self._forces.append((ForceElement(own, first, last, force=force, via=tuple(via), muscle=muscle), source))
+        element = ForceElement(own, first, last, force=force, via=tuple(via), muscle=muscle, wraps=tuple(wraps))
+        self._forces.append((element, source))
         self._signals += signals
 
     def find_joint(self, name: str) -> str:
@@ -345,7 +348,7 @@ class Draft:
         """Leave out forces between points that do not move relative to each other."""
         carriers, kept = find_carriers(model), []
         for element, source in self._forces:
-            if len({carriers.get(point.body, point.body) for point in element.path}) > 1:
+            if len({carriers.get(body, body) for body in element.bodies}) > 1:
                 kept.append((element, source))
             else:
                 self.findings.tell(source, "its points do not move relative to each other: left out")

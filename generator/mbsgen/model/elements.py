@@ -6,7 +6,9 @@ the opposite. A spring and damper has
     T = stiffness (length - rest) + damping rate + force.
 
 Through further points of bodies, or moving ones, its length is the sum of the distances from each point to the next,
-and T pulls along each of these lines. A muscle has the tension of `mbsgen.model.muscles`.
+and T pulls along each of these lines. Around surfaces, T is along the derivatives of the length by the points on both
+sides, and presses on the surface by what is left; see `mbsgen.model.wrapping`. A muscle has the tension of
+`mbsgen.model.muscles`.
 
 Its direction d/length does not exist where the points meet: kernels then fail, with a status of the element. A spring
 of length 0 at rest, without anything else, has the force stiffness d, which needs no direction.
@@ -55,8 +57,9 @@ Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
@@ -66,7 +69,9 @@ from mbsgen.model import model
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
 from mbsgen.model.symbols import total
 from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Rigid, Vector, Wrench
+from mbsgen.model.triples import add, cross, dot, scale, subtract
 from mbsgen.model.tyres import Tyre
+from mbsgen.model.wrapping import Round, Turn, holds, make_turn
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -130,6 +135,49 @@ class _Seen:
 
 
 @dataclass(frozen=True)
+class Surface:
+    """A cylinder or a sphere around which the line of a force element wraps between two of its points."""
+
+    anchor: Anchor  # its centre
+    axis: Vector | None  # of a cylinder, of length 1, in the frame of that body; None: a sphere
+    side: Vector | None  # of length 1, likewise: into the half on which the line stays; None: the nearer way
+    radius: Expr
+    half: Expr | None  # of the length of a cylinder; None: no ends
+    first: int
+    last: int
+
+    def covers(self, first: int, last: int) -> bool:
+        """Return whether the line may wrap between two points."""
+        return self.first <= first and last <= self.last
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of a line between two points."""
+
+    number: int
+    span: tuple[int, int]  # the numbers of its points
+    a: _Seen
+    b: _Seen
+    d: Vector  # from a to b
+    size: Expr
+    weight: Expr  # 1 where the line has this part, else 0
+
+
+@dataclass(frozen=True)
+class _Bend:
+    """A part of a line around a surface."""
+
+    part: _Part
+    turn: Turn
+    weight: Expr  # 1 where it wraps, else 0
+    rate: Expr  # of the length
+    anchor: Anchor  # the centre of the surface
+    force: Vector  # on the surface, over the tension
+    moment: Vector  # about its centre
+
+
+@dataclass(frozen=True)
 class Side:
     """The side of a contact that is touched: a point of a plane, or the centre of a sphere or a box."""
 
@@ -177,59 +225,120 @@ class Loads:
         self.distances: list[Distance] = []
         self.pushes: list[tuple[str, Expr]] = []  # forces in joints, by their names
 
-    def add_element(self, element: ForceElement, path: Sequence[Spot]) -> None:
-        """Add the wrenches of a force element, at its points that can move."""
+    def add_element(self, element: ForceElement, path: Sequence[Spot], around: Sequence[Surface] = ()) -> None:
+        """Add the wrenches of a force element, at its points that can move, and on surfaces around which it wraps."""
         name = element.name
         if not element.is_straight:
-            self._add_path(element, path)
+            self._add_path(element, path, around)
             return
         first, second = (spot.anchor for spot in path)
         a, b = (self._probe(name, k, Reading.POSITION, end) for k, end in (("a", first), ("b", second)))
-        d = self._define_vector(name, "d", _subtract(b, a))
+        d = self._define_vector(name, "d", subtract(b, a))
         if (element.rest, element.damping, element.cable, element.law) == (model.ZERO, model.ZERO, None, model.ZERO):
             pull = self._read(element.stiffness, {})  # a spring of length 0 at rest has no division by its length
         else:
             v, w = (self._probe(name, k, Reading.VELOCITY, end) for k, end in (("a", first), ("b", second)))
-            square = self._define(name, "square", _dot(d, d), Length(name, _dot(a, a) + _dot(b, b)))
+            square = self._define(name, "square", dot(d, d), Length(name, dot(a, a) + dot(b, b)))
             length = self._define(name, "length", sqrt(square))
-            rate = self._define(name, "rate", _dot(d, _subtract(w, v)) / length)
+            rate = self._define(name, "rate", dot(d, subtract(w, v)) / length)
             pull = self._define(name, "pull", self._tension(element, length, rate) / length)
-        F = self._define_vector(name, "F", _scale(pull, d))
+        F = self._define_vector(name, "F", scale(pull, d))
         self._act(name, first, F, _NOTHING)
-        self._act(name, second, _scale(-1, F), _NOTHING)
+        self._act(name, second, scale(-1, F), _NOTHING)
 
-    def _add_path(self, element: ForceElement, path: Sequence[Spot]) -> None:
-        """Add the wrenches of a force element through several points, or moving ones.
+    def _add_path(self, element: ForceElement, path: Sequence[Spot], around: Sequence[Surface]) -> None:
+        """Add the wrenches of a force element through several points, moving ones, or around surfaces.
 
         The part from one point to another counts where both are there, and none between them: its weight is 1, else 0.
         """
         name = element.name
         seen = [self._see(name, k, spot) for k, spot in enumerate(path, 1)]
-        shares, rates, parts = [], [], list[tuple[_Seen, _Seen, Vector, Expr]]()
+        shares, rates, parts = list[Expr](), list[Expr](), list[_Part]()
         for i, k in combinations(range(len(path)), 2):
             if any(spot.presence is None for spot in path[i + 1 : k]):
                 continue
             a, b = seen[i], seen[k]
             weight = Mul(a.presence, b.presence, *(1 - x.presence for x in seen[i + 1 : k]))
-            if a.anchor.body == b.anchor.body and not (a.moves or b.moves):  # no force between them matters
-                d = _subtract(b.anchor.point, a.anchor.point)
-                shares.append(weight * sqrt(_dot(d, d)))
+            moves = a.moves or b.moves or any(x.covers(i, k) for x in around)
+            if a.anchor.body == b.anchor.body and not moves:  # no force between them matters
+                d = subtract(b.anchor.point, a.anchor.point)
+                shares.append(weight * sqrt(dot(d, d)))
                 continue
             number = len(parts) + 1
-            d = self._define_vector(name, f"d{number}", _subtract(b.place, a.place))
-            scale = Length(name, _dot(a.place, a.place) + _dot(b.place, b.place), number)
-            size = self._define(name, f"part{number}", sqrt(self._define(name, f"square{number}", _dot(d, d), scale)))
+            d = self._define_vector(name, f"d{number}", subtract(b.place, a.place))
+            reach = Length(name, dot(a.place, a.place) + dot(b.place, b.place), number)
+            size = self._define(name, f"part{number}", sqrt(self._define(name, f"square{number}", dot(d, d), reach)))
             weight = weight if weight.is_number else self._define(name, f"weight{number}", weight)
-            shares.append(weight * size)
-            rates.append(weight * _dot(d, _subtract(b.velocity, a.velocity)) / size)
-            parts.append((a, b, d, weight / size))
+            parts.append(_Part(number, (i, k), a, b, d, size, weight))
+        bends = {x.part.number: x for j, surface in enumerate(around, 1) for x in self._bend(name, j, surface, parts)}
+        straights = list[Expr]()
+        for part in parts:
+            straight, bend = part.weight, bends.get(part.number)
+            if bend is not None:
+                straight = self._define(name, f"straight{part.number}", part.weight - bend.weight)
+                shares.append(bend.weight * bend.turn.length)
+                rates.append(bend.weight * bend.rate)
+            shares.append(straight * part.size)
+            rates.append(straight * dot(part.d, subtract(part.b.velocity, part.a.velocity)) / part.size)
+            straights.append(straight / part.size)
         length = self._define(name, "length", total(shares))
         rate = self._define(name, "rate", total(rates))
         tension = self._define(name, "tension", self._tension(element, length, rate))
-        for number, (a, b, d, share) in enumerate(parts, 1):
-            F = self._define_vector(name, f"F{number}", _scale(tension * share, d))
-            self._pull(name, a, F)
-            self._pull(name, b, _scale(-1, F))
+        for part, share in zip(parts, straights, strict=True):
+            F = self._define_vector(name, f"F{part.number}", scale(tension * share, part.d))
+            self._pull(name, part.a, F)
+            self._pull(name, part.b, scale(-1, F))
+        for bend in bends.values():
+            self._pull_around(name, bend, tension)
+
+    def _bend(self, name: str, number: int, surface: Surface, parts: Sequence[_Part]) -> Iterator[_Bend]:
+        """Define the ways of a line around a surface: of all parts, one wraps at most.
+
+        It is the first one that must, else the one that may and gets longer by the least.
+        """
+        key = f"round{number}"
+        c, v = (self._probe(name, key, x, surface.anchor) for x in (Reading.POSITION, Reading.VELOCITY))
+        spin = self._probe(name, key, Reading.SPIN, surface.anchor)
+        axis, side = (
+            None if x is None else self._probe(name, f"{key} {k}", Reading.DIRECTION, Anchor(surface.anchor.body, x))
+            for k, x in (("axis", surface.axis), ("side", surface.side))
+        )
+        body = Round(surface.radius, axis, surface.half, side)
+        covered = [x for x in parts if surface.covers(*x.span)]
+        ways = list[tuple[_Part, tuple[Vector, Vector], Turn]]()
+        for part in covered:
+            own = f"{key}_{part.number}"
+            a, b = (
+                self._define_vector(name, f"{own} {k}", subtract(x.place, c))
+                for k, x in (("from", part.a), ("to", part.b))
+            )
+            turn = make_turn(body, a, b, partial(self._define_within, name, own))
+            ways.append((part, (a, b), turn))
+        must, may = ([part.weight * getattr(turn, k) for part, _, turn in ways] for k in ("must", "may"))
+        longer = [turn.length - part.size for part, _, turn in ways]
+        none = Mul(*(1 - x for x in must))
+        for k, (part, arms, turn) in enumerate(ways):
+            rivals = [
+                1 - may[j] * (holds(longer[k] - longer[j]) if j < k else 1 - holds(longer[j] - longer[k]))
+                for j in range(len(ways))
+                if j != k
+            ]
+            first = must[k] * Mul(*(1 - x for x in must[:k]))
+            weight = self._define(name, f"{key}_{part.number} weight", first + may[k] * none * Mul(*rivals))
+            forces = [
+                self._define_vector(name, f"{key}_{part.number} along_{x}", g)
+                for x, g in zip("ab", turn.slopes, strict=True)
+            ]
+            both, moment = add(*forces), add(cross(arms[0], forces[0]), cross(arms[1], forces[1]))
+            rate = dot(forces[0], part.a.velocity) + dot(forces[1], part.b.velocity) - dot(both, v) - dot(moment, spin)
+            yield _Bend(part, turn, weight, rate, surface.anchor, both, moment)
+
+    def _pull_around(self, name: str, bend: _Bend, tension: Expr) -> None:
+        """Add the forces of a line on the points of a bend, and on the surface."""
+        push = self._define(name, f"push{bend.part.number}", tension * bend.weight)
+        for seen, slope in zip((bend.part.a, bend.part.b), bend.turn.slopes, strict=True):
+            self._pull(name, seen, scale(-push, slope))
+        self._act(name, bend.anchor, scale(push, bend.force), scale(push, bend.moment))
 
     def _see(self, name: str, k: int, spot: Spot) -> _Seen:
         """Define the place and the velocity of a point of a line, in the base frame, and whether it is there."""
@@ -246,19 +355,19 @@ class Loads:
         ]
         arm = self._define_vector(name, f"arm{k}", _combine(spot.shift, axes))
         spin = self._probe(name, f"w{k}", Reading.SPIN, anchor)
-        velocity, moves = _add(v, _cross(spin, arm)), []
+        velocity, moves = add(v, cross(spin, arm)), []
         for j, (coordinate, rate, joint) in enumerate(spot.coordinates):
             slopes = [_differentiate(x, coordinate) for x in spot.shift]
             if any(slopes):
                 way = self._define_vector(name, f"way{k}_{j}", _combine(slopes, axes))
-                velocity = _add(velocity, _scale(rate, way))
+                velocity = add(velocity, scale(rate, way))
                 moves.append((joint, way))
         velocity = self._define_vector(name, f"v{k}", velocity)
-        return _Seen(anchor, self._define_vector(name, f"at{k}", _add(p, arm)), velocity, arm, tuple(moves), presence)
+        return _Seen(anchor, self._define_vector(name, f"at{k}", add(p, arm)), velocity, arm, tuple(moves), presence)
 
     def _pull(self, name: str, seen: _Seen, F: Vector) -> None:
-        self._act(name, seen.anchor, F, _NOTHING if seen.arm == _NOTHING else _cross(seen.arm, F))
-        self.pushes += [(joint, _dot(F, way)) for joint, way in seen.moves]
+        self._act(name, seen.anchor, F, _NOTHING if seen.arm == _NOTHING else cross(seen.arm, F))
+        self.pushes += [(joint, dot(F, way)) for joint, way in seen.moves]
 
     def _tension(self, element: ForceElement, length: Expr, rate: Expr) -> Expr:
         own = {LENGTH: length, LENGTH_RATE: rate}
@@ -290,7 +399,7 @@ class Loads:
             met = self._meet(contact, name, centre, side, circle)
             c = self._probe(name, "centre", Reading.POSITION, centre)
             bodies = centre.body, side.anchor.body
-            self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, _add(c, met.arm), *law)))
+            self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, add(c, met.arm), *law)))
 
     def _touch(
         self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float, circle: Circle | None
@@ -302,35 +411,35 @@ class Loads:
             for k, at in (("c", centre), ("P", side.anchor))
         )
         if contact.tyre is not None:
-            arm, reach = _subtract(arm, _scale(gap, n)), _subtract(reach, _scale(gap, n))
-        relative = _subtract(_add(vc, _cross(wc, arm)), _add(vP, _cross(wP, reach)))
+            arm, reach = subtract(arm, scale(gap, n)), subtract(reach, scale(gap, n))
+        relative = subtract(add(vc, cross(wc, arm)), add(vP, cross(wP, reach)))
         v = self._define_vector(name, "v", relative)
-        rate = self._define(name, "rate", _dot(n, v))
+        rate = self._define(name, "rate", dot(n, v))
         self.distances.append(Distance(name, gap))
         depth, N = self._press(contact, name, gap, rate, exponent)
-        F, M = _scale(N, n), _NOTHING
+        F, M = scale(N, n), _NOTHING
         if met.axle is not None and contact.tyre is not None:
-            across = _scale(1 / sqrt(met.axle.square), met.axle.axis)
-            forward = self._define_vector(name, "x", _cross(across, n))
-            left = self._define_vector(name, "y", _cross(n, forward))
+            across = scale(1 / sqrt(met.axle.square), met.axle.axis)
+            forward = self._define_vector(name, "x", cross(across, n))
+            left = self._define_vector(name, "y", cross(n, forward))
             slips = {
-                "vx": _dot(forward, _subtract(vc, _add(vP, _cross(wP, reach)))),
-                "sy": _dot(left, v),
-                "spin": _dot(met.axle.axis, _subtract(wc, wP)),
+                "vx": dot(forward, subtract(vc, add(vP, cross(wP, reach)))),
+                "sy": dot(left, v),
+                "spin": dot(met.axle.axis, subtract(wc, wP)),
                 "gamma": asin(met.axle.lean),
             }
             force, moment = self._slide(contact, contact.tyre, name, {**slips, "load": N, "depth": depth})
-            F = _add(F, _add(_scale(force[0], forward), _scale(force[1], left)))
+            F = add(F, add(scale(force[0], forward), scale(force[1], left)))
             M = self._define_vector(name, "M", _combine(moment, (forward, left, n)))
         if contact.friction is not None:
-            slip = self._define_vector(name, "slip", _subtract(v, _scale(rate, n)))
-            own = {"normal": N, "square": _dot(slip, slip)}
+            slip = self._define_vector(name, "slip", subtract(v, scale(rate, n)))
+            own = {"normal": N, "square": dot(slip, slip)}
             own |= {key: self._read(getattr(contact.friction, key), {}) for key in ("coefficient", "speed")}
             drag = self._define(name, "drag", self._read(_DRAG, own))
-            F = _subtract(F, _scale(drag, slip))
+            F = subtract(F, scale(drag, slip))
         F = self._define_vector(name, "F", F)
-        self._act(name, centre, F, _add(_cross(arm, F), M))
-        self._act(name, side.anchor, _scale(-1, F), _subtract(_cross(F, reach), M))
+        self._act(name, centre, F, add(cross(arm, F), M))
+        self._act(name, side.anchor, scale(-1, F), subtract(cross(F, reach), M))
 
     def _slide(
         self, contact: Contact, tyre: Tyre, name: str, given: Mapping[str, Expr]
@@ -355,31 +464,31 @@ class Loads:
         if isinstance(contact.other, Sphere):
             return self._meet_sphere(name, c, P, r, self._read(contact.other.radius, {}))
         if isinstance(contact.other, Block):
-            return self._meet_box(contact, contact.other, name, _subtract(c, P), r, side)
+            return self._meet_box(contact, contact.other, name, subtract(c, P), r, side)
         (normal,) = side.axes
         n = self._probe(name, "n", Reading.DIRECTION, Anchor(side.anchor.body, normal))
-        arm, axle = _scale(-r, n), None
+        arm, axle = scale(-r, n), None
         if circle is not None:
             rim, axle = self._roll(name, n, centre, circle)
-            arm = _add(arm, rim)
-        reach = self._define_vector(name, "reach", _add(_subtract(c, P), arm))
-        return _Meeting(n, self._define(name, "gap", _dot(n, reach)), arm, reach, axle)
+            arm = add(arm, rim)
+        reach = self._define_vector(name, "reach", add(subtract(c, P), arm))
+        return _Meeting(n, self._define(name, "gap", dot(n, reach)), arm, reach, axle)
 
     def _roll(self, name: str, n: Vector, centre: Anchor, circle: Circle) -> tuple[Vector, _Axle]:
         """Define the way from the centre of a wheel to the point of its circle that is nearest to a plane."""
         a = self._probe(name, "a", Reading.DIRECTION, Anchor(centre.body, circle.axis))
-        lean = self._define(name, "lean", _dot(n, a))
+        lean = self._define(name, "lean", dot(n, a))
         square = self._define(name, "square", 1 - lean**2, Length(name, Integer(1)))
         part = self._define(name, "part", -self._read(circle.radius, {}) / sqrt(square))
-        return self._define_vector(name, "rim", _scale(part, _subtract(n, _scale(lean, a)))), _Axle(a, lean, square)
+        return self._define_vector(name, "rim", scale(part, subtract(n, scale(lean, a)))), _Axle(a, lean, square)
 
     def _meet_sphere(self, name: str, c: Vector, P: Vector, r: Expr, R: Expr) -> _Meeting:
-        d = self._define_vector(name, "d", _subtract(c, P))
-        square = self._define(name, "square", _dot(d, d), Length(name, _dot(c, c) + _dot(P, P)))
+        d = self._define_vector(name, "d", subtract(c, P))
+        square = self._define(name, "square", dot(d, d), Length(name, dot(c, c) + dot(P, P)))
         length = self._define(name, "length", sqrt(square))
-        n = self._define_vector(name, "n", _scale(1 / length, d))
+        n = self._define_vector(name, "n", scale(1 / length, d))
         gap = self._define(name, "gap", length - r - R)
-        return _Meeting(n, gap, _scale(-r / (r + R), d), _scale(R / (r + R), d))
+        return _Meeting(n, gap, scale(-r / (r + R), d), scale(R / (r + R), d))
 
     def _meet_box(self, contact: Contact, box: Block, name: str, d: Vector, r: Expr, side: Side) -> _Meeting:
         # the distance is a smooth function of q = |x| - edge/2 in the box's axes, and n is its gradient
@@ -389,7 +498,7 @@ class Loads:
             for k, a in zip("XYZ", side.axes, strict=True)
         ]
         for k, a, edge in zip("xyz", axes, box.size, strict=True):
-            near = {**own, "x": self._define(name, f"x.{k}", _dot(a, d)), "edge": self._read(edge, {})}
+            near = {**own, "x": self._define(name, f"x.{k}", dot(a, d)), "edge": self._read(edge, {})}
             near["q"] = own[f"q_{k}"] = self._define(name, f"q.{k}", self._read(_BEYOND, near))
             own[f"y_{k}"] = self._define(name, f"y.{k}", self._read(_OUTSIDE, near))
             own[f"side_{k}"] = self._define(name, f"side.{k}", self._read(_SIDE, near))
@@ -398,10 +507,10 @@ class Loads:
             own[key] = found[key] = self._define(name, key, self._read(law, own))
         gap = found["gap"]
         slopes = [self._define(name, f"slope.{k}", self._read(law, own)) for k, law in zip("xyz", _SLOPES, strict=True)]
-        x, y, z = (_scale(slope, a) for slope, a in zip(slopes, axes, strict=True))
-        n = self._define_vector(name, "n", _add(_add(x, y), z))
-        arm = _scale(-r, n)
-        return _Meeting(n, gap, arm, _add(d, arm))
+        x, y, z = (scale(slope, a) for slope, a in zip(slopes, axes, strict=True))
+        n = self._define_vector(name, "n", add(add(x, y), z))
+        arm = scale(-r, n)
+        return _Meeting(n, gap, arm, add(d, arm))
 
     def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> tuple[Expr, Expr]:
         """Define the depth and the normal force."""
@@ -423,6 +532,9 @@ class Loads:
         self.definitions.append(Definition(symbol, value, length, name, key))
         return symbol
 
+    def _define_within(self, name: str, part: str, key: str, value: Expr) -> Symbol:
+        return self._define(name, f"{part} {key}", value)
+
     def _define_vector(self, name: str, key: str, vector: Vector) -> Vector:
         x, y, z = (self._define(name, f"{key}.{axis}", value) for axis, value in zip("xyz", vector, strict=True))
         return x, y, z
@@ -441,14 +553,6 @@ def _symbolize(name: str, key: str, reading: Reading, axis: str) -> Symbol:
     return Symbol(f"force[{name}] {key} {reading.value}.{axis}", real=True)
 
 
-def _add(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _subtract(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
 def _differentiate(x: Expr, symbol: Symbol) -> Expr:
     """Differentiate a number; at a jump, which no number of a file has, its slope is taken as that beside it."""
     return x.diff(symbol).replace(DiracDelta, lambda *_: ZERO)
@@ -457,15 +561,3 @@ def _differentiate(x: Expr, symbol: Symbol) -> Expr:
 def _combine(factors: Sequence[Expr], vectors: Sequence[Vector]) -> Vector:
     x, y, z = (total(f * v[c] for f, v in zip(factors, vectors, strict=True)) for c in range(3))
     return x, y, z
-
-
-def _scale(factor: Expr | int, a: Vector) -> Vector:
-    return factor * a[0], factor * a[1], factor * a[2]
-
-
-def _dot(a: Vector, b: Vector) -> Expr:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -330,6 +330,24 @@ class Cable:
 
 
 @dataclass(frozen=True)
+class Wrap:
+    """A cylinder or a sphere on a body, or on the base, around which the line of a force element wraps."""
+
+    radius: Expression  # [m]
+    body: str = BASE
+    placement: Placement = HERE  # of its centre and its axes, in the body's frame; a cylinder is about its z axis
+    is_sphere: bool = False
+    length: Expression | None = None  # of a cylinder [m]; None: no ends
+    side: str = ""  # x, -x, y, ...: the half on which the line stays; "": the nearer way
+    between: tuple[int, int] | None = None  # points of the line, from 1; None: all
+
+    def span(self, points: int) -> tuple[int, int]:
+        """Return the first and the last of some points between which the line may wrap, from 0."""
+        first, last = self.between or (1, points)
+        return first - 1, last - 1
+
+
+@dataclass(frozen=True)
 class ForceElement:
     """A force along the line through the origins of frames; a positive tension pulls them together."""
 
@@ -343,6 +361,7 @@ class ForceElement:
     force: Expression = ZERO  # further tension [N], over parameters, LENGTH, LENGTH_RATE and numbers of the state
     via: tuple[PathPoint, ...] = ()  # points that the line passes, from the first end to the second
     muscle: Muscle | None = None  # it has the tension; else None
+    wraps: tuple[Wrap, ...] = ()  # between different points
 
     @property
     def law(self) -> Expression:
@@ -361,9 +380,14 @@ class ForceElement:
         return (self.first, *self.via, self.second)
 
     @property
+    def bodies(self) -> tuple[str, ...]:
+        """Return the bodies of all points, and of all surfaces around which it wraps."""
+        return (*(x.body for x in self.path), *(x.body for x in self.wraps))
+
+    @property
     def is_straight(self) -> bool:
         """Return whether the line is the one through two points that are fixed on their bodies."""
-        return not self.via and all(x.shift == ORIGIN for x in (self.first, self.second))
+        return not self.via and not self.wraps and all(x.shift == ORIGIN for x in (self.first, self.second))
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,8 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     carriers += [(("forces", i, key, "body"), end.body) for i, key, end in spans]
     passed = [(i, k, end) for i, x in enumerate(model.forces) for k, end in enumerate(x.via)]
     carriers += [(("forces", i, "via", k, "body"), end.body) for i, k, end in passed]
+    wraps = [(i, k, wrap) for i, x in enumerate(model.forces) for k, wrap in enumerate(x.wraps)]
+    carriers += [(("forces", i, "wraps", k, "body"), wrap.body) for i, k, wrap in wraps]
     carriers += [(("contacts", i, "body"), contact.body) for i, contact in enumerate(model.contacts)]
     carriers += [(("contacts", i, x.key, "body"), x.other.body) for i, x in enumerate(model.contacts)]
     for place, name in [*parents, *carriers]:

@@ -46,6 +46,7 @@ from mbsgen.model.model import (
     Stops,
     Triple,
     Visual,
+    Wrap,
     Wrench,
 )
 from mbsgen.model.muscles import Muscle
@@ -251,6 +252,8 @@ def _write_element(element: ForceElement) -> Mapped:
     content |= {"from": _write_point(element.first), "to": _write_point(element.second)}
     if element.via:
         content["via"] = [_write_point(point) for point in element.via]
+    if element.wraps:
+        content["wraps"] = [_write_wrap(wrap) for wrap in element.wraps]
     if element.muscle is not None:
         content["muscle"] = _write_muscle(element.muscle)
     content |= _write_numbers(element, ("stiffness", "rest", "damping"))
@@ -259,6 +262,17 @@ def _write_element(element: ForceElement) -> Mapped:
         if element.cable.width != WIDTH:
             content["width"] = _write_number(element.cable.width)
     return content | _write_numbers(element, ("force",))
+
+
+def _write_wrap(wrap: Wrap) -> Mapped:
+    content: Mapped = {"type": "sphere" if wrap.is_sphere else "cylinder", "body": _quote(wrap.body)}
+    content |= _write_placement(wrap.placement)
+    content["radius"] = _write_number(wrap.radius)
+    if wrap.length is not None:
+        content["length"] = _write_number(wrap.length)
+    if wrap.side:
+        content["side"] = _quote(wrap.side)
+    return content if wrap.between is None else {**content, "between": [str(x) for x in wrap.between]}
 
 
 def _write_muscle(muscle: Muscle) -> Mapped:

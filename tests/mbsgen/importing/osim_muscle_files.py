@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.mbsgen.importing.osim_files import LEG, LINE, SPLINE, write_model
+from tests.mbsgen.importing.osim_files import LEG, LINE, SPLINE, Link, write_model
 
 Place = tuple[str, str]  # a body, and a location
 
@@ -82,3 +82,53 @@ CASES = {
     "leg": write_model(LEG, forces=write_forces()),
     "leg_3": write_model(LEG, version=30000, forces=write_forces(30000)),
 }
+
+
+def surface(kind: str, name: str, place: str, turn: str = "0 0 0", quadrant: str = "all", length: float = 1.0) -> str:
+    numbers = f"<length>{length}</length>" if kind == "WrapCylinder" else ""
+    return (
+        f'<{kind} name="{name}"><active>true</active><translation>{place}</translation><xyz_body_rotation>{turn}'
+        f"</xyz_body_rotation><quadrant>{quadrant}</quadrant><radius>0.1</radius>{numbers}</{kind}>"
+    )
+
+
+def around(name: str, span: str = "-1 -1") -> str:
+    return (
+        f'<PathWrap name="w"><wrap_object>{name}</wrap_object><method>hybrid</method><range>{span}</range></PathWrap>'
+    )
+
+
+def write_wrapped() -> str:
+    """Write a plane leg with springs around cylinders across the plane and spheres, where OpenSim's path is exact."""
+    plane = {"outer": ("0 -0.4 0", "0 0 0"), "inner": ("0 0 0", "0 0 0")}
+    links = (Link("thigh", coordinates=("hip",), **plane), Link("shank", "PinJoint", "thigh", ("knee",), **plane))
+    shapes = {
+        "thigh": surface("WrapCylinder", "knee", "0 -0.42 0", quadrant="x")
+        + surface("WrapCylinder", "back", "0.02 -0.37 0", "0 0 0.3", "-x")
+        + surface("WrapSphere", "ball", "0.01 -0.4 0.03", "0.3 0.2 0.1")
+        + surface("WrapSphere", "cap", "0.02 -0.41 0.02", "0.1 0.2 0.4", "x"),
+        "shank": surface("WrapCylinder", "any", "0.01 -0.05 0"),
+    }
+    begin, end = fixed("a", "thigh", "0.03 -0.15 0.02"), fixed("b", "shank", "0.02 -0.25 0.02")
+    far = fixed("c", "ground", "0.12 -0.2 0.02")
+    rows = (
+        ("front", begin + end, around("knee")),
+        ("behind", begin + end, around("back")),
+        ("near", begin + end, around("any")),
+        ("ball", begin + end, around("ball")),
+        ("cap", begin + end, around("cap")),
+        ("three", far + begin + end, around("knee")),
+        ("range", far + begin + end, around("any", "2 3")),
+        ("two", far + begin + end, around("cap", "1 2") + around("ball", "2 -1")),
+    )
+    springs = numbers(resting_length=0.3, stiffness=250, dissipation=0.1)
+    text = write_model(links, forces="".join(line("PathSpring", *row[:2], springs, row[2]) for row in rows))
+    for body, inner in shapes.items():
+        head = f'<Body name="{body}">'
+        text = text.replace(
+            head, f'{head}<WrapObjectSet name="wrapobjectset"><objects>{inner}</objects></WrapObjectSet>'
+        )
+    return text
+
+
+CASES["wrapped"] = write_wrapped()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,22 +20,28 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Name, Number, write
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
-from mbsgen.osim_comparison import ask_opensim, compare_with_opensim
+from mbsgen.osim_comparison import AROUND, ask_opensim, compare_with_opensim
 from tests import peers
 from tests.mbsgen.importing.osim_files import save
-from tests.mbsgen.importing.osim_muscle_files import CASES
+from tests.mbsgen.importing.osim_muscle_files import CASES, around
 
+PATHS = ("lengths", "rates", "arms")
+LINES = {"wrapped": ("front", "behind", "near", "ball", "cap", "three", "range", "two")}
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_paths.json"
 ROUNDING = 1e-11  # relative: digits that cancel in the cubes of a knee's spline
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_lengths_and_arms_are_opensims(name: str, tmp_path: Path) -> None:
-    """Masses, forces, places, lengths, rates and arms of fixed, conditional and moving points, at random states."""
+    """Masses, forces, places, lengths, rates and arms at random states.
+
+    Points are fixed, conditional and moving; lines wrap around spheres, and around cylinders across their plane.
+    """
     answer = json.loads(REFERENCE.read_text("utf-8"))[name]
     found = compare_with_opensim(save(tmp_path, CASES[name]), Choices(), lambda *_: answer)
-    assert found.lines == ("long", "two-joints", "short.1", "rigid", "strap")
-    assert set(found.misses) == {"M", "tau", "places", "lengths", "rates", "arms"}
+    assert found.lines == LINES.get(name, ("long", "two-joints", "short.1", "rigid", "strap"))
+    assert not found.absent
+    assert set(found.misses) - {x + AROUND for x in PATHS} == {"M", "tau", "places", *PATHS}
     assert max(found.misses.values()) < ROUNDING, found.misses
 
 
@@ -71,6 +78,35 @@ def test_muscles_are_written_and_read_again(tmp_path: Path) -> None:
     found = import_model(save(tmp_path, CASES["leg"]))
     (tmp_path / "model.yaml").write_text(write_imported(found), "utf-8")
     assert read_model(tmp_path / "model.yaml") == found.model
+
+
+def test_a_path_around_what_is_not_read_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    """An ellipsoid, a cylinder along whose axis the line stays, and two surfaces between the same points."""
+    ball = around("ball")
+    text = CASES["wrapped"].replace("<quadrant>-x<", "<quadrant>z<").replace(around("any", "2 3"), ball + ball)
+    text = text.replace('<WrapSphere name="cap"', '<WrapEllipsoid name="cap"')
+    text = text.replace("</WrapSphere></objects>", "</WrapEllipsoid></objects>")
+    found = import_model(save(tmp_path, text))
+    assert [x.name for x in found.model.forces] == ["front", "near", "ball", "three"]
+    warned = [x.text for x in found.notices if x.alters and "its path wraps around" in x.text]
+    for part, count in (("a WrapEllipsoid", 2), ("a side along its axis", 1), ("between the same points", 1)):
+        assert sum(part in x for x in warned) == count, warned
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "wanted"),
+    [
+        ("<range>2 3<", "<range>3 3<", "a range from point 3 to 3 of 3; give the numbers of two of its points"),
+        ("<wrap_object>ball<", "<wrap_object>bal<", 'there is no surface "bal"; did you mean "ball"?'),
+        ("<quadrant>-x<", "<quadrant>w<", 'a quadrant "w"; give all, x, -x'),
+        ("<radius>0.1<", "<radius>-0.1<", "a radius or a length of 0 or less; give more than 0"),
+    ],
+)
+def test_a_faulty_surface_is_one_clear_error(old: str, new: str, wanted: str, tmp_path: Path) -> None:
+    text = CASES["wrapped"]
+    assert old in text
+    with pytest.raises(InputError, match=re.escape(wanted)):
+        import_model(save(tmp_path, text.replace(old, new)))
 
 
 FAULTS: dict[str, tuple[str, str, str]] = {

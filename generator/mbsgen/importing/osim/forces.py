@@ -31,8 +31,8 @@ _TRUE, _FALSE = ("true", "1"), ("false", "0")
 
 
 def is_on(element: Element) -> bool:
-    """Return whether a force or a constraint of a file acts."""
-    switches = (("appliesForce", _FALSE), ("isEnforced", _FALSE), ("isDisabled", _TRUE))
+    """Return whether a force, a constraint or a surface of a file acts."""
+    switches = (("appliesForce", _FALSE), ("isEnforced", _FALSE), ("isDisabled", _TRUE), ("active", _FALSE))
     return not any((part := element.first(tag)) is not None and part.text.lower() in off for tag, off in switches)
 
 

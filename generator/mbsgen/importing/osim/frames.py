@@ -81,8 +81,9 @@ class Frames:
 
     def _locate(self, element: Element, owner: str, before: tuple[str, ...]) -> Mount | None:
         path = self._complete(element, owner)
-        if path is None:
-            return None
+        return None if path is None else self._follow(path, element, before)
+
+    def _follow(self, path: str, element: Element, before: tuple[str, ...]) -> Mount | None:
         if path in self._bodies:
             return Mount(self._bodies[path])
         if path in before:
@@ -117,6 +118,24 @@ class Frames:
         self.findings.fault(element, f"there is no frame {abbreviate(element.text)}", remedy)
         return None
 
+    @property
+    def surfaces(self) -> dict[str, tuple[Element, Mount]]:
+        """Return the surfaces around which paths may wrap, by name, with the frames that carry them."""
+        found: dict[str, tuple[Element, Mount]] = {}
+        for owner in _list_carriers(self.model):
+            held = owner.first("WrapObjectSet")
+            objects = None if held is None else held.first("objects")
+            if objects is None or not objects.children:
+                continue
+            name = owner.attributes.get("name", "")
+            path = self.paths.get(id(owner), "")
+            mount = self._follow(path, owner, ()) if owner.tag == OFFSET else Mount(name or GROUND)
+            if mount is None:
+                continue
+            for surface in objects.children:
+                found.setdefault(surface.attributes.get("name", ""), (surface, mount))
+        return found
+
     def read_pose(self, element: Element, position: str = "location", orientation: str = "orientation") -> Pose:
         """Read the pose that two children of an element give."""
         turns = self.read_vector(element, orientation)
@@ -127,6 +146,14 @@ class Frames:
         child = element.first(tag)
         zero = (0.0, 0.0, 0.0)
         return zero if child is None else self.findings.numbers(child, tag, zero, attributes={tag: child.text})
+
+
+def _list_carriers(element: Element) -> Iterator[Element]:
+    """List the bodies, the ground and the offset frames in an element."""
+    for child in element.children:
+        if child.tag in ("Body", "Ground", OFFSET):
+            yield child
+        yield from _list_carriers(child)
 
 
 def _walk(element: Element, path: str) -> Iterator[tuple[Element, str]]:

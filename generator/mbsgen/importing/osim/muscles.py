@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.expressions import Expression, Name, Number, Operation, is_free_name, parse, substitute
@@ -30,6 +30,8 @@ MUSCLES = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle", "Thelen20
 PATH_SPRING = "PathSpring"
 PATHS = (*MUSCLES, PATH_SPRING)
 POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
+SURFACES = ("WrapCylinder", "WrapSphere")
+SIDES = ("x", "-x", "y", "-y", "z", "-z")
 WIDENING = 1e-5  # of the range of a point, rad or m
 _AXES = "xyz"
 _SPRING = parse(f"stiffness*max({LENGTH} - rest, 0)*(1 + dissipation*{LENGTH_RATE})")
@@ -69,12 +71,24 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
+class Surface:
+    """A surface around which a path wraps."""
+
+    mount: Mount
+    radius: float
+    length: float | None  # of a cylinder; None: a sphere
+    side: str
+    between: tuple[int, int]  # points, from 1
+
+
+@dataclass(frozen=True, eq=False)
 class Line:
     """A muscle or a spring along a path."""
 
     name: str
     element: Element
     points: tuple[Point, ...]
+    wraps: tuple[Surface, ...]
     force: Expression = ZERO
     muscle: Muscle | None = None
 
@@ -96,6 +110,7 @@ class Paths:
     coordinates: Mapping[str, Element]
     ranges: Mapping[str, tuple[float | None, float | None]]  # of coordinates
     is_nested: bool  # as in versions 2 and 3
+    surfaces: Mapping[str, tuple[Element, Mount]]  # around which paths may wrap, with their bodies
 
     def read(self, element: Element) -> Line | None:
         """Read a muscle or a spring of PATHS; None, with a notice or a fault, where there is none."""
@@ -108,13 +123,6 @@ class Paths:
         if path is None:
             self.findings.fault(element, "no GeometryPath", "give the points of its path")
             return None
-        if wrapped := [*_list_objects(path, "PathWrapSet")]:
-            names = sorted({_read_text(x, "wrap_object") for x in wrapped})
-            text = (
-                f"its path wraps around {', '.join(map(abbreviate, names))}, which is not read: its force is left out"
-            )
-            self.findings.warn(element, text)
-            return None
         found = [self._read_point(x) for x in _list_objects(path, "PathPointSet")]
         points = tuple(x for x in found if x is not None)
         if len(found) < 2:
@@ -124,10 +132,69 @@ class Paths:
             self.findings.fault(path, "it begins or ends at a conditional point", "give a PathPoint there")
         if len(found) < 2 or len(points) < len(found) or ends:
             return None
+        wraps = self._read_wraps(element, path, len(points))
+        if wraps is None:
+            return None
         name = element.attributes.get("name", "") or element.tag
         if element.tag == PATH_SPRING:
-            return Line(name, element, points, self._read_spring(element))
-        return Line(name, element, points, muscle=self._read_muscle(element, name))
+            return Line(name, element, points, wraps, self._read_spring(element))
+        return Line(name, element, points, wraps, muscle=self._read_muscle(element, name))
+
+    def _read_wraps(self, element: Element, path: Element, points: int) -> tuple[Surface, ...] | None:
+        """Read the surfaces around which a path wraps; None, with a warning, where this is not possible."""
+        found = list[Surface]()
+        for given in _list_objects(path, "PathWrapSet"):
+            name = _read_text(given, "wrap_object")
+            if name not in self.surfaces:
+                meant = nearest(name, list(self.surfaces))
+                remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a WrapObject of the file"
+                self.findings.fault(given, f"there is no surface {abbreviate(name)}", remedy)
+                continue
+            surface, mount = self.surfaces[name]
+            if not is_on(surface):
+                self.findings.tell(given, f"{abbreviate(name)} is switched off in the file: left out")
+                continue
+            reason = self._find_obstacle(surface)
+            own = None if reason else self._read_surface(given, surface, mount, points)
+            if own is not None and any(
+                max(own.between[0], x.between[0]) < min(own.between[1], x.between[1]) for x in found
+            ):
+                reason = "as another surface between the same points"
+            if reason:
+                text = f"its path wraps around {abbreviate(name)}, {reason}, which is not read: its force is left out"
+                self.findings.warn(element, text)
+                return None
+            found += [] if own is None else [own]
+        return tuple(found)
+
+    def _find_obstacle(self, surface: Element) -> str:
+        """Return why a path cannot wrap around a surface; "" if it can."""
+        side = _read_side(surface)
+        if surface.tag not in SURFACES:
+            return f"a {surface.tag}"
+        return "with a side along its axis" if surface.tag == "WrapCylinder" and side.endswith("z") else ""
+
+    def _read_surface(self, given: Element, surface: Element, mount: Mount, points: int) -> Surface | None:
+        """Read a surface between points of a path; None with a fault."""
+        bounds = given.first("range")
+        drawn: tuple[float, ...] = (-1.0, -1.0)
+        if bounds is not None:
+            drawn = self.findings.numbers(bounds, "range", drawn, attributes={"range": bounds.text})
+        first, last = (int(x) if x >= 1 else end for x, end in zip(drawn, (1, points), strict=True))
+        side = _read_side(surface)
+        radius = self._number(surface, "radius", 1.0)
+        length = None if surface.tag == "WrapSphere" else self._number(surface, "length", 1.0)
+        if not first < last <= points:
+            remedy = "give the numbers of two of its points, from 1, in order"
+            self.findings.fault(given, f"a range from point {first} to {last} of {points}", remedy)
+        elif side and side not in SIDES:
+            self.findings.fault(surface, f"a quadrant {abbreviate(side)}", f"give all, {', '.join(SIDES)}")
+        elif radius <= 0 or (length is not None and length <= 0):
+            self.findings.fault(surface, "a radius or a length of 0 or less", "give more than 0")
+        else:
+            pose = self.frames.read_pose(surface, "translation", "xyz_body_rotation")
+            return Surface(replace(mount, pose=mount.pose @ pose), radius, length, side, (first, last))
+        return None
 
     def _read_point(self, element: Element) -> Point | None:
         if element.tag not in POINTS:
@@ -240,6 +307,11 @@ def spell_signal(name: str) -> str:
     """Return the name of a muscle as expressions have it."""
     word = re.sub(r"\W", "_", name, flags=re.ASCII)
     return word if is_free_name(word) and word not in (LENGTH, LENGTH_RATE, "t") else f"muscle_{word}"
+
+
+def _read_side(surface: Element) -> str:
+    text = _read_text(surface, "quadrant").lower().removeprefix("+")
+    return "" if text in ("all", "unassigned") else text
 
 
 def _list_objects(path: Element, name: str) -> Iterator[Element]:

@@ -40,12 +40,12 @@ from mbsgen.importing.osim.joints import (
     list_axes,
     list_coordinates,
 )
-from mbsgen.importing.osim.muscles import MUSCLES, PATHS, Line, Paths, Point
+from mbsgen.importing.osim.muscles import MUSCLES, PATHS, Line, Paths, Point, Surface
 from mbsgen.importing.osim.vocabulary import VOCABULARY
 from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
 from mbsgen.importing.vocabulary import survey
-from mbsgen.model.model import BASE, PathPoint, Presence
+from mbsgen.model.model import BASE, PathPoint, Presence, Wrap
 from mbsgen.model.model import ORIGIN as MODEL_ORIGIN
 from mbsgen.model.tree import Cut
 
@@ -143,7 +143,8 @@ class _File:
         for element in self._list("ForceSet"):
             if element.tag in READ:
                 self._forces.read(element, self._coordinates)
-        paths = Paths(self._frames, self._findings, self._coordinates, self._ranges, self._is_nested)
+        around = self._frames.surfaces
+        paths = Paths(self._frames, self._findings, self._coordinates, self._ranges, self._is_nested, around)
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
         self._lines = [line for line in found if line is not None]
         couplers = [x for x in self._list("ConstraintSet") if x.tag == "CoordinateCouplerConstraint" and self._acts(x)]
@@ -560,8 +561,27 @@ class _File:
     # --- muscles and springs along paths -----------------------------------------------------------------------------
 
     def _add_line(self, line: Line) -> None:
-        path = [point for x in line.points if (point := self._make_point(line, x)) is not None]
-        self._draft.add_force(line.name, path, line.force, line.muscle, line.signals, line.element)
+        kept = [self._make_point(line, x) for x in line.points]
+        path = [point for point in kept if point is not None]
+        numbers = [k for k, x in enumerate(kept, 1) if x is not None]  # of the points that are left
+        wraps = [wrap for x in line.wraps if (wrap := self._make_wrap(x, numbers)) is not None]
+        self._draft.add_force(line.name, path, line.force, line.muscle, wraps, line.signals, line.element)
+
+    def _make_wrap(self, surface: Surface, numbers: Sequence[int]) -> Wrap | None:
+        """Make a surface of the model between points of which some are left; None where too few are."""
+        inside = [k for k, number in enumerate(numbers, 1) if surface.between[0] <= number <= surface.between[1]]
+        if len(inside) < 2:
+            return None
+        here = self._inner[surface.mount.body] @ surface.mount.pose
+        return Wrap(
+            Number(surface.radius),
+            self._own[surface.mount.body],
+            self._draft.writer.placement(here),
+            surface.length is None,
+            None if surface.length is None else Number(surface.length),
+            surface.side,
+            None if len(inside) == len(numbers) else (inside[0], inside[-1]),
+        )
 
     def _make_point(self, line: Line, point: Point) -> PathPoint | None:
         """Make a point of the model; None for one that the path never passes."""

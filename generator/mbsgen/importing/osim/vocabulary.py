@@ -8,10 +8,10 @@ from __future__ import annotations
 from mbsgen.importing.osim.forces import ACTUATORS, LIMIT, SPRING
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.osim.joints import JOINTS
-from mbsgen.importing.osim.muscles import PATHS, POINTS
+from mbsgen.importing.osim.muscles import PATHS, POINTS, SURFACES
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place
 
-_SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance WrapObjectSet wrap_objects display"
+_SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance display"
 _VECTORS = "location=value orientation=value"
 _BOTH = " ".join(f"{name}_body_{k}=value" for name in ("location", "orientation") for k in (1, 2))
 _FUNCTIONS = " ".join(f"{name}=function" for name in FUNCTIONS)
@@ -44,12 +44,12 @@ PLACES: dict[str, Place] = {
         "OutputReporterSet AnalysisSet groups WrapObjectSet SimbodyEngine",
     ),
     "value": place(read="#text"),
-    "ground": place(read="@name components=parts", idle=_SHOWN),
+    "ground": place(read="@name components=parts WrapObjectSet=surfaces", idle=_SHOWN),
     "bodies": place(read="@name objects=bodies_in", idle="groups"),
     "bodies_in": place(read="Body*=body"),
     "body": place(
         read="@name mass=value mass_center=value inertia=value inertia_xx=value inertia_yy=value inertia_zz=value "
-        "inertia_xy=value inertia_xz=value inertia_yz=value Joint=joints_in components=parts",
+        "inertia_xy=value inertia_xz=value inertia_yz=value Joint=joints_in components=parts WrapObjectSet=surfaces",
         idle=_SHOWN,
     ),
     "joints": place(read="@name objects=joints_in", idle="groups"),
@@ -63,7 +63,19 @@ PLACES: dict[str, Place] = {
     "parts": place(
         read="PhysicalOffsetFrame*=offset", idle="Station Marker ContactSphere ContactHalfSpace ContactMesh"
     ),
-    "offset": place(read="@name socket_parent=value translation=value orientation=value components=parts", idle=_SHOWN),
+    "offset": place(
+        read="@name socket_parent=value translation=value orientation=value components=parts WrapObjectSet=surfaces",
+        idle=_SHOWN,
+    ),
+    "surfaces": place(read="@name objects=surfaces_in", idle="groups"),
+    "surfaces_in": place(
+        read=" ".join(f"{name}*=surface" for name in SURFACES),
+        idle="WrapEllipsoid WrapTorus WrapSphereObst WrapCylinderObst WrapDoubleCylinderObst",  # paths warn of them
+    ),
+    "surface": place(
+        read="@name active=value xyz_body_rotation=value translation=value quadrant=value radius=value length=value",
+        idle="VisibleObject Appearance color display_preference",
+    ),
     "coordinates": place(read="@name objects=coordinates_in", idle="groups"),
     "coordinates_in": place(read="Coordinate*=coordinate"),
     "coordinate": place(

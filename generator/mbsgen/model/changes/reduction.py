@@ -19,7 +19,7 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Circle, Loads, Side, Spot
+from mbsgen.model.elements import Anchor, Circle, Loads, Side, Spot, Surface
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -530,9 +530,9 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         return Anchor(at.number, at.position)
 
     for element in description.forces:
-        loads.add_element(
-            element, [_make_spot(point, seats[point.body], reader, description) for point in element.path]
-        )
+        path = [_make_spot(point, seats[point.body], reader, description) for point in element.path]
+        around = [_make_surface(x, seats[x.body], reader, len(path)) for x in element.wraps]
+        loads.add_element(element, path, around)
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
@@ -565,6 +565,23 @@ def _make_spot(point: model.PathPoint, seat: _Seat, reader: _Reader, description
     coordinates = tuple((x.symbol, rate_symbol(x.joint), x.joint) for x in read if x.joint is not None)
     shift = tuple(reader.force(x, {}) for x in point.shift)
     return Spot(anchor, _transpose(at.axes), shift, coordinates, presence)
+
+
+def _make_surface(wrap: model.Wrap, seat: _Seat, reader: _Reader, points: int) -> Surface:
+    at = seat.carry(wrap.placement, reader)
+    axes = _transpose(at.axes)
+    side = None
+    if wrap.side:
+        axis = axes["xyz".index(wrap.side[-1])]
+        side = _vector(-x for x in axis) if wrap.side[0] == "-" else axis
+    return Surface(
+        Anchor(at.number, at.position),
+        None if wrap.is_sphere else axes[2],
+        side,
+        reader.number(wrap.radius),
+        None if wrap.length is None else reader.number(wrap.length) / 2,
+        *wrap.span(points),
+    )
 
 
 def _list_points(contact: model.Contact, reader: _Reader) -> Iterator[tuple[str, Vector]]:

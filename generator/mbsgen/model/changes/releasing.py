@@ -49,6 +49,7 @@ from mbsgen.model.model import (
     Sphere,
     Stops,
     Triple,
+    Wrap,
     Wrench,
 )
 from mbsgen.model.muscles import Muscle
@@ -271,6 +272,15 @@ class _Release:
             replace_counted(element.force, f"{path}.force", self._number),
             tuple(self._point(f"{path}.via.{k}", point) for k, point in enumerate(element.via, 1)),
             element.muscle and self._muscle(f"{path}.muscle", element.muscle),
+            tuple(self._wrap(f"{path}.wraps.{k}", wrap) for k, wrap in enumerate(element.wraps, 1)),
+        )
+
+    def _wrap(self, path: str, wrap: Wrap) -> Wrap:
+        return replace(
+            wrap,
+            radius=self._number(f"{path}.radius", wrap.radius),
+            placement=self._placement(path, wrap.placement),
+            length=wrap.length and self._number(f"{path}.length", wrap.length),
         )
 
     def _point(self, path: str, point: PathPoint) -> PathPoint:

@@ -109,7 +109,7 @@ def stage(model: Model, scene: Scene) -> Model:
     carriers = find_carriers(kept)
     felt = [w for w in kept.wrenches if carriers[w.body] != BASE]
     wrenches = tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches)
-    forces = tuple(x for x in kept.forces if len({carriers[end.body] for end in x.path}) > 1)
+    forces = tuple(x for x in kept.forces if len({carriers[body] for body in x.bodies}) > 1)
     contacts = tuple(x for x in kept.contacts if carriers[x.body] != carriers[x.other.body])
     kept = replace(kept, wrenches=wrenches, forces=forces, contacts=contacts)
     return replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from sympy import Expr, Symbol
@@ -24,6 +24,7 @@ from mbsgen.model.model import (
     PathPoint,
     Plane,
     Triple,
+    Wrap,
     Wrench,
 )
 from mbsgen.model.muscles import Muscle
@@ -94,6 +95,8 @@ def _check_element(place: Place, element: ForceElement, valuation: Valuation, st
     for key, end in (("from", element.first), ("to", element.second)):
         if end.presence is not None:
             yield Finding((*place, key, "while"), "an end that is not always there", "give such a point under via")
+    for k, wrap in enumerate(element.wraps):
+        yield from _check_wrap((*place, "wraps", k), wrap, element.wraps[:k], len(element.path), valuation)
     own: State = {LENGTH: Symbol(LENGTH, real=True), LENGTH_RATE: Symbol(LENGTH_RATE, real=True)}
     yield from check_law((*place, "force"), element.force, valuation, {**state, **own})
     if element.muscle is not None:
@@ -137,6 +140,28 @@ def _check_point(place: Place, point: PathPoint, valuation: Valuation, state: St
         bounds = [valuation.number((*place, "while", "range", k), x) for k, x in enumerate((own.lower, own.upper))]
         if bounds[0] >= bounds[1]:
             yield Finding((*place, "while", "range"), f"a range from {bounds[0]:g} to {bounds[1]:g}", "swap them")
+
+
+def _check_wrap(
+    place: Place, wrap: Wrap, before: Sequence[Wrap], count: int, valuation: Valuation
+) -> Iterator[Finding]:
+    """Find what is wrong with a surface around which a line of some points wraps."""
+    valuation.placement(place, wrap.placement)
+    yield from _check_positive((*place, "radius"), wrap.radius, valuation)
+    if wrap.length is not None:
+        yield from _check_positive((*place, "length"), wrap.length, valuation)
+        if wrap.is_sphere:
+            yield Finding((*place, "length"), "the length of a sphere", "take it away, or give type: cylinder")
+    if wrap.side.endswith("z") and not wrap.is_sphere:
+        yield Finding((*place, "side"), "a side along the axis of a cylinder", "give x, -x, y or -y")
+    first, last = wrap.span(count)
+    if not 0 <= first < last < count:
+        finding = f"points {first + 1} and {last + 1} of a line of {count}"
+        yield Finding((*place, "between"), finding, "give the numbers of two of its points, from 1, in order")
+    for start, end in (other.span(count) for other in before):
+        if max(first, start) < min(last, end):
+            finding = "two surfaces between the same points"
+            yield Finding((*place, "between"), finding, "let each surface have points of its own on both sides")
 
 
 def _check_muscle(
@@ -289,7 +314,7 @@ def check_bodies(model: Model) -> Iterator[Finding]:
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
     pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces) if x.is_straight]
     for i, x in enumerate(model.forces):
-        if not x.is_straight and len({carriers.get(end.body, end.body) for end in x.path}) == 1:
+        if not x.is_straight and len({carriers.get(body, body) for body in x.bodies}) == 1:
             finding = "its points do not move relative to each other"
             yield Finding(("forces", i), finding, "name bodies that move relative to each other, or take it away")
     pairs += [(("contacts", i), x.body, x.other.body) for i, x in enumerate(model.contacts)]

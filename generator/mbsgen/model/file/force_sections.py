@@ -30,6 +30,7 @@ from mbsgen.model.model import (
     Presence,
     Sphere,
     Wheel,
+    Wrap,
 )
 from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
@@ -59,6 +60,34 @@ class PathPointSection(LoopEndSection):
         own = self.presence
         presence = None if own is None else Presence(own.number, *own.range)
         return PathPoint(self.body, self.placement, self.shift, presence)
+
+
+class WrapSection(LoopEndSection):
+    """A cylinder about its z axis, or a sphere, around which the line of a force wraps where it would cut it."""
+
+    type: Literal["cylinder", "sphere"] = Field(examples=["cylinder"])
+    radius: NumberField = Field(examples=[0.03], description="m")
+    length: Annotated[NumberField | None, Field(examples=[0.1], description="of a cylinder, m; else without ends")] = (
+        None
+    )
+    side: Literal["x", "-x", "y", "-y", "z", "-z"] | None = Field(
+        None, examples=["-y"], description="the half on which the line stays; else it takes the nearer way"
+    )
+    between: tuple[int, int] | None = Field(
+        None, examples=[[1, 2]], description="numbers of points of the line, from 1, between which it wraps; else all"
+    )
+
+    def make(self) -> Wrap:
+        """Make the part of a Model."""
+        return Wrap(
+            self.radius,
+            self.body,
+            self.placement,
+            self.type == "sphere",
+            self.length,
+            self.side or "",
+            self.between,
+        )
 
 
 class TendonSection(Section):
@@ -114,6 +143,7 @@ class ForceSection(Section):
     first: PathPointSection = Field(alias="from", examples=[{"body": BASE}])
     second: PathPointSection = Field(alias="to", examples=[{"body": BASE}])
     via: tuple[PathPointSection, ...] = Field((), examples=[[]], description="points that the line passes, in order")
+    wraps: tuple[WrapSection, ...] = Field((), examples=[[]], description="surfaces around which the line wraps")
     muscle: MuscleSection | None = Field(None, examples=[None], description="of a muscle")
     stiffness: NumberField = Field(ZERO, examples=[100.0], description="N/m")
     rest: NumberField = Field(ZERO, examples=[0.3], description="length at which it is slack, m")
@@ -136,7 +166,18 @@ class ForceSection(Section):
         muscle = None if self.muscle is None else self.muscle.make()
         if self.type == "muscle" and muscle is None:
             muscle = Muscle(ZERO, ZERO, ZERO, ZERO)  # its checks name what is missing
-        return ForceElement(self.name, *ends, self.stiffness, self.rest, self.damping, cable, self.force, via, muscle)
+        return ForceElement(
+            self.name,
+            *ends,
+            self.stiffness,
+            self.rest,
+            self.damping,
+            cable,
+            self.force,
+            via,
+            muscle,
+            tuple(section.make() for section in self.wraps),
+        )
 
 
 class PlaneSection(Section):
