@@ -7,7 +7,7 @@ the opposite. A spring and damper has
 
 Through further points of bodies, or moving ones, its length is the sum of the distances from each point to the next,
 and T pulls along each of these lines. Around surfaces, T is along the derivatives of the length by the points on both
-sides, and presses on the surface by what is left; see `mbsgen.model.wrapping`. A muscle has the tension of
+sides, and its reaction presses on the surface; see `mbsgen.model.wrapping`. A muscle has the tension of
 `mbsgen.model.muscles`.
 
 Its direction d/length does not exist where the points meet: kernels then fail, with a status of the element. A spring

@@ -161,7 +161,7 @@ def _check_wrap(
     for start, end in (other.span(count) for other in before):
         if max(first, start) < min(last, end):
             finding = "two surfaces between the same points"
-            yield Finding((*place, "between"), finding, "let each surface have points of its own on both sides")
+            yield Finding((*place, "between"), finding, "let each surface have other points, by between")
 
 
 def _check_muscle(
