@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from sympy import Expr, Symbol
+from sympy import Abs, Expr, Symbol, sign
 
 from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
 from mbsgen.assembly.mechanism import Array, Mechanism, place_roughly
@@ -29,6 +29,7 @@ from mbsgen.model.tree import Closure, Cut, Kind, Tree, coordinate_symbol
 PASSIVE, ACTIVE = 1.0, 0.2  # weights of the columns of joints without and with an actuator: the latter are independent
 CHANGES = (1e-2, 1e-3, 1e-4)  # parts of run-time parameters, or sizes where they are 0; the first that lets loops close
 GROWTH = 3.0  # of the residuals of equations that a reading leaves out, at other numbers
+KINK, ASIDE, JUMP = 1e-12, 1e-6, 1e-3  # of a kink: how near it is, steps to both sides, the least change of a slope
 BROKEN = 10 * OPEN  # residual of a redundant equation at other numbers; where it still holds, it is at most some OPEN
 
 
@@ -91,7 +92,7 @@ def _read_exactly(mechanism: Mechanism, rough: Array) -> tuple[Reading | None, S
     attempt = find_pose(mechanism, rough)
     if not attempt.is_closed:
         return None, _name_gaps(mechanism, attempt)
-    if undefined := _find_undefined(mechanism.tree, attempt.q):
+    if undefined := _find_undefined(mechanism.tree, attempt.q, kinks=True):
         raise AssemblyError(mechanism.tree.name, undefined)
     places = [*walk(mechanism, attempt.q)]
     poses = [mechanism.J(q) for q in places]
@@ -109,26 +110,43 @@ def _find_key(tree: Tree) -> Place:
     return ("loops",) if tree.loops else ("constraints",)
 
 
-def _find_undefined(tree: Tree, q: Array) -> list[Finding]:
-    """Find constraints without a value or a derivative at a pose."""
+def _find_undefined(tree: Tree, q: Array, *, kinks: bool = False) -> list[Finding]:
+    """Find constraints without a value or a derivative at a pose, such as the `kinks` of abs, min and max."""
     found = []
     for k, constraint in enumerate(tree.constraints, len(tree.loops)):
         alone = Mechanism(replace(tree, loops=(), constraints=(constraint,)))
         what = "no value" if not np.isfinite(alone.h(q)).all() else "no derivative"
-        if what == "no derivative" and np.isfinite(alone.slopes(q)).all():
+        is_smooth = np.isfinite(alone.slopes(q)).all() and not (kinks and _has_kink(alone, q))
+        if what == "no derivative" and is_smooth:
             continue
         names = [name for name in tree.coordinates if coordinate_symbol(name) in constraint.equation.free_symbols]
         pose = ", ".join(f"{abbreviate(x)} = {q[tree.coordinates.index(x)]:.6g}" for x in names)
         place, owner = _place(tree, k)
-        finding = f"{owner}: {abbreviate(str(_show(constraint.equation, names)))} has {what} at {pose}"
+        finding = f"{owner}: {abbreviate(_show(constraint.equation, names))} has {what} at {pose}"
         remedy = "give a rough pose under `assembly:` at which it has one, and near which the loops close"
         found.append(Finding((*place, "equation"), finding, remedy))
     return found
 
 
-def _show(equation: Expr, names: Sequence[str]) -> Expr:
-    """Return an equation with plain names."""
-    return equation.xreplace({coordinate_symbol(name): Symbol(name) for name in names})
+def _has_kink(alone: Mechanism, q: Array) -> bool:
+    """Return whether the slopes of a single constraint jump at a pose: where an abs or a sign changes its side."""
+    (constraint,) = alone.tree.constraints
+    for part in constraint.equation.atoms(Abs, sign):
+        inner = Mechanism(replace(alone.tree, constraints=(replace(constraint, equation=part.args[0]),)))
+        slopes = inner.slopes(q)[0]
+        size = float(np.linalg.norm(slopes))
+        if not 0.0 < size < math.inf or abs(inner.h(q)[0]) > KINK * size:
+            continue
+        aside = ASIDE * slopes / size * alone.steps
+        one, other = alone.slopes(q + aside), alone.slopes(q - aside)
+        if np.abs(one - other).max() > JUMP * max(np.abs(one).max(), np.abs(other).max()):
+            return True
+    return False
+
+
+def _show(equation: Expr, names: Sequence[str]) -> str:
+    """Write an equation with plain names."""
+    return str(equation.xreplace({coordinate_symbol(name): Symbol(name) for name in names})).replace("Abs(", "abs(")
 
 
 def _place(tree: Tree, number: int) -> tuple[Place, str]:

@@ -39,7 +39,7 @@ class Part:
     repeats: bool = False  # whether several beside each other are read
     text: str = ""  # of the warning or the fault
     remedy: str = ""
-    harmless: tuple[str, ...] = ()  # values that change nothing, besides 0 and false: no warning
+    harmless: tuple[str, ...] | None = None  # values that change nothing: no warning; None: 0 and false
 
 
 Place = Mapping[str, Part]
@@ -91,7 +91,7 @@ def place(
 
 
 def warning(text: str, *harmless: str) -> Part:
-    """Make the part that is warned of unless it has one of some values."""
+    """Make the part that is warned of unless it has one of some values; without these, it always is."""
     return Part(Treatment.WARNED, text=text, harmless=harmless)
 
 
@@ -158,7 +158,9 @@ def _list_values(element: Element) -> list[str]:
 
 def _is_harmless(value: str, part: Part) -> bool:
     text = value.strip().lower()
-    if text in _NOTHING or text in part.harmless:
+    if part.harmless is not None:
+        return text in part.harmless
+    if text in _NOTHING:
         return True
     try:
         return not any(float(word) for word in text.split())

@@ -332,6 +332,8 @@ def test_ratios_and_loops_read_parameters_that_a_function_does_not() -> None:
         ("rocker - atan2(coupler, crank)", "no derivative"),
         ("sqrt(rocker) - crank", "no derivative"),
         ("sqrt(rocker) - crank - 1", "no derivative"),
+        ("rocker - abs(crank)", "no derivative"),
+        ("rocker - coupler*abs(crank) - min(crank, 2*crank)", "no derivative"),
         ("rocker - asin(2 + crank)", "no value"),
     ],
 )
@@ -340,6 +342,13 @@ def test_a_constraint_without_value_or_derivative_at_the_rough_pose_is_a_fault(e
     assert told.count("constraints[0]") == 1
     assert f"has {what} at" in told
     assert "give a rough pose under `assembly:`" in told
+
+
+def test_a_constraint_whose_slopes_pass_through_a_side_of_abs_without_a_jump_is_read() -> None:
+    """Where abs changes its side, coupler abs(crank) at coupler 0, and crank abs(crank), have a derivative."""
+    equation = [constraint("cam", "rocker - coupler*abs(crank) - crank*abs(crank)")]
+    product = make(four_bar(loops=[], constraints=equation, assembly={}), replace(ONE_PLAN, functions=("exp1",)))
+    assert product.report.verification.unchecked == ()
 
 
 def test_a_constraint_is_verified_near_its_pose_where_it_has_no_value_elsewhere() -> None:

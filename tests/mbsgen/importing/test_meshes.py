@@ -16,6 +16,7 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.importing import import_model
 from mbsgen.importing.mjcf.mesh_solids import RULES, Rule, measure
+from mbsgen.model.orientations import turn_quaternion
 from tests.import_peers import Kernels, MujocoPeer, largest_miss
 
 Array = NDArray[np.float64]
@@ -166,21 +167,57 @@ def test_a_mesh_without_a_type_is_a_sphere_fitted_to_it(tmp_path: Path) -> None:
     assert_mujoco_agrees(path)
 
 
-def test_what_is_not_fitted(tmp_path: Path) -> None:
-    """A cube has no longest axis, along which a cylinder could lie; the box of a mesh is not computed."""
-    cube = " ".join(f"{x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
-    path = write(tmp_path, f'vertex="{cube}"')
-    text = path.read_text()
-    for shape in FITTED:
-        path.write_text(text.replace('type="mesh"', f'type="{shape}"'))
-        if shape in ("capsule", "cylinder"):
-            assert "has no longest axis" in refuse(path)
-        else:
-            assert_mujoco_agrees(path)
-    path.write_text(text.replace("<compiler ", '<compiler fitaabb="true" ').replace('type="mesh"', 'type="box"'))
-    assert "(fitaabb) is not computed here" in refuse(path)
-    path.write_text(text.replace('type="mesh"', 'type="mesh" shellinertia="true"'))
+def make_block(sizes: tuple[float, float, float]) -> Array:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    return (corners * 0.1 + 0.3) * sizes
+
+
+@pytest.mark.parametrize("shape", FITTED)
+def test_shapes_fitted_to_the_box_of_a_mesh(shape: str, tmp_path: Path) -> None:
+    """With `fitaabb`, the box of the corners along the principal axes; of equal axes, the mesh's own ones."""
+    plates = () if shape == "capsule" else ((0.5, 1, 1),)  # whose capsule would have no length
+    blocks = [make_block(sizes) for sizes in ((1, 1, 2), (1, 2, 3), *plates)]
+    for corners in (make_angle()[0], *blocks):
+        path = write(tmp_path, f'vertex="{show(corners)}"', 'fitscale="1.1"', 'fitaabb="true"')
+        path.write_text(path.read_text().replace('type="mesh"', f'type="{shape}"'))
+        assert_mujoco_agrees(path)
+
+
+@pytest.mark.parametrize("shape", FITTED)
+def test_shapes_fitted_to_a_cube(shape: str, tmp_path: Path) -> None:
+    """Its axes are equal: they are the mesh's own, unless rounded corners leave the choice to MuJoCo's rounding."""
+    cube = make_block((1, 1, 1))
+    for turned in ("", 'refquat="0.9 0.1 0.2 0.3"'):
+        path = write(tmp_path, f'vertex="{show(cube)}" {turned}')
+        path.write_text(path.read_text().replace('type="mesh"', f'type="{shape}"'))
+        assert_mujoco_agrees(path)
+    path = write(tmp_path, f'vertex="{show(cube @ turn_quaternion((0.9, 0.1, 0.2, 0.3)))}"')
+    path.write_text(path.read_text().replace('type="mesh"', f'type="{shape}"'))
+    if shape in ("capsule", "cylinder"):
+        assert "has equal axes" in refuse(path)
+    else:
+        assert_mujoco_agrees(path)
+
+
+def test_a_mesh_has_no_shell_by_its_geom(tmp_path: Path) -> None:
+    path = write(tmp_path, f'vertex="{show(make_block((1, 1, 1)))}"')
+    path.write_text(path.read_text().replace('type="mesh"', 'type="mesh" shellinertia="true"'))
     assert "shellinertia of a mesh" in refuse(path)
+
+
+def test_a_mesh_may_be_beside_the_file_that_defines_it(tmp_path: Path) -> None:
+    """MuJoCo looks in the folder of meshes, then at the included file's place in that folder."""
+    path = write(tmp_path, 'file="angle.obj"')
+    text = path.read_text()
+    asset = text[text.index("<asset>") : text.index("</asset>") + len("</asset>")]
+    path.write_text(text.replace(asset, '<include file="parts/asset.xml"/>'))
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "asset.xml").write_text(f"<mujocoinclude>{asset}</mujocoinclude>")
+    assert "there is no such file" in refuse(path)
+    corners, faces = make_angle()
+    for folder, scale in ((tmp_path / "parts", 1.0), (tmp_path, 2.0)):
+        (folder / "angle.obj").write_text(write_obj(scale * corners, faces))
+        assert_mujoco_agrees(path)
 
 
 def test_points_have_the_solid_of_their_hull(tmp_path: Path) -> None:

@@ -295,6 +295,24 @@ def test_included_files_are_read_from_the_folder_of_the_model_alone(tmp_path: Pa
     assert "there is no such file" in faults_of(write(folder, '<include file="none.xml"/>'))
 
 
+def test_included_files_may_name_files_beside_them(tmp_path: Path) -> None:
+    """MuJoCo looks beside the first file, then beside the one that includes; it takes each file once."""
+    (tmp_path / "parts").mkdir()
+    write(tmp_path / "parts", '<include file="rod.xml"/>', file="outer.xml", root="mujocoinclude")
+    path = write(tmp_path, '<include file="parts/outer.xml"/>')
+    assert "rod.xml: there is no such file" in faults_of(path)
+    for folder, mass in ((tmp_path / "parts", "1.5"), (tmp_path, "2.5")):  # the last one is beside the first file
+        write(folder, pendulum("<joint/>").replace("1.5", mass), file="rod.xml", root="mujocoinclude")
+        theirs = pytest.importorskip("mujoco").MjModel.from_xml_path(str(path))
+        assert body(import_model(path), "rod").mass == Number(float(mass))
+        assert theirs.body_mass[1] == float(mass)
+    twice = '<default><include file="parts/none.xml"/></default>' * 2
+    write(tmp_path / "parts", '<geom density="1"/>', file="none.xml", root="mujocoinclude")
+    assert "is already included" in faults_of(write(tmp_path, twice + pendulum("<joint/>")))
+    filled = '<include file="rod.xml"><body/></include>'
+    assert "an include with elements in it" in faults_of(write(tmp_path, filled))
+
+
 def test_forces_without_a_spring_have_no_rest(tmp_path: Path) -> None:
     assert only_joint(import_model(write(tmp_path, pendulum('<joint springref="20"/>'))), "rod").law == Law()
 

@@ -328,6 +328,41 @@ def test_what_a_file_leaves_open_has_the_values_of_the_specification(tmp_path: P
     assert [len(body.joints) for body in import_model(held).model.bodies] == [0, 1]
 
 
+def test_joints_of_a_static_model_are_left_out(tmp_path: Path) -> None:
+    """Its links stand fast beside another model, whose joints move."""
+    inner = link("a") + link("b") + joint("ja", "fixed", "world", "a") + joint("jb", "revolute", "a", "b")
+    wall = f'<model name="wall"><static>true</static>{inner}</model>'
+    imported = import_model(save(tmp_path, link("c") + joint("jc", "revolute", "world", "c"), outer=wall))
+    moving = {body.name: len(body.joints) for body in imported.model.bodies}
+    assert moving == {"wall::a": 0, "wall::b": 0, "machine::c": 1}
+    assert "its links are static: it is left out" in told(imported)
+
+
+@pytest.mark.parametrize(
+    ("kind", "inner", "text"),
+    [
+        ("ball", "<axis><limit><lower>-1</lower></limit></axis>", "limits of a ball"),
+        ("revolute", "<axis2><dynamics><damping>2</damping></dynamics></axis2>", "a second axis of a joint"),
+        ("ball", "<axis2><xyz>0 1 0</xyz></axis2>", "a second axis of a joint"),
+    ],
+)
+def test_what_a_joint_does_not_have_is_a_warning(kind: str, inner: str, text: str, tmp_path: Path) -> None:
+    imported = import_model(save(tmp_path, link("a") + joint("ja", kind, "world", "a", inner)))
+    assert [notice.text.startswith(text) for notice in imported.notices if notice.alters] == [True]
+
+
+def test_the_flag_of_older_axes_has_no_meaning_from_version_1_7_on(tmp_path: Path) -> None:
+    """As in sdformat, which knows no such element there; see the test of axes for 1.5."""
+    flagged = "<axis><xyz>0 1 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>"
+    plain = flagged.replace("<use_parent_model_frame>1</use_parent_model_frame>", "")
+    models = []
+    for axis in (flagged, plain):
+        file = save(tmp_path, link("b") + joint("jb", "revolute", "world", "b", axis), version="1.7")
+        models.append(import_model(file))
+    assert models[0].model == models[1].model
+    assert any(notice.alters and "since version 1.7" in notice.text for notice in models[0].notices)
+
+
 def test_springs_losses_bounds_and_mimics_are_read(tmp_path: Path) -> None:
     inner = (
         "<axis><limit><lower>-1</lower><upper>2</upper><effort>5</effort><velocity>3</velocity></limit><dynamics>"

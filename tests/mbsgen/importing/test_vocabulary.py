@@ -177,15 +177,19 @@ def add(kind: Format, place: str, key: str, value: str) -> ET.Element:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_what_changes_a_motion_and_is_not_read_is_a_warning(name: str, tmp_path: Path) -> None:
-    """Each part of the list that is warned of; with a value that means nothing there is no warning."""
+    """Each part of the list that is warned of; with a value that means nothing there is no warning.
+
+    Where the list names these values, 0 has a meaning: such as of a link's gravity.
+    """
     kind = FORMATS[name]
     for place, key in list_cases(name, Treatment.WARNED):
         part: Part = kind.vocabulary.places[place][key]
         found = attempt(kind, add(kind, place, key, "0.7"), tmp_path)
         assert part.text in warnings(found), f"{place} {key}: {found}"
         if key not in ("plugin", "gripper"):
-            assert warnings(attempt(kind, add(kind, place, key, "0 0.0"), tmp_path)) == [], f"{place} {key}"
-        for harmless in part.harmless:
+            told = warnings(attempt(kind, add(kind, place, key, "0 0.0"), tmp_path))
+            assert (part.text in told) == (part.harmless is not None), f"{place} {key}"
+        for harmless in part.harmless or ():
             assert warnings(attempt(kind, add(kind, place, key, harmless), tmp_path)) == [], f"{place} {key}"
 
 
@@ -241,6 +245,22 @@ def add_twin(kind: Format, place: str, key: str) -> ET.Element:
         ET.SubElement(at, tag)
     at.append(ET.Element(tag))
     return tree
+
+
+@pytest.mark.parametrize("value", ["0", "false", "False"])
+@pytest.mark.parametrize(
+    ("name", "place", "key"),
+    [
+        ("sdf", "link", "gravity"),
+        ("sdf", "link", "@gravity"),
+        ("urdf", "link", "gravity"),
+        ("urdf", "gazebo", "gravity"),
+    ],
+)
+def test_a_link_without_gravity_is_a_warning(name: str, place: str, key: str, value: str, tmp_path: Path) -> None:
+    kind = FORMATS[name]
+    assert kind.vocabulary.places[place][key].text in warnings(attempt(kind, add(kind, place, key, value), tmp_path))
+    assert warnings(attempt(kind, add(kind, place, key, "true"), tmp_path)) == []
 
 
 def test_a_misspelt_name_has_a_hint(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,13 +31,23 @@ _ROWS = ("size", "stiffness", "damping", "gear")  # of which a file may give the
 
 
 def include_files(root: Element, bounds: Path | None, findings: Findings) -> Element:
-    """Replace inclusions by the content of the files, whose paths begin at the folder of the first one.
+    """Replace inclusions by the content of the files, each of which may be included once.
 
-    All are in the folder `bounds` or below it, by default the folder of the first one.
+    Paths begin at the folder of the first file; where there is no such file, at the folder of the file that includes
+    it. All are in the folder `bounds` or below it, by default the folder of the first one.
     """
     file = Path(root.file).resolve()
     bounds = file.parent if bounds is None else bounds.resolve()
     return _Inclusion(file.parent, bounds, findings).expand(root, (file,))
+
+
+def find_file(folders: Sequence[Path], name: str) -> Path:
+    """Return the path of a file in the first folder that has it, else in the first one; / where it cannot be one."""
+    try:
+        paths = [(folder / name).resolve() for folder in folders]
+        return next((path for path in paths if path.is_file()), paths[0])
+    except (OSError, ValueError, RuntimeError):
+        return Path("/")
 
 
 class _Inclusion:
@@ -47,7 +57,7 @@ class _Inclusion:
         self._folder = folder
         self._bounds = bounds
         self._findings = findings
-        self._count = 0
+        self._seen = set[Path]()
 
     def expand(self, element: Element, files: tuple[Path, ...]) -> Element:
         """Expand the elements below an element of the last of `files`, each of which included the next."""
@@ -63,14 +73,12 @@ class _Inclusion:
 
     def _include(self, element: Element, files: tuple[Path, ...]) -> tuple[Element, ...]:
         name = element.attributes.get("file", "")
-        self._count += 1
-        if self._count > MAX_FILES or len(files) > MAX_INCLUSION:
+        if len(self._seen) >= MAX_FILES or len(files) > MAX_INCLUSION:
             self._findings.fault(element, "very many files include each other", "put them into one")
             return ()
-        try:
-            path = (self._folder / name).resolve()
-        except (OSError, ValueError, RuntimeError):
-            path = Path("/")
+        if element.children:
+            self._findings.fault(element, "an include with elements in it", "move them out of it")
+        path = find_file((self._folder, files[-1].parent), name)
         if not name or not path.is_relative_to(self._bounds):
             remedy = (
                 "include files from the model's folder, by a relative path, or name a folder that holds all: --root"
@@ -80,6 +88,11 @@ class _Inclusion:
         if path in files:
             self._findings.fault(element, f"{abbreviate(name)} includes itself", "take the inclusion away")
             return ()
+        if path in self._seen:
+            remedy = "include each file once: MuJoCo takes none twice"
+            self._findings.fault(element, f"{abbreviate(name)} is already included", remedy)
+            return ()
+        self._seen.add(path)
         try:
             included = read_markup(path)
         except InputError as error:

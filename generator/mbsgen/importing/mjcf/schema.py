@@ -70,9 +70,9 @@ TABLE: Mapping[str, Entry] = MappingProxyType(
         "refused": _REFUSED,
         "compiler": _list(
             "angle assetdir autolimits eulerseq inertiafromgeom inertiagrouprange meshdir settotalmass strippath "
-            "exactmeshinertia",
+            "exactmeshinertia fitaabb",
             "balanceinertia boundinertia boundmass",
-            "coordinate fitaabb",
+            "coordinate",
             "alignfree conflict discardvisual fusestatic passthrough savecanonical savecompiled saveinertial "
             "texturedir usethread convexhull",
             "lengthrange=unchecked",

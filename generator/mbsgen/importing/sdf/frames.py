@@ -20,6 +20,7 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, place
+from mbsgen.importing.sdf.vocabulary import AXES_BY_FLAG
 from mbsgen.model.orientations import turn_quaternion
 
 WORLD = "world"
@@ -208,7 +209,7 @@ class Frames:
         name = given.attributes.get("expressed_in", "")
         if name:
             key = self.find(given, name, joint.scope)
-        elif self.version <= IN_MODEL or read_flag(axis, "use_parent_model_frame"):
+        elif self.version <= IN_MODEL or (self.version <= AXES_BY_FLAG and read_flag(axis, "use_parent_model_frame")):
             key = joint.scope
         else:
             return direction

@@ -160,7 +160,9 @@ class _File:
         joints = [x for x in self._frames.all("joint") if x.element.attributes.get("type") != "gearbox"]
         for joint in sorted(joints, key=lambda x: _is_loop(x.element)):
             parent, child = ends[joint.key]
-            if child in carriers or _find_root(roots, parent) == child or self._is_static(child):
+            if self._is_static(child) and (parent == WORLD or self._is_static(parent)):
+                self._findings.tell(joint.element, "its links are static: it is left out")
+            elif child in carriers or _find_root(roots, parent) == child or self._is_static(child):
                 rest.append(joint)
             else:
                 carriers[child], roots[child] = joint, parent
@@ -246,6 +248,8 @@ class _File:
 
     def _list_moves(self, joint: Entry) -> list[Move]:
         cut, element, name = self._find_cut(joint), joint.element, self._show(joint)
+        if cut not in _TWO_AXES and (second := element.first("axis2")) is not None:
+            self._findings.warn(second, "a second axis of a joint that has none: it is left out, and all in it")
         match cut:
             case Cut.HINGE | Cut.PRISMATIC:
                 motion = Motion.PRISMATIC if cut is Cut.PRISMATIC else Motion.REVOLUTE
@@ -269,7 +273,9 @@ class _File:
     def _resist(self, joint: Element, moves: list[Move]) -> list[Move]:
         """Damp a ball by the damping of its axis: a moment against its angular velocity."""
         axis = joint.first("axis")
-        dynamics = None if axis is None else axis.first("dynamics")
+        limit, dynamics = (None if axis is None else axis.first(key) for key in ("limit", "dynamics"))
+        if limit is not None and any(self._read_limit(limit, key) is not None for key in ("lower", "upper")):
+            self._findings.warn(limit, "limits of a ball are left out: it turns about no single axis")
         if dynamics is None:
             return moves
         for key in ("friction", "spring_stiffness"):
@@ -358,7 +364,7 @@ class _File:
             if dynamics is not None and self._number(dynamics, key, 0.0):
                 self._findings.warn(dynamics, f"{key} of a joint that closes a loop is left out; cut another joint")
         if limit is not None and any(self._read_limit(limit, key) is not None for key in ("lower", "upper")):
-            self._findings.tell(limit, "limits of a joint that closes a loop are left out")
+            self._findings.warn(limit, "limits of a joint that closes a loop are left out")
 
     def _couple(self, joint: Entry) -> None:
         """Couple a joint to the one that it mimics: its q is multiplier (q of the other - reference) + offset."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place, warning
 
 GRAVITY_IN_PHYSICS = (1, 5)  # the last version that has the gravity of a world under its physics
+AXES_BY_FLAG = (1, 6)  # the last version that has use_parent_model_frame
 
 _DRAKE = "drake:linear_bushing_rpy drake:linear_spring_damper drake:tendon_constraint drake:ball_constraint"
 _OLD = "as an attribute is not read since version 1.2: write it as an element"
@@ -45,7 +46,9 @@ PLACES: dict[str, Place] = {
     "physics": place(
         idle="@name @default @type @update_rate max_step_size real_time_factor real_time_update_rate update_rate "
         "max_contacts magnetic_field simbody bullet ode dart",
-        warned={"gravity": "the gravity of a world is no part of its physics since version 1.6, and is left out"},
+        warned={
+            "gravity": warning("the gravity of a world is no part of its physics since version 1.6, and is left out")
+        },
     ),
     "model": place(
         read="@name @canonical_link static=value pose link* joint* model* frame*",
@@ -138,10 +141,14 @@ def _make(places: Mapping[str, Place]) -> Vocabulary:
     return Vocabulary({**PLACES, **places})
 
 
-_RECENT = _make({})
-_EARLIER = _make({"physics": {**PLACES["physics"], **place(read="gravity=value")}})
+_FLAG = {"use_parent_model_frame": "use_parent_model_frame is not part of SDF since version 1.7, and is left out"}
+_RECENT = _make({"axis": {**PLACES["axis"], **place(warned=_FLAG)}})
+_EARLIER = _make({})
+_EARLIEST = _make({"physics": {**PLACES["physics"], **place(read="gravity=value")}})
 
 
 def choose_vocabulary(version: tuple[int, int]) -> Vocabulary:
     """Return the vocabulary of a version."""
-    return _EARLIER if version <= GRAVITY_IN_PHYSICS else _RECENT
+    if version > AXES_BY_FLAG:
+        return _RECENT
+    return _EARLIEST if version <= GRAVITY_IN_PHYSICS else _EARLIER

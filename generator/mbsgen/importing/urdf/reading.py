@@ -299,8 +299,9 @@ class _Robot:
 
         Drake and MuJoCo have the same damping along and about each axis.
         """
-        if joint.first("limit") is not None:
-            self._findings.tell(joint, "its limits are left out: it has several coordinates")
+        if (limit := joint.first("limit")) is not None:
+            add = self._findings.tell if limit.attributes.keys().isdisjoint(("lower", "upper")) else self._findings.warn
+            add(joint, "its limits are left out: it has several coordinates")
         dynamics = joint.first("dynamics")
         if dynamics is None:
             return moves

@@ -13,6 +13,7 @@ _ACTS = "is not part of the model; loops are read from <loop> and <coupling>"
 _OF_SDF = "is not part of the model, which is the <robot> alone"
 _CONTROLLED = "acts in a simulator, and is not part of the model"
 
+_ON = ("true", "1")
 _POSE = "@xyz @rpy @quat_xyzw"
 _BUILT_BY_MUJOCO = "changes masses or inertias in MuJoCo, and is not read"
 
@@ -43,7 +44,7 @@ PLACES = {
         read="@name inertial contact",
         idle="@type visual collision material sensor verbose self_collision_checking drake:visual",
         warned={
-            "gravity": "the gravity of a link is not read: gravity acts on all links",
+            "gravity": warning("the gravity of a link is not read: gravity acts on all links", *_ON),
         },
     ),
     "inertial": place(read="@name origin=pose mass inertia"),
@@ -88,7 +89,7 @@ PLACES = {
         "particle_emitter allow_auto_disable",
         warned={
             "turnGravityOff": "a link without gravity in Gazebo; here gravity acts on all",
-            "gravity": warning("of a link in Gazebo; here gravity acts on all", "true", "1"),
+            "gravity": warning("of a link in Gazebo; here gravity acts on all", *_ON),
             "dampingFactor": "a resistance of the surrounding medium in Gazebo, which is left out",
             "velocity_decay": "a resistance of the surrounding medium in Gazebo, which is left out",
             "static": "the robot stands fast in Gazebo; here it moves",
@@ -99,7 +100,7 @@ PLACES = {
             "initial_joint_position": "a pose in Gazebo, which is not read",
             "inertial": f"an inertial in <gazebo> {_OF_SDF}",
             "axis": f"an axis in <gazebo> {_OF_SDF}",
-            "physics": f"settings of a solver in <gazebo>: {_OF_SDF}",
+            "physics": warning(f"settings of a solver in <gazebo>: {_OF_SDF}"),
             "plugin": f"a plugin of Gazebo {_CONTROLLED}",
             "joint": "a joint of SDF is not part of the model; give a <loop> between its links",
             "link": f"a link of SDF {_OF_SDF}",
@@ -109,19 +110,21 @@ PLACES = {
             "battery": f"a battery of SDF {_OF_SDF}",
         },
     ),
-    "mujoco": place(read="compiler", idle="visual asset size", warned={"option": f"options of MuJoCo: {_OF_SDF}"}),
+    "mujoco": place(
+        read="compiler", idle="visual asset size", warned={"option": warning(f"options of MuJoCo: {_OF_SDF}")}
+    ),
     "compiler": place(
         idle="@strippath @discardvisual @fusestatic @meshdir @texturedir @assetdir @angle @eulerseq @convexhull "
         "@autolimits @usethread @coordinate @alignfree @saveinertial",
         warned={
             f"@{name}": warning(f"{name} {_BUILT_BY_MUJOCO}", *harmless)
             for name, harmless in {
-                "balanceinertia": (),
-                "boundmass": (),
-                "boundinertia": (),
-                "settotalmass": ("-1",),
-                "inertiafromgeom": ("auto",),
-                "inertiagrouprange": (),
+                "balanceinertia": ("false",),
+                "boundmass": ("0",),
+                "boundinertia": ("0",),
+                "settotalmass": ("-1", "0"),
+                "inertiafromgeom": ("auto", "false"),
+                "inertiagrouprange": ("0 5",),
             }.items()
         },
     ),
