@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from mbsgen.formulations.catalogue import list_rows
+from mbsgen.formulations.planning import WORTH
 from mbsgen.pipeline import Options, Product, make, read_tree, write_families
 from mbsgen.report import (
     COLUMNS,
@@ -106,7 +107,9 @@ def test_a_comparison_tells_what_each_reduction_saves_and_what_was_published() -
     assert set(SWITCHED) < set(rows)
     for name in list_rows():
         saved = {title: rows[title][name] - rows[ALL_REDUCTIONS][name] for title in SWITCHED}
+        ordered = saved.pop("sums as they come")  # an order that saves time may cost a few
         assert all(flops >= 0 for flops in saved.values())
+        assert ordered >= (1 - WORTH) * rows[ALL_REDUCTIONS][name]
         assert max(saved, key=lambda title: saved[title]) == "no reduction"
         assert 2 * rows[ALL_REDUCTIONS][name] <= rows["published"][name]
 

@@ -37,6 +37,7 @@ FIXED = frozenset({Role.PARAMETER})  # what depends on these alone moves to the 
 LONG = 10_000  # operations; the sums of longer tapes keep their form, since all of this would take seconds
 FIRM = 1e-3  # least inertia of a joint that EXP2 may eliminate with others, in any pose, relative to the largest
 WORTH = 1.005  # times the operations of a tape: more are not worth it that no sum waits; another order shares less
+NEAR = 1.08  # times the fewest operations: other plans are not pursued further; motions that meet inertia save less
 ELIMINATED = 16  # larger trees use the plan of SEMI's M for EXP1 and sensitivities, whose trials take too long
 
 
@@ -91,11 +92,21 @@ class Plans:
             state = shared.state  # any n numbers serve as Q
             return accelerations(shared.begin(plan), state.qd, state.qdd, absolute=absolute).qdd
 
-        plan = self._search(write, self.residual, restrain=_restraint(self._tree, self._reductions))
-        return self._refine(write, plan, *(replace(plan, together=depth) for depth in self._list_together()))
+        restraint, rest = _restraint(self._tree, self._reductions), self._reductions.rest
+
+        def restrain(plan: Plan) -> Plan | None:
+            found = restraint(plan)
+            return replace(found, at_rest=rest) if found else None
+
+        plan = self._search(write, self.residual, restrain=restrain)
+        others = (replace(plan, together=depth, by_motions=True) for depth in self._list_together())
+        return self._refine(write, plan, *others, rests=rest)
 
     def _list_together(self) -> Iterator[int]:
-        """List how many joints of each branch EXP2 may eliminate together: they end a group, and are firm enough."""
+        """List how many joints of each branch EXP2 may eliminate together.
+
+        They are firm enough, and end a group, but perhaps for its last joint.
+        """
         if not self._reductions.together:
             return
         _, segments = align_numbers(self._tree, self._reductions)
@@ -104,12 +115,24 @@ class Plans:
         within = {
             d for s in segments for d in range(depths[s.number], max(depths.values()) + 1) if least[s.number] < FIRM
         }
+        continued = {s.parent for s in segments if not s.opens_group}
         for depth in range(1, max(depths.values())):
-            if depth not in within and all(s.opens_group for s in segments if depths[s.number] == depth + 1):
+            beyond = [s for s in segments if depths[s.number] == depth + 1]
+            if depth not in within and all(s.opens_group or s.number not in continued for s in beyond):
                 yield depth
 
-    def _refine(self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], plan: Plan, *others: Plan) -> Plan:
-        """Choose among plans that differ in more than one body, each with the bodies that M meets."""
+    def _refine(
+        self,
+        write: Callable[[PlanTrials, Plan], Sequence[Scalar]],
+        plan: Plan,
+        *others: Plan,
+        rests: bool = False,
+    ) -> Plan:
+        """Choose among plans that differ in more than one body, each with the bodies that M meets.
+
+        Then choices of the whole plan are tried the other way, one by one. Rest changes what sums share, so the
+        operations of the finished tape decide on it.
+        """
         if self._reductions.trials == 1 or self._size > ELIMINATED:
             return plan
         with PlanTrials(self._tree, self._reductions) as shared:
@@ -120,8 +143,20 @@ class Plans:
 
             tried = [plan, *others]
             if self._reductions.meet:
-                tried = [meet(shared.segments, cost, x) for x in tried]
-            return min(tried, key=cost)
+                fewest = min(map(cost, tried))
+                tried = [meet(shared.segments, cost, x) for x in tried if cost(x) <= NEAR * fewest]
+            best = min(tried, key=cost)
+            if self._reductions.meet:
+                best = min(best, replace(best, first_resists=True), key=cost)
+                best = min(best, replace(best, by_motions=False), key=cost)
+        return min(best, replace(best, at_rest=False), key=partial(self._finish, write)) if rests else best
+
+    def _finish(self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], plan: Plan) -> tuple[int, int]:
+        """Count the operations that a plan takes after its sums are written."""
+        with PlanTrials(self._tree, self._reductions) as alone:
+            builder = alone.chain.builder
+            builder.output_dense("found", [[x] for x in write(alone, plan)])
+            return count_own(finish(builder.build("trial"), replace(self._reductions, order=False)))
 
     @cached_property
     def sensitivities(self) -> Plan:

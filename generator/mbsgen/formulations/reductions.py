@@ -16,6 +16,7 @@ class Reductions:
     absolute: bool = True  # eliminate in absolute angles within groups of parallel axes
     meet: bool = True  # carry motions of joints up to inertia in M, instead of loads and inertia down
     together: bool = True  # eliminate joints near the base together in EXP2
+    rest: bool = True  # let joints of EXP2's bias motion rest: no acceleration along axes of joints eliminated alone
     factor: bool = True  # take common factors out of sums
     share: bool = True  # compute common parts of sums and of products once
     order: bool = True  # add terms in the order in which they are ready: this saves time, not operations
@@ -29,5 +30,13 @@ class Reductions:
 
 ALL = Reductions()
 NONE = Reductions(
-    regroup=False, share_frames=False, lump=False, absolute=False, meet=False, together=False, factor=False, share=False
+    regroup=False,
+    share_frames=False,
+    lump=False,
+    absolute=False,
+    meet=False,
+    together=False,
+    rest=False,
+    factor=False,
+    share=False,
 )

@@ -76,8 +76,9 @@ def random_chain(seed: int) -> Tree:
         along = rng.permutation([float(rng.uniform(0.3, 1)), 0.0, 0.0])
         place = tuple(float(x) for x in (along if rng.random() < 0.8 else rng.uniform(-1, 1, 3)))
         axis = str(rng.choice(["x", "y", "z", "-y"]))
-        kinds = [revolute(axis, position=place)] * 4 + [ball(position=place)] * 2
-        kinds += [prismatic(axis, position=place)] + ([] if i else [free(position=place)])
+        rotor = float(rng.choice([0.0, 0.2]))
+        kinds = [revolute(axis, position=place, armature=rotor)] * 4 + [ball(position=place)] * 2
+        kinds += [prismatic(axis, position=place, armature=rotor)] + ([] if i else [free(position=place)])
         com = tuple(float(x) for x in rng.uniform(-0.5, 0.5, 3) * rng.permutation([1.0, 0.0, float(rng.integers(2))]))
         parent = f"b{rng.integers(max(0, i - 2), i)}" if i else "base"
         moments = inertia(*(float(x) for x in rng.uniform(0.2, 0.3, 3)))
@@ -94,10 +95,18 @@ def random_choice(rng: np.random.Generator) -> Choice:
 
 
 def change(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Change one body's choice, the way to M, and the joints that are eliminated together."""
+    """Change one body's choice, the joints that are eliminated together, and the choices of the whole plan."""
     n = len(plan.choices)
     changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
-    return replace(changed, by_angles=bool(rng.integers(2)), together=int(rng.integers(n + 1)))
+    by_angles, by_motions, first_resists, at_rest = (bool(x) for x in rng.integers(2, size=4))
+    return replace(
+        changed,
+        by_angles=by_angles,
+        by_motions=by_motions,
+        first_resists=first_resists,
+        at_rest=at_rest,
+        together=int(rng.integers(n + 1)),
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))

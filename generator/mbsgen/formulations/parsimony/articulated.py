@@ -11,6 +11,10 @@ and from the base to the leaves, with the acceleration a' on top of the bias (`I
 counts from the bias motion, the product of articulated inertia and bias acceleration never arises. Along the joint's
 axis, p + K u is the joint's force, so that it is not computed.
 
+The accelerations of the bias motion are free to choose. If the plan has it so, each joint that is eliminated alone is
+*at rest*: it takes back the acceleration c that the bodies before carry along its axis. So most products with angular
+acceleration vanish, and qdd = u / D - K.a' - c. The rotor turns with this joint: its moment rotor c is added to Q.
+
 Joints near the base may be eliminated *together*, in absolute angles: by their part of the mass matrix, in which
 articulated bodies beyond are met by the motions of these joints. This takes fewer operations where axes are parallel.
 
@@ -29,10 +33,20 @@ from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.chain import Chain, check_pivot
 from mbsgen.formulations.parsimony.angles import absolute_forces, relative_acceleration
 from mbsgen.formulations.parsimony.elimination import Solution, solve
-from mbsgen.formulations.parsimony.mass_matrix import Inertia, cross_matrix, link, mass_matrix, own_inertia
+from mbsgen.formulations.parsimony.mass_matrix import (
+    Inertia,
+    Motion,
+    bring_all,
+    cross_matrix,
+    is_met,
+    link,
+    mass_matrix,
+    meet_load,
+    own_inertia,
+)
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
-from mbsgen.formulations.parsimony.residual import Load, join_loads
+from mbsgen.formulations.parsimony.residual import Load, join_loads, unloaded
 from mbsgen.formulations.parsimony.segments import Segment, children
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
@@ -73,11 +87,14 @@ def accelerations(
     """Compute qdd. With `absolute`, the joints that the plan eliminates together have absolute angles."""
     kinematics, inertias = writing.kinematics, writing.inertias
     segments, together = kinematics.segments, find_together(kinematics)
-    movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift)
+    still = {s.number for s in segments} - together if kinematics.plan.at_rest else set()
+    movements = kinematics.move(writing.chain.gravity, qd, writing.chain.drift, still)
+    carried = {i: movements[i].carried for i in still}
     bodies = articulate(writing, together)
     forces = absolute_forces(segments, Q) if absolute else [s.signed(x) for s, x in zip(segments, Q, strict=True)]
     force_residual: dict[int, Scalar] = {}  # u = Q - e.p: the joint force residual of the bias motion
     loads: dict[int, Load] = {}
+    met: dict[int, Load] = {}  # of bodies whose loads the motions of the joints before them meet
     for segment in reversed(segments):
         i = segment.number
         bias = join_loads(kinematics, segment, inertias[i], movements[i], loads)
@@ -87,15 +104,27 @@ def accelerations(
             loads[i] = bias
             continue
         force = segment.signed(Q[i - 1])
+        if i in still:
+            force = force + writing.chain.armatures[i - 1] * carried[i]
         force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
         loads[i] = kinematics.builder.remember(
             ("hook", force_residual[i].ref, force.ref),
             (segment, bias, bodies[i]),
             partial(_hook, segment, bias, bodies[i], force_residual[i], force),
         )
+        if _meets(kinematics, segment, together):
+            met[i], loads[i] = loads[i], unloaded(kinematics.builder)
+    for i, load in met.items():
+        for j, work in meet_load(kinematics, segments[i - 1], load, absolute=absolute).items():
+            force_residual[j] = force_residual[j] - work
     solution = _solve_together(writing, bodies, force_residual, together, absolute=absolute)
-    qdd = _accelerate(kinematics, bodies, force_residual, solution.x, absolute=absolute)
+    qdd = _accelerate(kinematics, bodies, force_residual, solution.x, carried, absolute=absolute)
     return Accelerations(qdd, bodies, {i: x.pivot for i, x in bodies.items()} | solution.pivots)
+
+
+def _meets(kinematics: Kinematics, segment: Segment, together: Container[int]) -> bool:
+    """Return whether the load and the acceleration of a body are by the motions of the joints before it."""
+    return kinematics.plan.by_motions and segment.parent in together and is_met(kinematics, segment)
 
 
 def find_together(kinematics: Kinematics) -> frozenset[int]:
@@ -227,10 +256,14 @@ def _accelerate(
     bodies: Mapping[int, Body],
     force_residual: Mapping[int, Scalar],
     known: Mapping[int, Scalar],
+    taken: Mapping[int, Scalar],
     *,
     absolute: bool,
 ) -> list[Scalar]:
-    """Compute the increments and qdd, from the base to the leaves; `known` holds accelerations near the base."""
+    """Compute the increments and qdd, from the base to the leaves.
+
+    `known` holds accelerations near the base, `taken` what joints at rest take back.
+    """
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
     increments = {0: Increment(still, still)}
@@ -240,9 +273,16 @@ def _accelerate(
     qdd = []
     for segment in kinematics.segments:
         i, axis, parent = segment.number, segment.axis, increments[segment.parent]
-        lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
-        a, OMp = kinematics.arrive(segment, parent.a + lever), kinematics.arrive(segment, parent.OMp)
+        if i not in known and _meets(kinematics, segment, known):
+            motion = _move_together(kinematics, segment, known, absolute=absolute)
+            follows = absolute and not segment.counts_angle
+        else:
+            lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
+            motion, follows = Motion(parent.a + lever, parent.OMp).arrive(kinematics, segment), False
+        a, OMp = motion.a, motion.OMp
         before = (OMp if segment.is_revolute else a)[axis]
+        if follows:
+            before = before + known[segment.parent]
         if i in known:
             continues = absolute and not segment.counts_angle
             carried[i] = carried[segment.parent] if continues else before
@@ -250,10 +290,25 @@ def _accelerate(
             qdd.append(relative_acceleration(segment, known) if absolute else known[i])
         else:
             total = _free_acceleration(segment, bodies[i], force_residual[i], a, OMp)
-            qdd.append(segment.signed(total - before))
+            qdd.append(segment.signed(total - (before + taken[i] if i in taken else before)))
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[i] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
     return qdd
+
+
+def _move_together(kinematics: Kinematics, segment: Segment, known: Mapping[int, Scalar], *, absolute: bool) -> Motion:
+    """Compute the increment of a body, without its own joint, from the accelerations of the joints before it.
+
+    In absolute rates, a body that continues a group only follows: the rotation of its parent in the group is left out.
+    """
+    zero = kinematics.builder.zero
+    still = Motion(Vector(zero, zero, zero), Vector(zero, zero, zero))
+    sums = {True: still, False: still}
+    for j, brought in bring_all(kinematics, segment, absolute=absolute).items():
+        x = known[j] if absolute else kinematics.segments[j - 1].signed(known[j])
+        side = brought.is_before
+        sums[side] = sums[side] + brought.at(before=side).scale(x)
+    return sums[True].arrive(kinematics, segment) + sums[False]
 
 
 def _free_acceleration(

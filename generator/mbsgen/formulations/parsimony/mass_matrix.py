@@ -48,6 +48,17 @@ class Motion:
         """Form the power of a load."""
         return self.a.dot(load.F) + self.OMp.dot(load.N)
 
+    def __add__(self, other: Motion) -> Motion:
+        return Motion(self.a + other.a, self.OMp + other.OMp)
+
+    def scale(self, factor: Scalar) -> Motion:
+        """Multiply by a number."""
+        return Motion(self.a.scale(factor), self.OMp.scale(factor))
+
+    def arrive(self, kinematics: Kinematics, segment: Segment) -> Motion:
+        """Take a motion from where the parent is written to where `segment` is."""
+        return Motion(kinematics.arrive(segment, self.a), kinematics.arrive(segment, self.OMp))
+
 
 @dataclass(frozen=True)
 class Inertia:
@@ -103,7 +114,7 @@ def mass_matrix(
 
     def add(kind: str, write: Callable[[], Entries], *parts: object) -> None:
         path = list_path(kinematics, segment)
-        key = (kind, absolute, *(kinematics.plan[i].meeting for i in path))
+        key = (kind, absolute, kinematics.plan.first_resists, *(kinematics.plan[i].meeting for i in path))
         frames = (kinematics.frames[i] for i in path)
         for place, value in kinematics.builder.remember(key, (segment, *parts, *frames), write).items():
             M[place] = M[place] + value if place in M else value
@@ -115,7 +126,7 @@ def mass_matrix(
         if not freed.keys().isdisjoint(list_path(kinematics, segment)):
             continue
         body = composites[i] = compose(kinematics, segment, inertias[i], composites)
-        if _is_met(kinematics, segment):
+        if is_met(kinematics, segment):
             add("met", partial(_meet, kinematics, segment, body.moments, absolute=absolute), body)
         add("column", partial(_column, kinematics, segment, body, absolute=absolute), body)
         M[i, i] = M[i, i] + writing.chain.armatures[i - 1]
@@ -129,7 +140,7 @@ def joint_matrix(writing: Writing) -> Entries:
     return relative_entries(writing.kinematics.segments, mass_matrix(writing, absolute=True))
 
 
-def _is_met(kinematics: Kinematics, segment: Segment) -> bool:
+def is_met(kinematics: Kinematics, segment: Segment) -> bool:
     """Return whether the motions of the joints before a body are carried to it; all of its mass passes nevertheless."""
     return segment.parent != 0 and kinematics.plan[segment.number].meeting is not Meeting.PASSED
 
@@ -141,7 +152,7 @@ def compose(
     beyond = [c for c in children(kinematics.segments, segment.number) if c.number in composites]
     parts = (*(composites[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
     return kinematics.builder.remember(
-        ("composite", *(_is_met(kinematics, c) for c in beyond)),
+        ("composite", *(is_met(kinematics, c) for c in beyond)),
         (segment, inertia, kinematics.frames[segment.number], *parts),
         lambda: _compose(kinematics, segment, inertia, composites),
     )
@@ -174,7 +185,7 @@ def _compose(
 
 def _pass(kinematics: Kinematics, child: Segment, body: Composite) -> tuple[Vector[Scalar], Matrix[Scalar]]:
     """Carry the first moment and the inertia of a body down to where its parent is written, unless they are met."""
-    if _is_met(kinematics, child):
+    if is_met(kinematics, child):
         return body.S.map(lambda x: x.builder.zero), body.J.map(lambda x: x.builder.zero)
     return kinematics.depart(child, body.S), kinematics.depart_tensor(child, body.J)
 
@@ -252,7 +263,7 @@ def _column(kinematics: Kinematics, segment: Segment, body: Composite, *, absolu
     column = {(segment.number, segment.number): own}
     at = segment
     while at.parent:
-        if _is_met(kinematics, at):
+        if is_met(kinematics, at):
             return column | _meet_load(kinematics, at, load, segment, absolute=absolute)
         below = kinematics.segments[at.parent - 1]
         F = kinematics.depart(at, load.F)
@@ -282,13 +293,15 @@ def _meet(kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolut
     """Compute what a body's inertia adds to the entries of M of all joints before it."""
     M, B, J = (kinematics.depart_tensor(segment, x, faithful=True) for x in (inertia.M, inertia.B, inertia.J))
     sides = {True: Inertia(M, B, J), False: inertia}
-    before = [kinematics.segments[i - 1] for i in list_path(kinematics, segment)[1:]]
-    motions = {j.number: _bring(kinematics, j, segment, absolute=absolute) for j in before}
+    motions = bring_all(kinematics, segment, absolute=absolute)
+    before = [kinematics.segments[i - 1] for i in motions]
     entries: Entries = {}
     for number, k in enumerate(before):  # from the last to the first
         for j in before[number:]:
             one, other = motions[j.number], motions[k.number]
             side = one.is_before or other.is_before
+            if kinematics.plan.first_resists:
+                one, other = other, one
             load = sides[side].resist(other.at(before=side))
             entries[j.number, k.number] = _sign(j, k, one.at(before=side).work(load), absolute=absolute)
     return entries
@@ -296,20 +309,25 @@ def _meet(kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolut
 
 def _meet_load(kinematics: Kinematics, at: Segment, load: Load, segment: Segment, *, absolute: bool) -> Entries:
     """Compute the entries of a joint and all joints before a body, from the joint's load on this body."""
+    felt = meet_load(kinematics, at, load, absolute=absolute)
+    return {
+        (j, segment.number): _sign(kinematics.segments[j - 1], segment, work, absolute=absolute)
+        for j, work in felt.items()
+    }
+
+
+def meet_load(kinematics: Kinematics, at: Segment, load: Load, *, absolute: bool) -> dict[int, Scalar]:
+    """Compute the power of a body's load by the motion of each joint before it, along the positive axis."""
     F, N = kinematics.depart(at, load.F), kinematics.depart(at, load.N)
     sides = {True: Load(F, N, N), False: load}
-    column: Entries = {}
-    for i in list_path(kinematics, at)[1:]:
-        j = kinematics.segments[i - 1]
-        motion = _bring(kinematics, j, at, absolute=absolute)
-        side = motion.is_before
-        work = motion.at(before=side).work(sides[side])
-        column[j.number, segment.number] = _sign(j, segment, work, absolute=absolute)
-    return column
+    felt = {}
+    for i, motion in bring_all(kinematics, at, absolute=absolute).items():
+        felt[i] = motion.at(before=motion.is_before).work(sides[motion.is_before])
+    return felt
 
 
 @dataclass(frozen=True)
-class _Brought:
+class Brought:
     """The motion of a body for a unit acceleration of a joint before it, and the side of its joint where it is met."""
 
     before: Motion  # where the parent is written
@@ -320,16 +338,22 @@ class _Brought:
         return self.before if before else self.beyond
 
 
-def _bring(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolute: bool) -> _Brought:
+def bring_all(kinematics: Kinematics, segment: Segment, *, absolute: bool) -> dict[int, Brought]:
+    """Carry the motions of all joints before a body up to it, from the last to the first."""
+    before = (kinematics.segments[i - 1] for i in list_path(kinematics, segment)[1:])
+    return {j.number: _bring(kinematics, j, segment, absolute=absolute) for j in before}
+
+
+def _bring(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolute: bool) -> Brought:
     """Carry a joint's motion up to a body that is met."""
     b, meeting = kinematics.builder, kinematics.plan[segment.number].meeting
 
-    def write() -> _Brought:
+    def write() -> Brought:
         before = _arrive(kinematics, joint, segment, absolute=absolute)
-        a, OMp = kinematics.arrive(segment, before.a), kinematics.arrive(segment, before.OMp)
+        beyond = before.arrive(kinematics, segment)
         is_lever = all(x.is_zero for x in before.OMp)
         is_beyond = meeting is Meeting.BEYOND or (meeting is Meeting.SPLIT and is_lever)
-        return _Brought(before, Motion(a, OMp), not is_beyond)
+        return Brought(before, beyond, not is_beyond)
 
     frames = (kinematics.frames[i] for i in list_path(kinematics, segment))
     return b.remember(("bring", absolute, meeting), (joint, segment, *frames), write)
@@ -348,7 +372,7 @@ def _arrive(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolut
     else:
         parent = kinematics.segments[segment.parent - 1]
         far = _arrive(kinematics, joint, parent, absolute=absolute)
-        at = Motion(kinematics.arrive(parent, far.a), kinematics.arrive(parent, far.OMp))
+        at = far.arrive(kinematics, parent)
     follows = absolute and segment.parent == joint.number and not segment.counts_angle
     return Motion(at.a + at.OMp.cross(link(kinematics, segment)), still if follows else at.OMp)
 

@@ -14,11 +14,14 @@ not move with the joint. The other columns of U follow: with e1, e2 across the a
 
 From parent h to body i, revolute: a0 = a0_h + U_h d, w = w_h + qd, wp = wp_h + qdd; and A = U_h e where a group opens.
 A prismatic joint adds A q + 2 OM x e qd + e qdd to a0 instead.
+
+A joint at rest has the acceleration by which its body does not accelerate along the axis: wp, or a0 along a slide, is 0
+there, and what the bodies before carry is `carried`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -117,6 +120,7 @@ class Movement:
     A: Vector[Scalar]
     a0: Vector[Scalar]
     U: Matrix[Scalar]
+    carried: Scalar  # the acceleration along the axis, for the given qdd
 
     def field(self, v: Vector[Scalar]) -> Vector[Scalar]:
         """Form U v."""
@@ -197,44 +201,59 @@ class Kinematics:
 
     # -- how they move ------------------------------------------------------------------------------------------
 
-    def move(self, gravity: Vector[Scalar], qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> dict[int, Movement]:
-        """Compute the movement of every body; the base is accelerated against gravity."""
+    def move(
+        self, gravity: Vector[Scalar], qd: Sequence[Scalar], qdd: Sequence[Scalar], still: Container[int] = ()
+    ) -> dict[int, Movement]:
+        """Compute the movement of every body; the base accelerates against gravity, and joints in `still` rest."""
         zero = self.builder.zero
-        still = Vector(zero, zero, zero)
-        base = Movement(zero, zero, zero, zero, still, -gravity, Matrix((still, still, still)))
+        unmoved = Vector(zero, zero, zero)
+        base = Movement(zero, zero, zero, zero, unmoved, -gravity, Matrix((unmoved, unmoved, unmoved)), zero)
         movements = {0: self.builder.remember(("base", *(x.ref for x in gravity)), (), lambda: base)}
         for segment in self.segments:
             parent, frames = movements[segment.parent], (self.frames[segment.number], self.frames.get(segment.parent))
             rates = [segment.signed(x[segment.number - 1]) for x in (qd, qdd)]
             scaled = bool(segment.parent) and self.plan[segment.parent].scaled
+            is_still = segment.number in still
             movements[segment.number] = self.builder.remember(
-                ("move", scaled, *(x.ref for x in rates)),
+                ("move", scaled, is_still, *(x.ref for x in rates)),
                 (segment, parent, *frames),
-                partial(self._move, segment, parent, *rates),
+                partial(self._move, segment, parent, *rates, is_still=is_still),
             )
         return movements
 
-    def _move(self, segment: Segment, parent: Movement, qd: Scalar, qdd: Scalar) -> Movement:
+    def _move(self, segment: Segment, parent: Movement, qd: Scalar, qdd: Scalar, *, is_still: bool) -> Movement:
         a0 = self.arrive(segment, parent.a0 + self._lever(segment, parent))
         if not segment.opens_group:
             turned = self.arrive(segment, self._across(segment, parent.p, parent.q))
             A = self.arrive(segment, parent.A)
-            w, wp = parent.w + qd, parent.wp + qdd
+            w, carried = parent.w + qd, parent.wp + qdd
         else:
             turned = self.arrive(segment, self._angular_velocity(segment, parent))
             A = self.arrive(segment, self._lever_field(segment, parent, self._axis_before(segment)))
             w, wp = turned[segment.axis], self._axial_acceleration(segment, parent)
             if segment.is_revolute:
-                w, wp = w + qd, wp + qdd
+                w, carried = w + qd, wp + qdd
             else:
                 slide, e = self.slide(segment), unit_vector(self.builder, segment.axis)
                 coriolis = turned.cross(e).scale(self.builder.number(2.0) * qd)
                 a0 = (a0 + A.scale(slide) + coriolis).along(segment.axis, qdd)
+                carried = a0[segment.axis]
+                a0 = a0.along(segment.axis, -carried) if is_still else a0
+        if segment.is_revolute:
+            wp = self.builder.zero if is_still else carried
         j, k = segment.across
-        return self._complete(segment, turned[j], turned[k], w, wp, A, a0)
+        return self._complete(segment, turned[j], turned[k], w, wp, A, a0, carried)
 
     def _complete(
-        self, segment: Segment, p: Scalar, q: Scalar, w: Scalar, wp: Scalar, A: Vector[Scalar], a0: Vector[Scalar]
+        self,
+        segment: Segment,
+        p: Scalar,
+        q: Scalar,
+        w: Scalar,
+        wp: Scalar,
+        A: Vector[Scalar],
+        a0: Vector[Scalar],
+        carried: Scalar,
     ) -> Movement:
         """Write U from a body's state."""
         j, k = segment.across
@@ -245,7 +264,7 @@ class Kinematics:
         columns[a] = list(A)
         i = segment.number
         self.builder.label((w, wp, *a0), (f"w_{i}", f"wp_{i}", *(f"a{r}_{i}" for r in "123")))
-        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed)
+        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed, carried)
 
     @staticmethod
     def _by_axis(segment: Segment, first: Scalar, second: Scalar, along: Scalar) -> list[Scalar]:

@@ -51,6 +51,9 @@ class Plan:
     by_runtime: bool = False  # divisions by run-time parameters are allowed; by numbers they always are
     by_angles: bool = False  # M is written in absolute angles, and summed up
     together: int = 0  # in EXP2, joints with fewer joints before them are eliminated together, in M
+    by_motions: bool = False  # in EXP2, loads and increments of bodies that M meets are by the motions brought to them
+    first_resists: bool = False  # where M meets a body, it takes the load for the motion of the earlier of two joints
+    at_rest: bool = False  # in EXP2, other joints do not accelerate along their axes in the bias motion
 
     def __getitem__(self, number: int) -> Choice:
         """Look up the choice for body `number`, from 1."""

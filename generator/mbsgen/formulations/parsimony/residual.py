@@ -32,6 +32,12 @@ class Load:
     alone: Vector[Scalar]  # N without the moments of bodies that have relative angles
 
 
+def unloaded(builder: Builder) -> Load:
+    """Make no load."""
+    none = Vector(builder.zero, builder.zero, builder.zero)
+    return Load(none, none, none)
+
+
 @dataclass(frozen=True)
 class Direction:
     """A direction fixed in a body, where the body is written, with its length and its field."""
