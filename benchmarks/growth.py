@@ -40,14 +40,14 @@ from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
 
 JACOBIANS = ("jac_impl", "jac_exp2")
-SIZES = (8, 16, 32, 64, 128)
+SIZES = (8, 16, 32, 64, 100)
 BASES: tuple[Basis, ...] = ("same header", "as they come")
 MARKS = {PINOCCHIO: "P", CASADI: "C", SHORT: "S"}
 SAME = dict.fromkeys(("exp1", "exp2"), ("exp1", "exp2")) | {"jac_exp2": ("jac_exp1", "jac_exp2")}
 CALLS = ("flops", "ns", "ns/flop", "quickest peer, same header", "ratio", "quickest peer, as it comes", "ratio")
 MAKING = ("generated s", "C kB", "compiled s", "MB")
 LINEAR = ("impl", "exp2")  # linear in the length of a chain, and measured on the longest
-LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # joints up to which all values, and Jacobians, are measured
+LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # joints up to which all values, and the Jacobian of IMPL, are measured
 LARGEST_EXPANDED = 20  # joints up to which CasADi writes out M^-1 d Phi: beyond, it takes minutes and megabytes
 
 
@@ -106,7 +106,8 @@ def describe_robot(path: Path) -> Mechanism:
 def describe_chain(size: int, folder: Path) -> Mechanism:
     """Describe a chain: less is measured of a longer one."""
     values = VALUES if size <= LARGEST_CUBIC else LINEAR
-    return Mechanism(write_chain(size, folder), size, values, JACOBIANS if size <= LARGEST_JACOBIAN else ())
+    jacobians = JACOBIANS if size <= LARGEST_JACOBIAN else JACOBIANS[-1:]
+    return Mechanism(write_chain(size, folder), size, values, jacobians)
 
 
 def make_kernels(mechanism: Mechanism, cache: Path) -> Made:
@@ -231,7 +232,7 @@ def _write(rows: Sequence[Row], machine: str, rounds: int, out: Path) -> None:
 @click.option("-o", "--out", default=Path("build/bench"), type=click.Path(file_okay=False, path_type=Path))
 @click.option("--rounds", default=50, show_default=True, type=click.IntRange(min=1))
 @click.option("--robot", "robots", multiple=True, type=click.Choice(list(ROBOTS)), help="By default all.")
-@click.option("--size", "sizes", multiple=True, type=click.IntRange(1, 256), help="Of chains; by default 8 to 128.")
+@click.option("--size", "sizes", multiple=True, type=click.IntRange(1, 256), help="Of chains; by default 8 to 100.")
 @click.option("--prepare", "only", is_flag=True, help="Write and compile the peers, and measure nothing.")
 @click.option("--again", is_flag=True, help="Measure mechanisms of earlier runs again.")
 def main(out: Path, rounds: int, robots: tuple[str, ...], sizes: tuple[int, ...], only: bool, again: bool) -> None:

@@ -35,6 +35,7 @@ typedef struct {
 #define MBS_ALIGNED
 #endif
 
+#ifndef MBS_DYNAMICS_H /* which solves by the bodies */
 /* Replace B by M^-1 B. */
 static MBS_APART void mbs_solve_columns(int n, const int *starts, const int *ancestors,
                                         const mbs_real *MBS_RESTRICT lower, const mbs_real *MBS_RESTRICT inverses,
@@ -66,6 +67,7 @@ static MBS_APART void mbs_solve_columns(int n, const int *starts, const int *anc
         }
     }
 }
+#endif
 
 /* Give a block out, negated and column by column: all of its entries, or those at the given places of B. */
 static inline void mbs_give_block(int rows, int cols, int width, const mbs_real *B, mbs_real *result)

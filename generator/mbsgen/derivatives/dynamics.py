@@ -16,6 +16,7 @@ from typing import Generic, TypeVar
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
+from mbsgen.derivatives.looped import LoopedDerivatives, can_loop, count_pairs
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling
 from mbsgen.formulations.multipliers import list_owners
@@ -56,8 +57,8 @@ class Dynamics:
         is_compared = len(tree.bodies) <= size.compared or _is_strange(tree)
         staged, counted = staged and not is_compared, counted or len(tree.bodies) <= size.few
         self._choice = _Choice(reductions, is_compared=is_compared, staged=staged, size=size, counted=counted)
-        self._residual = _OfResidual(tree, reductions, self._choice)
         self._tree, self._reductions = tree, reductions
+        self._is_looped = staged and count_pairs(tree) >= size.looped and can_loop(tree)
 
     def differentiate(self, tape: Tape, before: Sequence[Derivatives] = ()) -> Derivatives:
         """Differentiate a form of the equations of motion by all its inputs but parameters.
@@ -65,9 +66,18 @@ class Dynamics:
         `before` holds the derivatives of other forms: what they share is not written again.
         """
         if any(o.port in implicit.UNKNOWNS for o in tape.outputs):
-            first = next((found for found in before if isinstance(found, _OfAccelerations)), None)
-            return _OfAccelerations(tape, self._residual, self._choice_of_accelerations, first, self._restrain(tape))
+            if self._is_looped:
+                return LoopedDerivatives(tape, self._tree, self._reductions, lambda: self._of_accelerations(tape, ()))
+            return self._of_accelerations(tape, before)
         return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
+
+    def _of_accelerations(self, tape: Tape, before: Sequence[Derivatives]) -> Derivatives:
+        first = next((found for found in before if isinstance(found, _OfAccelerations)), None)
+        return _OfAccelerations(tape, self._residual, self._choice_of_accelerations, first, self._restrain(tape))
+
+    @cached_property
+    def _residual(self) -> _OfResidual:
+        return _OfResidual(self._tree, self._reductions, self._choice)
 
     @property
     def _choice_of_accelerations(self) -> _Choice:
@@ -261,7 +271,7 @@ class _Renamed(Derivatives):
 
     @cached_property
     def adj1(self) -> Tape:
-        return self._rename(self._residual.adj1)
+        return self._rename(straight(self._residual.adj1))
 
     @cached_property
     def jac_adj1(self) -> Tape:

@@ -121,7 +121,7 @@ def _write_slopes(state: _State, wrt: Sequence[str], order: Order) -> Tape:
 def adjoint(tape: Tape, residual: Derivatives, wrt: Sequence[str], constraints: Constraints | None = None) -> Tape:
     """Write the adjoint of `tape`."""
     state = _State.declare(tape, residual, constraints, seeded=True)
-    found = state.replay_weighted(lambda part: part.adj1)
+    found = state.replay_weighted(lambda part: straight(part.adj1))
     for given in map(tape.input, wrt):
         pattern, port = given.sparsity, adjoint_port(given.port)
         column = found.get(port.name, _Found({})).column(pattern.nnz, state.builder)

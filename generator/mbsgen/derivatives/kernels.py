@@ -39,14 +39,14 @@ class Derivatives:
         return {}
 
     @cached_property
-    def adj1(self) -> Tape:
+    def adj1(self) -> Computation:
         """`adj1_f`: adj_<in> = sum over outputs of (d out / d in)T adj_<out>."""
         return reverse.adjoint(self.tape, self.wrt)
 
     @cached_property
     def jac_adj1(self) -> Tape:
         """`jac_adj1_f`: blocks jac_adj_<in>_<in> and jac_adj_<in>_adj_<out>."""
-        return adjoint_jacobian(self.tape, self.adj1, self.wrt)
+        return adjoint_jacobian(self.tape, straight(self.adj1), self.wrt)
 
     def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:  # noqa: ARG002  # of a subclass
         """Return, by kernel, the flops of derivatives by each way of writing them; empty where there is one way."""

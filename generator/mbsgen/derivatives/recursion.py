@@ -40,7 +40,7 @@ def jacobian(tree: Tree, reductions: Reductions) -> Tape:
     """Write `jac_impl`: inputs of `impl`; outputs jac_Phi_q, jac_Phi_qd, jac_Phi_qdd, jac_Phi_u [, jac_Phi_w]."""
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
-    forces = _forces(tree, reductions)
+    forces = write_forces(tree, reductions)
     writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
     return writer.finish(Order.JACOBIAN)
 
@@ -49,7 +49,7 @@ def linearisation(tree: Tree, reductions: Reductions) -> Tape:
     """Write `lin_impl`: the outputs Phi and the outputs of `jac_impl`."""
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
-    forces = _forces(tree, reductions)
+    forces = write_forces(tree, reductions)
     writer.write_blocks({ports.RESIDUAL: {(i - 1, 0): value for i, value in found.Phi.items()}}, forces)
     writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
     return writer.finish(Order.LINEARISATION)
@@ -60,14 +60,14 @@ def adjoint_jacobian(tree: Tree, reductions: Reductions) -> Tape:
     writer = _Writer.declare(tree, reductions)
     multipliers = writer.seed(seed_port(ports.RESIDUAL), len(tree.bodies))
     blocks = _second_blocks(*curvatures(writer.begin(), writer.state.qd, writer.state.qdd, multipliers))
-    forces = _forces(tree, reductions)
+    forces = write_forces(tree, reductions)
     wrt = kernels.differentiable(forces)
     adj1 = reverse.adjoint(forces, wrt)
     writer.write_blocks(blocks, kernels.adjoint_jacobian(forces, adj1, wrt))
     return writer.finish(Order.ADJOINT_JACOBIAN)
 
 
-def _forces(tree: Tree, reductions: Reductions) -> Tape:
+def write_forces(tree: Tree, reductions: Reductions) -> Tape:
     """Write the residual of the tree without mass and gravity."""
     bodies = tuple(
         replace(body, mass=Integer(0), com=NOTHING, inertia=(NOTHING, NOTHING, NOTHING), parts=())

@@ -21,6 +21,7 @@ from mbsgen.procedure.repeat import Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.tree_dynamics import TreeDynamics
 from mbsgen.procedure.wires import Wire
 from mbsgen.roles import name_low
 from mbsgen.tape.ordering import arrange
@@ -32,6 +33,7 @@ from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
 
 WIRES, COLUMNS, ANGLES, NEWTON = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h", "mbs_newton.h"
+DYNAMICS = "mbs_dynamics.h"
 _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_symmetric.h", General: "mbs_general.h"}
 _FACTORS = "Where the factors of M have their entries, and the results their nonzeros in M^-1 B."
 _PLACES = "Where nonzeros stand in full arrays, and what is gathered."
@@ -132,7 +134,7 @@ class Writer:
     def _is_wide(self, wire: Wire) -> bool:
         return any(isinstance(s, Solve) and s.right == wire and is_wide(s) for s in self.procedure.stages)
 
-    def tabulate(self, name: str, numbers: Iterable[int]) -> str:
+    def tabulate(self, name: str, numbers: Iterable[object]) -> str:
         """Write a table of whole numbers, and return its name: stages whose wires have one name may need several."""
         table = wrap(map(str, numbers)) or ("0",)  # C has no empty arrays
         names = chain([name], (f"{name}_{k}" for k in count_from(2)))
@@ -438,6 +440,54 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
     }
 
 
+# -- trees by tables ------------------------------------------------------------------------------------------------
+
+
+def _write_dynamics(writer: Writer, stage: TreeDynamics) -> None:
+    assert stage.solved, "right-hand sides alone are looked at for their patterns"
+    writer.headers |= {DYNAMICS: None, COLUMNS: None}
+    n, width = stage.size, stage.width
+    parents, joints = writer.tabulate("mbs_parents", stage.parents), writer.tabulate("mbs_joints", stage.joints)
+    own = writer.tabulate("mbs_owned", ("1" if own else "0" for own in stage.owned))
+    thresholds = [f"MBS_THRESHOLD({write_literal(x)})" for x in stage.tolerances]
+    wires = (stage.placements, stage.moments, stage.gravity, stage.rates, stage.rest, stage.rotors, stage.scales)
+    writer.read.update(wire.name for wire in stage.reads)
+    writer.locals += [
+        f"mbs_body mbs_bodies[{n + 1}];",
+        f"mbs_free_inertia mbs_free[{n + 1}];",
+        f"mbs_lanes mbs_work[{12 * (n + 1)}], mbs_column[{n}];",
+        f"MBS_ALIGNED mbs_real mbs_right[{n * width}];",
+    ]
+    results, work = writer.name(stage.accelerations), ("mbs_free", "mbs_work", "mbs_column", "mbs_bodies")
+    given = (str(n), parents, joints, own, *thresholds, *map(writer.name, wires), *work, results)
+    writer.call("mbs_write_bodies", given)
+    writer.lines.append(f"mbs_write_slopes({n}, {parents}, {width}, mbs_bodies, mbs_right);")
+    for added in stage.added:
+        places = writer.tabulate(f"mbs_places_{added.wire.name}", added.places(width))
+        count, numbers = added.wire.sparsity.nnz, writer.name(added.wire)
+        writer.lines.append(f"mbs_add_places({count}, {places}, {numbers}, mbs_right);")
+    if stage.seeds:
+        writer.lines.append(
+            f"mbs_solve_column({n}, {parents}, mbs_bodies, {writer.name(stage.seeds)}, mbs_work, mbs_column);"
+        )
+    else:
+        writer.lines.append(f"mbs_solve_bodies({n}, {parents}, mbs_bodies, {width}, mbs_work, mbs_right);")
+    writer.lines += (_give(writer, stage, block) for block in stage.results if block.result.sparsity.nnz)
+
+
+def _give(writer: Writer, stage: TreeDynamics, block: Block) -> str:
+    """Give a result: sums over the rows of B, columns of X, or nonzeros."""
+    n, width, pattern, result = stage.size, stage.width, block.result.sparsity, writer.name(block.result)
+    if stage.seeds:
+        return f"mbs_weigh_columns({n}, {width}, {pattern.nnz}, mbs_right + {block.first}, mbs_column, {result});"
+    columns = [c for c in range(pattern.cols) if pattern.colind[c] < pattern.colind[c + 1]]
+    if pattern.nnz == n * len(columns):
+        table = writer.tabulate(f"mbs_columns_{block.result.name}", (block.first + c for c in columns))
+        return f"mbs_give_columns({n}, {len(columns)}, {table}, {width}, mbs_right, {result});"
+    places = writer.tabulate(f"mbs_places_{block.result.name}", (r * width + c for r, c in block.entries(n)))
+    return f"mbs_give_entries({pattern.nnz}, {places}, mbs_right, {result});"
+
+
 # -- iterations and maps --------------------------------------------------------------------------------------------
 
 
@@ -540,4 +590,5 @@ RULES: Mapping[type[Stage], Callable[[Writer, Any], None]] = {
     Solve: _write_solve,
     Newton: _write_newton,
     Repeat: _write_repeat,
+    TreeDynamics: _write_dynamics,
 }

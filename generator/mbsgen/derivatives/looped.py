@@ -1,0 +1,204 @@
+"""First derivatives of the accelerations of large trees, with loops over tables: code of O(n) instead of O(n^3).
+
+A straight stage places each body beside its parent, and adds up the forces of joints and wrenches, whose derivatives
+are its own. The recursions of `procedure.tree_dynamics` do the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+from mbsgen.derivatives.kernels import Derivatives, differentiable
+from mbsgen.derivatives.recursion import write_forces
+from mbsgen.derivatives.vanishing import find_patterns
+from mbsgen.formulations import exp1, ports
+from mbsgen.formulations.chain import write_chain
+from mbsgen.formulations.links import Link
+from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
+from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.states import State, declare_state
+from mbsgen.model.tree import Kind, Tree
+from mbsgen.procedure.patterns import LANES
+from mbsgen.procedure.procedure import Procedure, count
+from mbsgen.procedure.solve import Block
+from mbsgen.procedure.straight import Straight
+from mbsgen.procedure.tree_dynamics import MOMENTS, PLACEMENT, Added, TreeDynamics
+from mbsgen.procedure.wires import Wire
+from mbsgen.roles import Order
+from mbsgen.tape import forward
+from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port, seed_port
+from mbsgen.tape.replay import replay, replay_lengths
+from mbsgen.tape.types import Sparsity, Tape
+
+
+def can_loop(tree: Tree) -> bool:
+    """Return whether tables describe a tree.
+
+    It has no closed loops, couplings, driven joints, quaternions, nor parameters that are differentiated by.
+    """
+    special = tree.is_constrained or tree.couplings or tree.quaternions
+    return not special and all(parameter.kind is not Kind.DIFFERENTIATED for parameter in tree.parameters)
+
+
+def count_pairs(tree: Tree) -> int:
+    """Count the pairs of a body with one that carries it, or with itself: entries of M's triangle."""
+    depths = [0]
+    for body in tree.bodies:
+        depths.append(depths[body.parent] + 1)
+    return sum(depths)
+
+
+class LoopedDerivatives(Derivatives):
+    """The first derivatives of one form of the accelerations, in stages. `others` are written for second ones alone."""
+
+    def __init__(self, tape: Tape, tree: Tree, reductions: Reductions, others: Callable[[], Derivatives]) -> None:
+        super().__init__(tape, differentiable(tape))
+        self._tree, self._reductions, self._others = tree, reductions, others
+
+    @cached_property
+    def jac(self) -> Procedure:
+        """The Jacobian."""
+        written = self._write(self.tape.function.to(Order.JACOBIAN), self._blocks)
+        return replace(written, outputs=written.outputs[1:])
+
+    @cached_property
+    def lin(self) -> Procedure:
+        """The accelerations, by the factors of M, and their Jacobian."""
+        return self._write(self.tape.function.to(Order.LINEARISATION), self._blocks)
+
+    @cached_property
+    def adj1(self) -> Procedure:
+        """The adjoint."""
+        inputs = {x: self.tape.input(x) for x in self.wrt}
+        sums = {x: Wire.to(adjoint_port(i.port), Sparsity.dense(i.sparsity.nnz)) for x, i in inputs.items()}
+        written = self._write(self.tape.function.to(Order.ADJOINT), sums, seed_port(ports.ACCELERATIONS))
+        return replace(written, outputs=written.outputs[1:])
+
+    @property
+    def jac_adj1(self) -> Tape:
+        """The second derivatives, straight."""
+        return self._others().jac_adj1
+
+    def count_ways(self, orders: Iterable[Order]) -> Mapping[str, Mapping[str, int]]:
+        """Count the only way."""
+        written = {Order.JACOBIAN: self.jac, Order.LINEARISATION: self.lin, Order.ADJOINT: self.adj1}
+        return {written[o].name: {"tables": count(written[o]).paper} for o in orders if o in written}
+
+    @cached_property
+    def _columns(self) -> Mapping[str, int]:
+        """The first column of B of each input."""
+        columns, used = {}, 0
+        for x in self.wrt:
+            columns[x] = used
+            used += self.tape.input(x).sparsity.nnz
+        return columns
+
+    @cached_property
+    def _blocks(self) -> Mapping[str, Wire]:
+        """The results, by input: columns of B that do not vanish reach all joints of their part of the tree."""
+        n = len(self._tree.bodies)
+        ports_of = {x: derivative_port(ports.ACCELERATIONS, self.tape.input(x).port) for x in self.wrt}
+        sizes = {x: self.tape.input(x).sparsity.nnz for x in self.wrt}
+        full = {x: Wire.to(port, Sparsity.dense(n, sizes[x])) for x, port in ports_of.items()}
+        patterns = find_patterns(self._write(self.tape.function, full, solved=False))
+        roots = [0]
+        for k, body in enumerate(self._tree.bodies, 1):
+            roots.append(roots[body.parent] or k)
+        blocks = {}
+        for x, port in ports_of.items():
+            reached: dict[int, set[int]] = {}
+            for k, c in patterns[port.name].entries:
+                reached.setdefault(c, set()).add(roots[k + 1])
+            entries = [(k, c) for c, parts in reached.items() for k in range(n) if roots[k + 1] in parts]
+            blocks[x] = Wire.to(port, Sparsity.of(n, sizes[x], entries))
+        return blocks
+
+    def _write(
+        self, function: Function, results: Mapping[str, Wire], seeds: Port | None = None, *, solved: bool = True
+    ) -> Procedure:
+        """Write the stage that places bodies and adds up forces, and the recursions."""
+        tree, builder = self._tree, Builder()
+        n = len(tree.bodies)
+        state = declare_state(tree, builder, accelerations=False)
+        given = builder.vector(seeds, n) if seeds else []
+        chain = write_chain(tree, builder, state)
+        segments = align(chain, group=False)
+        owned = tuple(map(feels_itself, segments))
+        largest = largest_inertias(chain, segments)
+        numbers = {
+            "placements": [x for link in chain.links for x in _place(link)],
+            "moments": [x for link in chain.links for x in _weigh(link, builder)],
+            "gravity": list(chain.gravity),
+            "rates": state.qd,
+            "rotors": list(chain.armatures),
+            "scales": [builder.zero if own else largest[i] for i, own in enumerate(owned, 1)],
+            **({"seeds": given} if seeds else {}),
+        }
+        added = self._write_forces(builder, state, numbers)
+        for name, values in numbers.items():
+            builder.output(name, Sparsity.dense(len(values)), values)
+        before = Straight(builder.build(f"place_{function.name}"))
+        wires = {wire.name: wire for wire in before.gives}
+        used = sum(self.tape.input(x).sparsity.nnz for x in self.wrt)
+        dynamics = TreeDynamics(
+            name=f"dynamics_{function.name}",
+            parents=tuple(link.parent for link in chain.links),
+            joints=tuple(link.joint.axis + (0 if link.is_revolute else 3) for link in chain.links),
+            owned=owned,
+            tolerances=(n * exp1.PIVOT_TOLERANCE, exp1.LOCKING_TOLERANCE),
+            placements=wires["placements"],
+            moments=wires["moments"],
+            gravity=wires["gravity"],
+            rates=wires["rates"],
+            rest=wires["rest"],
+            rotors=wires["rotors"],
+            scales=wires["scales"],
+            added=tuple(Added(wires[name], first) for name, first in added.items()),
+            width=-(-used // LANES) * LANES,
+            accelerations=Wire.to(ports.ACCELERATIONS, Sparsity.dense(n)),
+            results=tuple(Block(wire, self._columns[x]) for x, wire in results.items()),
+            seeds=wires.get("seeds"),
+            solved=solved,
+        )
+        return Procedure(function, before.reads, (before, dynamics), dynamics.gives)
+
+    @cached_property
+    def _forces(self) -> tuple[Tape, Tape]:
+        """Phi of the tree without mass, and its derivatives."""
+        forces = write_forces(self._tree, self._reductions)
+        return forces, forward.jacobian(forces, self.wrt)
+
+    def _write_forces(self, builder: Builder, state: State, numbers: dict[str, list[Scalar]]) -> dict[str, int]:
+        """Write the forces of joints and wrenches at qdd = 0, and their derivatives; return the columns of these."""
+        given: dict[str, Sequence[Scalar]] = {**vars(state), "qdd": [builder.zero] * len(state.qd)}
+        added = {}
+        for tape in self._forces:
+            values = replay(tape, builder, given)
+            replay_lengths(tape, builder, values)
+            for o in tape.outputs:
+                if o.port.by is None:
+                    numbers["rest"] = [values[v] for v in o.values]
+                elif o.sparsity.nnz:
+                    builder.output(o.name, o.sparsity, [values[v] for v in o.values])
+                    added[o.name] = self._columns[o.port.by.name]
+        return added
+
+
+def _place(link: Link) -> list[Scalar]:
+    """List the rotation to the parent by rows, then the joint point."""
+    placed = [*(x for row in link.R.rows for x in row), *link.dpt]
+    assert len(placed) == PLACEMENT, "as the recursion reads it"
+    return placed
+
+
+def _weigh(link: Link, builder: Builder) -> list[Scalar]:
+    """List mass, first moments, and second moments tr(J)/2 1 - J."""
+    J, half = link.J, builder.number(0.5)
+    trace = (J[0, 0] + J[1, 1] + J[2, 2]) * half
+    second = [*(trace - J[k, k] for k in range(3)), *(-J[r, c] for r, c in ((0, 1), (0, 2), (1, 2)))]
+    found = [link.m, *link.S, *second]
+    assert len(found) == MOMENTS, "as the recursion reads it"
+    return found
