@@ -218,7 +218,7 @@ static inline void mbs_apply_free(const mbs_free_inertia *free, const mbs_real *
     }
 }
 
-/* Add what is left of a body's inertia beside its free joint to its parent's: about the parent's point,
+/* Add a body's inertia, less the share of its free joint, to its parent's. About the parent's point,
  * H' = H + r~ M and J' = J - H r~ + r~ H'T. */
 static inline void mbs_join_free(const mbs_body *body, mbs_free_inertia *free, mbs_free_inertia *to)
 {

@@ -1,6 +1,6 @@
 """The stages of a large tree's dynamics: recursions over its joints as loops over tables, so that code grows with n.
 
-Spatial vectors are in the axes of the base, those of body i about its own joint point. With S the unit motion of joint
+Spatial vectors are in the axes of the base, and about the joint point of their body. With S the unit motion of joint
 i, V and A the velocity and acceleration (less gravity) of its parent there, and sums over all that i carries of the
 inertia I, of F = I A + V x* I V, and of D (Wensing, Echeandia, 2020),
 

@@ -476,7 +476,7 @@ def _write_dynamics(writer: Writer, stage: TreeDynamics) -> None:
 
 
 def _give(writer: Writer, stage: TreeDynamics, block: Block) -> str:
-    """Give a result: sums over the rows of B, columns of X, or nonzeros."""
+    """Write a result: sums over the rows of B, columns of X, or nonzeros."""
     n, width, pattern, result = stage.size, stage.width, block.result.sparsity, writer.name(block.result)
     if stage.seeds:
         return f"mbs_weigh_columns({n}, {width}, {pattern.nnz}, mbs_right + {block.first}, mbs_column, {result});"
