@@ -400,7 +400,7 @@ static void advance(const mbs_stages_recursion *r, int k, real *x, real *passed,
     add_products(s->next, s->dense.width, p->ahead, s->dense.F, p->linear, x);
     if (is_soft(r)) {
         mbs_stages_deviate(&r->soft[k], r->compliance + s->d, x, dy + s->d);
-        memset(passed, 0, (size_t)r->step[k + 1].passed * sizeof *passed);
+        memset(passed, 0, (size_t)s->next * sizeof *passed);
     }
 }
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cffi
@@ -174,3 +176,44 @@ def test_cholesky_is_the_root_of_a_matrix(least: Least) -> None:
 def _call(least: Least, name: str, n: int, *arrays: Array | NDArray[np.int64]) -> float:
     kinds = {np.dtype(float): "double[]", np.dtype(np.int64): "long long[]"}
     return float(getattr(least.lib, name)(n, *(least.ffi.from_buffer(kinds[x.dtype], x) for x in arrays)) or 0)
+
+
+CHOICE = """\
+#include "mbs_explicit.c"
+double choose(long long e, long long n, double *J, double *B, long long *moves, long long *best);
+double choose(long long e, long long n, double *J, double *B, long long *moves, long long *best)
+{
+    mbs_explicit plant;
+    mbs_run run;
+    plant.e = e, plant.n = n;
+    run.p = &plant, run.free = n, run.moves = moves, run.best = best, run.J = J, run.B = B;
+    return find_best(&run);
+}
+"""
+
+
+def test_dependent_joints_have_the_largest_pivots(tmp_path: Path) -> None:
+    """By elimination with exchanges of rows and columns in NumPy; the volume is the size of their determinant."""
+    (tmp_path / "choice.c").write_text(CHOICE, encoding="utf-8")
+    sources = [resources.folder("csrc") / name for name in ("mbs_least.c", "mbs_dense.c")]
+    command = [*find_compiler(os.environ).command, "-std=c99", "-O1", "-fPIC", "-shared", f"-I{sources[0].parent}"]
+    target = tmp_path / "choice.so"
+    subprocess.run([*command, str(tmp_path / "choice.c"), *map(str, sources), "-lm", "-o", str(target)], check=True)
+    ffi = cffi.FFI()
+    ffi.cdef("double choose(long long e, long long n, double *J, double *B, long long *moves, long long *best);")
+    library, rng = ffi.dlopen(str(target)), np.random.default_rng(11)
+    for e, n in ((1, 3), (2, 4), (3, 5), (4, 6), (5, 9)):
+        J = rng.normal(size=(e, n)) * 10.0 ** rng.integers(-2, 3, size=(e, n))
+        rest, order = J.copy(), np.arange(n)
+        for k in range(e):
+            row, column = np.unravel_index(np.abs(rest[k:, k:]).argmax(), (e - k, n - k))
+            rest[[k, k + row]] = rest[[k + row, k]]
+            rest[:, [k, k + column]] = rest[:, [k + column, k]]
+            order[[k, k + column]] = order[[k + column, k]]
+            rest[k + 1 :] -= np.outer(rest[k + 1 :, k] / rest[k, k], rest[k])
+        moves, best = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+        kept, room = J.copy(), np.zeros((n, e))
+        reals = (ffi.from_buffer("double[]", x) for x in (kept, room))
+        volume = library.choose(e, n, *reals, *(ffi.from_buffer("long long[]", x) for x in (moves, best)))
+        assert best.tolist() == order.tolist()
+        assert volume == pytest.approx(np.linalg.slogdet(J[:, order[:e]])[1], abs=1e-9)

@@ -27,7 +27,7 @@ SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a 
     ("csrc/mbs_stepping.c", (f"{MOTIONS}/test_stepping.py",)),
     (
         "csrc/mbs_explicit.c",
-        (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py", f"{MOTIONS}/test_switching.py"),
+        ("tests/csrc/test_least.py", *(f"{MOTIONS}/test_{name}.py" for name in ("loops", "simulate", "switching"))),
     ),
     ("csrc/mbs_radau.c", (f"{MOTIONS}/test_loops.py", f"{MOTIONS}/test_simulate.py")),
     ("csrc/program/*.c", ("tests/mbsrun/ocp/stages", "tests/mbsrun/controllers/test_controllers.py")),

@@ -2,9 +2,10 @@
 
 A derivative may vanish by an identity that value numbering cannot see; for example, a force through an axis has no
 moment about it. An expression that is 0 to 35 of 50 digits at random points is taken to be identically zero (Schwartz,
-Zippel), unless it has digits: where masses or lengths are tiny, such an entry may be right. It has none if 50 digits
-and 45 give other numbers. Large entries of the same block do not matter: forces of loops are drawn like all inputs, and
-may exceed any weight of a tiny mechanism.
+Zippel), unless it stays: where masses or lengths are tiny, such an entry may be right, though it has lost all of its 50
+digits beside others. With 100 digits, the rounding of a 0 is smaller by 50 orders of magnitude, and an entry is not.
+Large entries of the same block do not matter: forces of loops are drawn like all inputs, and may exceed any weight of a
+tiny mechanism.
 
 The derivatives of some functions are 0 to all digits in whole regions, without being 0, as of max(x, 0) for x < 0, or
 of tanh(100 x). Other functions stand in their place here.
@@ -29,8 +30,8 @@ from mbsgen.tape.types import Op, Output, Sparsity, Tape
 
 POINTS = 2
 VANISHED = Decimal("1e-35")
-COARSE = 45  # digits
-AGREED = Decimal("1e-6")  # relative difference between 50 digits and COARSE ones of a number that has digits
+FINE = 100  # digits
+STAYED = Decimal("1e-40")  # of a number with 50 digits, or of their rounding: the part that stays of it with FINE ones
 
 
 def _swing(x: Decimal) -> Decimal:
@@ -88,15 +89,15 @@ def _find_kept(
     columns = {name: list(zip(*rows, strict=True)) for name, rows in blocks.items()}
     small = {name: [_is_below(x, VANISHED) for x in columns[name]] for name in blocks}
     doubtful = {name: {k for k, x in enumerate(small[name]) if x and columns[name][k][0] != 0} for name in blocks}
-    coarse: Mapping[str, Sequence[Decimal]] = {}
+    fine: Mapping[str, Sequence[Decimal]] = {}
     if any(doubtful.values()):
-        with localcontext(Context(prec=COARSE, traps=[])):
-            coarse = compute(0)
+        with localcontext(Context(prec=FINE, traps=[])):
+            fine = compute(0)
     return {
         name: [
             k
             for k, x in enumerate(small[name])
-            if not x or (k in doubtful[name] and _agrees(blocks[name][0][k], coarse[name][k]))
+            if not x or (k in doubtful[name] and abs(fine[name][k]) > STAYED * abs(blocks[name][0][k]))
         ]
         for name in blocks
     }
@@ -104,10 +105,6 @@ def _find_kept(
 
 def _is_below(column: Sequence[Decimal], limit: Decimal) -> bool:
     return all(not value.is_nan() and abs(value) <= limit for value in column)  # NaN: outside a function's domain
-
-
-def _agrees(a: Decimal, b: Decimal) -> bool:
-    return a != 0 and abs(a - b) <= AGREED * abs(a)
 
 
 def _draw(tape: Computation, seed: int) -> dict[str, list[Decimal]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal, localcontext
 
-from mbsgen.derivatives.vanishing import COARSE
 from mbsgen.formulations import ports
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
 from mbsgen.procedure.wires import Wire
@@ -27,6 +26,7 @@ Vectors = dict[str, Numbers]  # by result or by input
 
 SMALL = Decimal("1e-6")  # of an adjoint beside the others: a far contact gives one in which logarithms lost digits
 LOST = Decimal("1e-12")  # of a result: differences over STEP round a derivative that is smaller off below the tolerance
+COARSE = 45  # digits
 COARSENESS = Decimal(10) ** (1 - COARSE)  # of numbers of COARSE digits
 Sizes = Mapping[str, Sequence[Decimal]]  # of the entries of inputs, by their names, where they are not 1
 DIRECTION = "direction"  # the name under which its numbers are drawn, with the name of the input

@@ -391,7 +391,7 @@ def size(kind: str, s: float) -> Model:
         ("ball", 1e3, ("project_plain", "project"), 0),
         ("ball", 1e6, ("project_plain", "project"), 0),
         ("ball", 1e-9, ("project_plain", "project"), 0),
-        ("free", 1e-9, ("exp1",), 1),
+        ("free", 1e-10, ("exp1",), 1),
         ("free", 1e6, ("exp1",), 1),
     ],
 )

@@ -47,14 +47,15 @@ def test_a_tape_without_such_entries_stays_as_it_is():
 
 
 def test_large_entries_of_a_block_do_not_hide_a_tiny_one():
-    """A force of a loop is drawn near 1 N, and may stand beside the weight of 1e-27 kg: both have digits."""
+    """A force of a loop is drawn near 1 N, and may stand beside the weight of 1e-27 kg, or be added to it."""
     b = Builder()
     x, y = b.vector("x", 2)
     one = b.sin(x) * b.sin(x) + b.cos(x) * b.cos(x)
-    values = [x, b.number(1e-48) * y, one - b.number(1.0), (x + b.number(1e-44)) - x]
-    b.output(Port("jac_y_x", Role.DERIVATIVE), Sparsity.dense(4), values)
+    sums = [(x + b.number(small)) - x for small in (1e-44, 1e-60)]  # the second has none of 50 digits
+    values = [x, b.number(1e-48) * y, one - b.number(1.0), *sums]
+    b.output(Port("jac_y_x", Role.DERIVATIVE), Sparsity.dense(5), values)
     pruned = drop_vanishing(b.build("f"))
-    assert [r for r, _ in pruned.output("jac_y_x").sparsity.entries] == [0, 1]
+    assert [r for r, _ in pruned.output("jac_y_x").sparsity.entries] == [0, 1, 3]
 
 
 def test_what_is_zero_in_a_region_alone_is_kept():

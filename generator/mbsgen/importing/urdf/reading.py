@@ -52,21 +52,21 @@ def read_urdf(root: Element, choices: Choices, findings: Findings) -> Imported:
     for element in root.walk():
         if element.tag.startswith(XACRO):
             findings.fault(element, f"{element.tag[:40]} is xacro", "run `xacro FILE > robot.urdf`, and import that")
-    for joint in root.all(JOINT, DRAKE):
-        for key, text in _list_names(joint):
+    for element in root.all(JOINT, DRAKE, "link"):
+        for key, text in _list_names(element):
             if is_xacro(text):
-                findings.fault(joint, f"{key} is {abbreviate(text)}", UNEXPANDED)
+                findings.fault(element, f"{key} is {abbreviate(text)}", UNEXPANDED)
     if findings.faults:
         raise findings.refuse()
     return _Robot(root, choices, findings).read()
 
 
-def _list_names(joint: Element) -> Iterator[tuple[str, str]]:
-    """Yield the names that a joint has or mentions."""
-    for element in (joint, *joint.all("parent", "child", "mimic")):
+def _list_names(whole: Element) -> Iterator[tuple[str, str]]:
+    """Yield the names that a joint or a link has or mentions."""
+    for element in (whole, *whole.all("parent", "child", "mimic")):
         for key in ("name", "type", "link", "joint"):
             if key in element.attributes:
-                yield f"{element.tag} {key}" if element is not joint else key, element.attributes[key]
+                yield f"{element.tag} {key}" if element is not whole else key, element.attributes[key]
 
 
 class _Robot:
@@ -404,6 +404,8 @@ class _Robot:
             ratios = [element for element in parts if element.tag in RATIOS]
             rotors = [element for element in parts if element.tag in ROTORS]
             names = {element.attributes.get("name", "") for element in parts if element.tag == "joint"}
+            for element in (x for x in parts if is_xacro(x.attributes.get("name", "") + x.text)):
+                self._findings.warn(element, f"the transmission is left out, as it stands: {UNEXPANDED}")
             for element in ratios:
                 if self._read_value(element) != 1:
                     ratio = abbreviate(element.attributes.get("value", element.text))
