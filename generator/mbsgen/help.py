@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequenc
 from dataclasses import dataclass
 from importlib import import_module
 from keyword import iskeyword
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -83,9 +84,20 @@ class CommandsBySubject(click.Group):
 
     command_class = ModelCommand
 
-    def __init__(self, *arguments: Any, subjects: Mapping[str, Sequence[Entry]] | None = None, **own: Any):
+    def __init__(
+        self,
+        *arguments: Any,
+        subjects: Mapping[str, Sequence[Entry]] | None = None,
+        others: Mapping[str, str] = MappingProxyType({}),
+        **own: Any,
+    ):
         super().__init__(*arguments, **own)
         self._subjects = subjects
+        self._others = others  # names that other programs have for commands
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command by its name, or by the one that other programs have for it."""
+        return super().get_command(ctx, self._others.get(cmd_name, cmd_name))
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  # click's
         """List the names in the order in which the commands were given."""

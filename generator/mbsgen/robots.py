@@ -21,6 +21,10 @@ OPTIONS = (
         help="Fix URDF's root link, or let it float.",
     ),
     option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
+    option(
+        "--open", "opened", multiple=True, metavar="NAME", help="A body with a sensor and a wrench that a use gives."
+    ),
+    option("--rigid-tendons", is_flag=True, help="Give muscles rigid tendons, whatever the file says."),
     option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
     option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
     option(

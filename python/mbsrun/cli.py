@@ -41,8 +41,9 @@ COMMANDS = {
         Entry("track", "PROBLEM", "Control a simulated mechanism; solve at each sample."),
     ),
     "Recorded motions": (
-        Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers."),
-        Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes."),
+        Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers (ik)."),
+        Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes (id)."),
+        Entry("so", "MODEL", "Find the least activations of muscles for a recorded motion."),
         Entry("excite", "MODEL", "Design motions that determine inertias."),
         Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
@@ -78,6 +79,7 @@ def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
     cls=CommandsBySubject,
     help=HELP,
     subjects=COMMANDS,
+    others={"ik": "fit-motion", "id": "inverse-dynamics"},
     commands=CommandsOnDemand("mbsrun.commands", (entry for entries in COMMANDS.values() for entry in entries)),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )

@@ -51,6 +51,7 @@ from mbsgen.model.model import (
     Triple,
     Visual,
     Wrap,
+    Wrench,
 )
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.orientations import turn
@@ -79,6 +80,8 @@ class Choices:
     lock_massless: bool = False  # hold joints whose accelerations nothing determines, at 0
     mimic: Mimic = "couple"  # the treatment of joints that follow others
     loop_tolerance: float | None = None  # of equations that follow from others; None: by the digits of the file
+    rigid_tendons: bool = False  # of muscles, whatever the file says
+    opened: tuple[str, ...] = ()  # links and bodies with a wrench that a use gives, and a sensor
     quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     dry_friction: bool = False  # joints stick and slide, in simulations; else friction is smoothed
@@ -239,6 +242,7 @@ class Draft:
     _equations: list[Equation] = field(default_factory=list)  # of the model
     _locked: set[str] = field(default_factory=set)
     _sensors: set[str] = field(default_factory=set)
+    _wrenches: list[Wrench] = field(default_factory=list)  # that a use gives
     _joints: list[str] = field(default_factory=list)  # of the file
     _visible: list[str] = field(default_factory=list)  # possible sensors
 
@@ -282,11 +286,14 @@ class Draft:
     def add_frame(self, name: str, body: str, pose: Pose, source: Element) -> None:
         """Add a sensor on a body of the draft, if the choices name it."""
         self._visible.append(name)
-        if name in self.choices.sensors and name not in self._sensors:
+        if name in (*self.choices.sensors, *self.choices.opened) and name not in self._sensors:
             self._sensors.add(name)
             own = self._choose_name("frame", name, source)
             self._labels[own] = name
-            self.frames.append(Frame(own, body, self.writer.placement(pose)))
+            frame = Frame(own, body, self.writer.placement(pose))
+            self.frames.append(frame)
+            if name in self.choices.opened:
+                self._wrenches.append(Wrench(own, body, frame.placement.position, force=None, moment=None))
 
     def add_force(
         self,
@@ -333,6 +340,7 @@ class Draft:
             gravity=write_triple(self.choices.gravity or gravity),
             bodies=tuple(self.bodies),
             frames=tuple(self.frames),
+            wrenches=tuple(self._wrenches),
             forces=tuple(element for element, _ in self._forces),
             signals=tuple(dict.fromkeys(self._signals)),
             allow_unphysical=not allowed,
@@ -551,7 +559,12 @@ class Draft:
     def _check_choices(self) -> None:
         chosen = (
             ("joint to be held", [name for name, _ in self.choices.locked], self._locked, self._joints),
-            ("link, body or site to be a sensor", list(self.choices.sensors), self._sensors, self._visible),
+            (
+                "link, body or site to be a sensor",
+                [*self.choices.sensors, *self.choices.opened],
+                self._sensors,
+                self._visible,
+            ),
         )
         for what, wanted, met, there in chosen:
             for name in wanted:

@@ -21,6 +21,7 @@ from mbsrun.commands.recorded import (
     set_parameters,
     split_pairs,
     write_json,
+    write_storage,
     write_table,
 )
 from mbsrun.commands.robots import accept_robots
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 
 FORMAT = "mbsrun fit 1"
 TABLE, SUMMARY, PICTURE, ANIMATION = "motion.csv", "motion.json", "motion.png", "animation.html"
+STORAGE = "motion.mot"
 
 FIT_HELP = """Fit the motion of MODEL to recorded markers: inverse kinematics.
 
@@ -52,6 +54,7 @@ table stays empty. With --smooth S, the sum of squared distances [m²] plus S ti
 The output folder gets
   motion.csv       time, coordinates, and for each marker the distance of its sensor [m];
                    mbsrun inverse-dynamics and guesses of mbsrun solve read it
+  motion.mot       time and coordinates, as OpenSim has them
   motion.json      root mean square and largest distance by marker, frames that are at fault
   motion.png       coordinates and distances over time
   animation.html   plays the motion in any browser
@@ -123,7 +126,7 @@ def fit_motion_command(
     out.mkdir(parents=True, exist_ok=True)
     _write(out, mechanism, fit, shown, list(pairs), smooth)
     _print_summary(fit, shown, list(pairs), manifest)
-    say(f"wrote {list_written(out, (TABLE, SUMMARY, PICTURE, ANIMATION))}")
+    say(f"wrote {list_written(out, (TABLE, STORAGE, SUMMARY, PICTURE, ANIMATION))}")
     context.exit(NOT_SOLVED if not fit.converged.all() or np.isnan(shown).any() else 0)
 
 
@@ -191,6 +194,7 @@ def _write(out: Path, mechanism: Mechanism, fit: Fit, shown: Array, markers: Seq
     header = ["t [s]", *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions)]
     header += [f"error[{marker}] [m]" for marker in markers]
     write_table(out / TABLE, header, np.concatenate((fit.times[:, None], shown, fit.errors), axis=1))
+    write_storage(out / STORAGE, manifest.positions, fit.times, shown)
     write_json(out / SUMMARY, _summarise(fit, shown, mechanism, markers, smooth))
     panels = [
         Panel(

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.animated import equip
-from mbsrun.commands.console import NumberType, choose_format, list_written, say, show_progress
+from mbsrun.commands.console import choose_format, list_written, say, show_progress
 from mbsrun.commands.recorded import (
+    accept_motion,
     cut,
     read_loads,
-    recording_options,
     set_parameters,
     split_pairs,
     write_json,
@@ -29,6 +29,7 @@ from mbsrun.quantities import Quantity, find_unit
 from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
+from mbsrun.simulation.muscles import list_muscles
 from mbsrun.simulation.recorded import Recalled, analyse
 from mbsrun.smoothness import demand_smooth
 
@@ -57,6 +58,9 @@ wrote are found by their names; others are named by the beginnings of theirs, wh
 are the force, the point where it acts, and a free moment, along the axes of the base. With a point, the model needs a
 sensor of the wrench's name at its position.
 
+--without-muscles computes the forces that muscles and other actuators give together, as OpenSim's tool does; no
+activations are read. Else the recording has the column of each signal.
+
 \b
 The output folder gets
   forces.csv    time, coordinates, velocities, accelerations, forces of joints and loops;
@@ -72,21 +76,8 @@ Exit codes
 
 
 @click.command("inverse-dynamics", cls=ModelCommand, help=HELP)
-@click.argument("model", type=click.Path(path_type=Path))
-@click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")
-@click.option("--column", "columns", multiple=True, metavar="NAME=COLUMN", help="The column of a coordinate.")
-@click.option("--forces", "other", type=click.Path(path_type=Path), metavar="FILE", help="A recording of the forces.")
-@click.option(
-    "--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="The columns of a wrench."
-)
-@click.option("--noise", type=NumberType(), metavar="S", help="The standard deviation of the samples [rad, m].")
-@click.option("--cutoff", type=NumberType(), metavar="F", help="Of a low-pass filter, forward and backward [Hz].")
-@click.option("--degree", type=click.Choice(["3", "5"]), default="5", help="Of the splines; 5.")
-@click.option(
-    "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
-)
-@recording_options
+@accept_motion
+@click.option("--without-muscles", is_flag=True, help="The forces that muscles and other actuators give together.")
 @choose_format
 @accept_robots
 def inverse_dynamics_command(
@@ -96,17 +87,13 @@ def inverse_dynamics_command(
     columns: Sequence[str],
     other: Path | None,
     wrenches: Sequence[str],
-    noise: float | None,
-    cutoff: float | None,
-    degree: str,
-    gap: float,
+    treatment: Treatment,
     start: float | None,
     end: float | None,
     parameters: Sequence[str],
+    without_muscles: bool,
 ) -> None:
     """Read, compute, write, print."""
-    if not (gap >= 0 and (noise is None or noise > 0) and (cutoff is None or cutoff > 0)):
-        raise click.UsageError("--noise and --cutoff must be positive, and --gap not negative")
     recording = cut(read_recording(file), start, end)
     load_recording = None if other is None else read_recording(other)
     mechanism = load(model, extent=INTEGRATED)
@@ -119,10 +106,11 @@ def inverse_dynamics_command(
         found = analyse(
             recording,
             mechanism,
-            Treatment(int(degree), noise, gap, cutoff),
+            treatment,
             columns=split_pairs("column", columns, manifest.positions),
             loads={name: read_loads(text) for name, text in named.items()} or None,
             load_recording=load_recording,
+            without=list_muscles(manifest) if without_muscles else None,
             report=lambda done, total: report("computing forces", done, total),
         )
     out = out or Path(f"{file.stem}.forces")

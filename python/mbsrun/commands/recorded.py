@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import reduce
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import NumberType
 from mbsrun.kernel import Kernels
-from mbsrun.recordings import Recording
+from mbsrun.recordings import Recording, Treatment
 from mbsrun.simulation.recorded import Load
 
 Array = NDArray[np.float64]
@@ -32,7 +32,41 @@ _TIMES = (
 
 def recording_options(command: F) -> F:
     """Add the options of times and parameters to a command."""
-    return reduce(lambda function, option: option(function), reversed(_TIMES), command)
+    return functools.reduce(lambda function, option: option(function), reversed(_TIMES), command)
+
+
+_MOTION = (
+    click.argument("model", type=click.Path(path_type=Path)),
+    click.argument("file", metavar="RECORDING", type=click.Path(path_type=Path)),
+    click.option(
+        "-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to."
+    ),
+    click.option("--column", "columns", multiple=True, metavar="NAME=COLUMN", help="The column of a coordinate."),
+    click.option(
+        "--forces", "other", type=click.Path(path_type=Path), metavar="FILE", help="A recording of the forces."
+    ),
+    click.option(
+        "--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="The columns of a wrench."
+    ),
+    click.option("--noise", type=NumberType(), metavar="S", help="The standard deviation of the samples [rad, m]."),
+    click.option("--cutoff", type=NumberType(), metavar="F", help="Of a low-pass filter, forward and backward [Hz]."),
+    click.option("--degree", type=click.Choice(["3", "5"]), default="5", help="Of the splines; 5."),
+    click.option(
+        "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
+    ),
+)
+
+
+def accept_motion(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of a recorded motion with the forces that act meanwhile; the command gets a `treatment`."""
+
+    @functools.wraps(command)
+    def call(*, degree: str, noise: float | None, gap: float, cutoff: float | None, **own: Any) -> None:
+        if not (gap >= 0 and (noise is None or noise > 0) and (cutoff is None or cutoff > 0)):
+            raise click.UsageError("--noise and --cutoff must be positive, and --gap not negative")
+        command(treatment=Treatment(int(degree), noise, gap, cutoff), **own)
+
+    return functools.reduce(lambda function, option: option(function), reversed(_MOTION), recording_options(call))
 
 
 def cut(recording: Recording, start: float | None, end: float | None) -> Recording:
@@ -92,6 +126,20 @@ def write_table(path: Path, header: Sequence[str], rows: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows([["" if np.isnan(x) else x for x in row] for row in rows.tolist()])
+
+
+def write_storage(path: Path, names: Sequence[str], times: Array, rows: Array) -> None:
+    """Write a table of OpenSim, .mot or .sto, of coordinates in rad and m, (K, n)."""
+    head = [
+        "Coordinates",
+        "version=1",
+        f"nRows={len(times)}",
+        f"nColumns={len(names) + 1}",
+        "inDegrees=no",
+        "endheader",
+    ]
+    table = ["\t".join(map(repr, row)) for row in np.column_stack((times, rows)).tolist()]
+    path.write_text("\n".join([*head, "\t".join(("time", *names)), *table]) + "\n", encoding="utf-8")
 
 
 def write_json(path: Path, parts: Mapping[str, object]) -> None:

@@ -24,6 +24,8 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
         model: Path,
         base: str,
         sensors: tuple[str, ...],
+        opened: tuple[str, ...],
+        rigid_tendons: bool,
         locks: tuple[str, ...],
         lock_massless: bool,
         mimic: str,
@@ -31,11 +33,13 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
         **own: Any,
     ) -> None:
         context = click.get_current_context()
-        options = ("base", "sensors", "locks", "lock_massless", "mimic", "loop_tolerance")
+        options = ("base", "sensors", "opened", "rigid_tendons", "locks", "lock_massless", "mimic", "loop_tolerance")
         if any(context.get_parameter_source(option) is ParameterSource.COMMANDLINE for option in options):
             choices = {
                 "base": base,
                 "sensors": tuple(dict.fromkeys(sensors)),
+                "opened": tuple(dict.fromkeys(opened)),
+                "rigid_tendons": rigid_tendons,
                 "locked": read_locks(locks),
                 "lock_massless": lock_massless,
                 "mimic": mimic,

@@ -138,13 +138,25 @@ def check_kernels(kernels: Kernels) -> None:
 
 
 def balance(
-    kernels: Kernels, times: Array, q: Array, qd: Array, qdd: Array, w: Array, report: Report | None = None
+    kernels: Kernels,
+    times: Array,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    w: Array,
+    report: Report | None = None,
+    *,
+    taken: Array | None = None,
 ) -> Forces:
-    """Compute the forces for a motion of all joints, (K, ...), that keeps the loops closed, under open wrenches w."""
+    """Compute the forces for a motion of all joints, (K, ...), that keeps the loops closed, under open wrenches w.
+
+    Generalised forces `taken` (K, n) are part of the model, and are taken out of it.
+    """
     dynamics = Dynamics(kernels, Formulation.IMPL, stand(np.zeros(len(kernels.manifest.driven))))
     jacobians = Closure(kernels).jacobian(q) if kernels.manifest.loops else np.zeros((len(q), 0, qd.shape[1]))
     steps = []
-    for k, state in enumerate(zip(q, qd, qdd, w, jacobians, strict=True), 1):
+    others = np.zeros_like(qd) if taken is None else taken
+    for k, state in enumerate(zip(q, qd, qdd, w, jacobians, others, strict=True), 1):
         steps.append(_balance(dynamics, *state))
         if report is not None:
             report(k, len(q))
@@ -197,13 +209,13 @@ def _close_near(closure: Closure, ahead: Array, before: Array, places: Sequence[
 
 
 def _balance(
-    dynamics: Dynamics, q: Array, qd: Array, qdd: Array, w: Array, J: Array
+    dynamics: Dynamics, q: Array, qd: Array, qdd: Array, w: Array, J: Array, taken: Array
 ) -> tuple[Array, Array, Array, Array, int]:
     """Return u, tau, lam, the generalised forces that are missing, and how many forces are spare."""
     manifest, forces = dynamics.kernels.manifest, dynamics.forces_count
     v, lam = np.concatenate((np.zeros(forces), w))[None], np.zeros((1, len(J)))
     state = q[None], qd[None], qdd[None]
-    Phi = dynamics.residual(*state, v, lam)[0]
+    Phi = dynamics.residual(*state, v, lam)[0] + taken
     S = np.zeros((len(qd), 0)) if not forces else -dynamics.input_slopes(*state, v, lam)[0][:, :forces]
     D = np.eye(len(qd))[:, list(manifest.driven)]
     Z, sides = null_space(J, rcond=RANK) if len(J) else np.eye(len(qd)), np.hstack((S, D))

@@ -12,7 +12,7 @@ in axes of the base, turned into the body's where the wrench has components ther
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,7 @@ from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.splines import count_gaps
 from mbsrun.simulation.course import Course
 from mbsrun.simulation.inverse import Forces, Report, balance, check_kernels, invert
+from mbsrun.simulation.muscles import Muscles, measure_pull
 
 Array = NDArray[np.float64]
 
@@ -77,15 +78,23 @@ def analyse(
     columns: Mapping[str, str] | None = None,
     loads: Mapping[str, Load] | None = None,
     load_recording: Recording | None = None,
+    without: Muscles | None = None,
     report: Report | None = None,
 ) -> Recalled:
-    """Compute the forces along a recording, at its own times outside gaps.
+    """Compute the forces along a recording, at its own times outside gaps; `without` muscles they are theirs too.
 
     `columns` names the columns of coordinates that have other names. Loads come from another recording, where one is
     given. Raises InputError, SplineError, and what `invert` raises.
     """
-    found = retrace(recording, kernels, treatment, columns=columns, loads=loads, load_recording=load_recording)
-    forces = balance(kernels, found.t, found.q, found.qd, found.qdd, found.w, report)
+    idle = () if without is None else without.signals
+    found = retrace(
+        recording, kernels, treatment, columns=columns, loads=loads, load_recording=load_recording, idle=idle
+    )
+    pulls = None
+    if without is not None:
+        pull = measure_pull(kernels, without, found.q, found.qd, found.w)
+        pulls = -np.einsum("kmn,km->kn", pull.slopes, pull.passive)
+    forces = balance(kernels, found.t, found.q, found.qd, found.qdd, found.w, report, taken=pulls)
     return Recalled(forces, found.samples, found.bridged, found.left_open)
 
 
@@ -97,14 +106,15 @@ def retrace(
     columns: Mapping[str, str] | None = None,
     loads: Mapping[str, Load] | None = None,
     load_recording: Recording | None = None,
+    idle: Collection[str] = (),
 ) -> Retraced:
-    """Compute the motion along a recording, at its own times outside gaps, as `analyse` does."""
+    """Compute the motion along a recording, at its own times outside gaps, as `analyse` does; `idle` signals are 0."""
     check_kernels(kernels)
     manifest = kernels.manifest
     tracks, bridged, left_open = _fit_coordinates(recording, manifest, treatment, columns or {})
     source = recording if load_recording is None else load_recording
     loads = _find_loads(source, manifest) if loads is None else loads
-    parts = _fit_loads(source, manifest, loads)
+    parts = _fit_loads(source, manifest, loads, idle)
     every = [*tracks.values(), *(track for part in parts.values() for track in part.values())]
     times = recording.times[np.all([track.is_known(recording.times) for track in every], axis=0)]
     if not times.size:
@@ -209,7 +219,9 @@ def _find_loads(recording: Recording, manifest: Manifest) -> dict[str, Load]:
     return found
 
 
-def _fit_loads(recording: Recording, manifest: Manifest, loads: Mapping[str, Load]) -> dict[str, dict[str, Track]]:
+def _fit_loads(
+    recording: Recording, manifest: Manifest, loads: Mapping[str, Load], idle: Collection[str]
+) -> dict[str, dict[str, Track]]:
     """Fit lines to the components of loads: by wrench, then by part and axis; report every fault."""
     wrenches = {wrench.name: wrench for wrench in manifest.wrenches}
     sensors = {frame.name for frame in manifest.frames if frame.sensor}
@@ -235,7 +247,7 @@ def _fit_loads(recording: Recording, manifest: Manifest, loads: Mapping[str, Loa
                     continue
                 found[name][f"{part}.{axis}"] = fit(recording.times, samples, LINEAR)
     for name in manifest.signals:
-        if name == TIME:
+        if name == TIME or name in idle:
             continue
         column = next((x for x in (f"input[{name}]", f"w[signal_{name}]") if x in recording.names), name)
         if column not in recording.names:
@@ -279,7 +291,8 @@ def _resolve(
     frames = kernels("frames", q=q) if parts else {}
     sensors = {frame.name: i for i, frame in enumerate(manifest.frames) if frame.sensor}
     for name in manifest.signals:
-        w[:, labels.index(name)] = times if name == TIME else parts[f"signal[{name}]"]["signal"].evaluate(times)
+        track = parts.get(f"signal[{name}]", {}).get("signal")
+        w[:, labels.index(name)] = times if name == TIME else 0.0 if track is None else track.evaluate(times)
     for wrench in manifest.wrenches:
         own = parts.get(wrench.name)
         if own is None:

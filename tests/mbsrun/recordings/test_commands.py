@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsrun import cli
 from mbsrun.recordings import read_recording
 from tests.picture_kinds import find_kind
 from tests.recordings_made import FOLDER, swing
@@ -17,20 +16,6 @@ from tests.recordings_made import FOLDER, swing
 ARM, SWING = str(FOLDER / "arm.yaml"), str(FOLDER / "swing.trc")
 
 Run = Callable[..., tuple[object, str, str]]
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> tuple[object, str, str]:
-        monkeypatch.setattr("sys.argv", ["mbsrun", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code, *capsys.readouterr()
-
-    return call
 
 
 def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
@@ -44,6 +29,7 @@ def test_a_motion_is_fitted_and_its_forces_are_computed(run: Run) -> None:
         "animation.html",
         "motion.csv",
         "motion.json",
+        "motion.mot",
         "motion.svg",
     ]
     assert find_kind(Path("fit/motion.svg")) == "svg"

@@ -110,6 +110,7 @@ class Paths:
     coordinates: Mapping[str, Element]
     ranges: Mapping[str, tuple[float | None, float | None]]  # of coordinates
     is_nested: bool  # as in versions 2 and 3
+    is_rigid: bool  # all tendons
     surfaces: Mapping[str, tuple[Element, Mount]]  # around which paths may wrap, with their bodies
 
     def read(self, element: Element) -> Line | None:
@@ -286,7 +287,7 @@ class Paths:
         if _is_true(element, "ignore_passive_fiber_force"):
             numbers["passive"] = 0.0
         signal = spell_signal(name)
-        is_rigid = _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
+        is_rigid = self.is_rigid or _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
         values = {key: Number(x) for key, x in numbers.items() if not (is_rigid and key == "tendon_strain")}
         tendon = None if is_rigid else Name(f"{signal}_tendon")
         return Muscle(activation=Name(signal), tendon_force=tendon, **values)

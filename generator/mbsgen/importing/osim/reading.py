@@ -143,8 +143,15 @@ class _File:
         for element in self._list("ForceSet"):
             if element.tag in READ:
                 self._forces.read(element, self._coordinates)
-        around = self._frames.surfaces
-        paths = Paths(self._frames, self._findings, self._coordinates, self._ranges, self._is_nested, around)
+        paths = Paths(
+            self._frames,
+            self._findings,
+            self._coordinates,
+            self._ranges,
+            self._is_nested,
+            self._choices.rigid_tendons,
+            self._frames.surfaces,
+        )
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
         self._lines = [line for line in found if line is not None]
         couplers = [x for x in self._list("ConstraintSet") if x.tag == "CoordinateCouplerConstraint" and self._acts(x)]
