@@ -35,7 +35,8 @@ from mbsrun.optimal.result import Solved
 
 MODELS = Path(__file__).parents[1] / "models"
 TOLERANCE = 1e-13
-NEAR = {"method": "mbs", "tolerance": TOLERANCE, "options": {"barrier": 1e-7, "push": 1e-7}}  # of solves beside it
+OPTIONS = {"mu_init": 1e-7, "bound_push": 1e-7}
+NEAR = {"method": "mbs", "tolerance": TOLERANCE, "options": OPTIONS}  # of solves beside it
 STEPS = (3e-4, 3e-5, 3e-6)  # of a number, over its size
 CHOSEN = 3  # numbers of a problem
 ROUNDS = 5  # of a time, of which the shortest counts

@@ -372,7 +372,7 @@ class Result:
 def solve(number: int, library: Library) -> Result:
     """Solve a program by both."""
     kind, program = draw(number)
-    answer = Solver(library, program).solve(iterations=500)
+    answer = Solver(library, program).solve(max_iter=500)
     theirs, statistics = program.ipopt()
     if statistics["return_status"] != "Solve_Succeeded":
         theirs, statistics = program.ipopt(**RELAXED)

@@ -20,6 +20,7 @@ from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.problem.problem import (
     Bounds,
     Constraint,
+    Control,
     Cost,
     Delay,
     End,
@@ -132,10 +133,22 @@ def _spread(bounds: Array, kept: Indices, size: int, other: float) -> Array:
     return whole
 
 
+def list_inputs(problem: Problem, manifest: Manifest) -> list[tuple[str, str]]:
+    """List what a controller chooses, with units: inputs of the model that no expression gives, then controls."""
+    own = [manifest.coordinates[manifest.actuated[i]] for i in _list_free(problem)]
+    return [*((c.name, c.force_unit) for c in own), *((control.name, "") for control in problem.controls)]
+
+
+def _list_free(problem: Problem) -> list[int]:
+    """List the entries of u that no expression gives."""
+    given = {force.input for force in problem.forces}
+    return [i for i in range(len(problem.bounds.u)) if i not in given]
+
+
 def list_delays(problem: Problem) -> tuple[int, ...]:
-    """List the intervals until each input acts; empty where all act at once."""
-    late = {history.input: history.delay for history in list_histories(problem) if history.delay}
-    return tuple(late.get(i, 0) for i in range(len(problem.bounds.u))) if late else ()
+    """List the intervals until each chosen input acts; empty where all act at once."""
+    late = {history.place: history.delay for history in list_histories(problem) if history.delay}
+    return tuple(late.get(i, 0) for i in range(len(_list_free(problem)) + len(problem.controls))) if late else ()
 
 
 class _Marks:
@@ -190,6 +203,7 @@ class History:
     """An input of which a controller remembers what was given before: it acts late, or its rate has bounds."""
 
     input: int  # index into u
+    place: int  # among all that the controller chooses
     delay: int  # intervals until it acts
     is_rated: bool
 
@@ -203,7 +217,8 @@ def list_histories(problem: Problem) -> tuple[History, ...]:
     """List the inputs with delays or bounds on rates, by index."""
     late = {delay.index: count_delayed(delay, problem) or 0 for delay in problem.delays if delay.kind == "input"}
     rated = set(list_bounded(problem.bounds.rates))
-    return tuple(History(i, late.get(i, 0), i in rated) for i in sorted({*late, *rated}))
+    free = _list_free(problem)
+    return tuple(History(i, free.index(i), late.get(i, 0), i in rated) for i in sorted({*late, *rated}))
 
 
 def _mark(problem: Problem, transcription: Transcription, manifest: Manifest, marks: _Marks) -> Problem:
@@ -223,7 +238,8 @@ def _mark(problem: Problem, transcription: Transcription, manifest: Manifest, ma
             _mark_ranges("u", "inputs", problem.bounds.u, u, marks),
             _mark_rates(problem, u, marks),
         ),
-        delays=_mark_histories(problem, u, marks),
+        controls=_mark_controls(problem, marks),
+        delays=_mark_histories(problem, u, list_inputs(problem, manifest), marks),
         constraints=_mark_constraints(problem.constraints, marks),
         horizon_range=None
         if problem.horizon_range is None
@@ -268,7 +284,16 @@ def _mark_rates(problem: Problem, u: Sequence[tuple[str, str]], marks: _Marks) -
     return tuple(found.get(i, limits) for i, limits in enumerate(problem.bounds.rates))
 
 
-def _mark_histories(problem: Problem, u: Sequence[tuple[str, str]], marks: _Marks) -> tuple[Delay, ...]:
+def _mark_controls(problem: Problem, marks: _Marks) -> tuple[Control, ...]:
+    """Mark the bounds of the controls that the problem adds."""
+    named, ranges = [(part.name, "") for part in problem.controls], [part.bounds for part in problem.controls]
+    found = _mark_ranges("controls", "controls that the problem adds", ranges, named, marks)
+    return tuple(replace(part, bounds=bounds) for part, bounds in zip(problem.controls, found, strict=True))
+
+
+def _mark_histories(
+    problem: Problem, u: Sequence[tuple[str, str]], inputs: Sequence[tuple[str, str]], marks: _Marks
+) -> tuple[Delay, ...]:
     """Mark the commands before the start, which fix inputs that act late."""
     histories = list_histories(problem)
     if not histories:
@@ -281,7 +306,7 @@ def _mark_histories(problem: Problem, u: Sequence[tuple[str, str]], marks: _Mark
     ]
     meaning = "inputs of the periods before, oldest first; infinite: unknown"
     commands = iter(marks.add(BEFORE, meaning, entries))
-    marks.add(GIVEN, "inputs given since, which are before the next period", _pair(u, [0.0] * len(u)))
+    marks.add(GIVEN, "inputs given since, which are before the next period", _pair(inputs, [0.0] * len(inputs)))
     taken = {x.input: tuple(next(commands) for _ in range(x.count)) for x in histories}
     return tuple(replace(delay, commands=taken[delay.index]) for delay in problem.delays)
 
@@ -380,13 +405,15 @@ def _mark_weights(problem: Problem, marks: _Marks) -> Cost:
     used = [i for i, weight in enumerate(cost.weights) if weight]
     names = ["inputs", "input_rates", *(f"running{k}" for k, _ in enumerate(cost.running))]
     names += [f"terminal{k}" for k, _ in enumerate(cost.terminal)]
+    names += [f"rate_{name}" for name, _ in cost.control_rates]
     entries = [Entry(names[i], "", cost.weights[i], cost.names[i] if i > 1 else "") for i in used]
     found = dict(zip(used, marks.add("weights", "weights of the terms of the cost", entries), strict=True))
     w = [found.get(i, 0.0) for i in range(len(cost.weights))]
-    terms = [*cost.running, *cost.terminal]
-    marked = [Term(term.expression, weight) for term, weight in zip(terms, w[2:], strict=True)]
-    r = len(cost.running)
-    return replace(cost, inputs=w[0], input_rates=w[1], running=tuple(marked[:r]), terminal=tuple(marked[r:]))
+    terms, r = [*cost.running, *cost.terminal], len(cost.running)
+    marked = [Term(term.expression, weight) for term, weight in zip(terms, w[2:], strict=False)]
+    rates = tuple((name, x) for (name, _), x in zip(cost.control_rates, w[2 + len(terms) :], strict=True))
+    running, terminal = tuple(marked[:r]), tuple(marked[r:])
+    return Cost(inputs=w[0], input_rates=w[1], running=running, terminal=terminal, control_rates=rates)
 
 
 def _mark_constants(problem: Problem, marks: _Marks) -> tuple[tuple[str, float], ...]:

@@ -26,7 +26,7 @@ from mbsgen.roles import QUICKEST, Role
 from mbsrun import bare
 from mbsrun.controllers import folder as folders
 from mbsrun.controllers.emulation import emulate
-from mbsrun.controllers.fields import find_sources, list_delays
+from mbsrun.controllers.fields import find_sources, list_delays, list_inputs
 from mbsrun.controllers.loading import Controller, Result
 from mbsrun.controllers.refusals import find_refusals
 from mbsrun.controllers.report import Figures, count_operations, measure_single, measure_stacks
@@ -125,7 +125,7 @@ def make(
         scales=scales,
         guess=placed,
         plan=placed,
-        prediction=() if problem.states else choose_prediction(kernels, tables),
+        prediction=() if problem.states or problem.forces or problem.controls else choose_prediction(kernels, tables),
     )
     used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)
     copied = merge(read_solver(), used)
@@ -203,7 +203,7 @@ def write_report(design: Design, figures: Figures) -> str:
         stages=len(kinds),
         kinds=len(tables.kinds),
         states=layout.mesh.shape[1],
-        inputs=layout.inputs.shape[1],
+        inputs=len(list_inputs(design.problem, design.manifest)),
         variables=sum(kind.nx + kind.nv for kind in kinds),
         equations=sum(kind.ne for kind in kinds) + sum(kind.nx for kind in kinds[1:]),
         inequalities=sum(kind.ng for kind in kinds),
@@ -228,7 +228,6 @@ def describe(
     states = [folders.Quantity(name=name, unit=units.get(name, "")) for name in manifest.positions]
     states += [folders.Quantity(name=f"{c.name}'", unit=f"{c.unit}/s") for c in velocities]
     states += [folders.Quantity(name=state.name, unit="") for state in design.problem.states]
-    actuated = [manifest.coordinates[i] for i in manifest.actuated]
     data = [
         folders.Data(
             name=field.name,
@@ -256,7 +255,7 @@ def describe(
         intervals=design.problem.intervals,
         horizon=None if layout.horizon is not None else design.problem.horizon,
         states=tuple(states),
-        inputs=tuple(folders.Quantity(name=c.name, unit=c.force_unit) for c in actuated),
+        inputs=tuple(folders.Quantity(name=name, unit=unit) for name, unit in list_inputs(design.problem, manifest)),
         data=tuple(data),
         numbers=dict(design.numbers),
         delays=list_delays(design.problem),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -49,11 +50,8 @@ def _list_lifted(problem: Problem) -> list[str]:
     return [force.expression for force in problem.forces if force.expression.startswith(INPUT)]
 
 
-def _has_own_controls(problem: Problem) -> bool:
-    """Return whether the file adds controls; slacks and rates of linear inputs are controls too."""
-    lifted = _list_lifted(problem)
-    rates = {state.rate for state in problem.states if state.name in lifted}
-    return any(not part.softens and part.name not in rates for part in problem.controls)
+def _bounds_rates_of_controls(problem: Problem) -> bool:
+    return any(math.isfinite(limit) for control in problem.controls for limit in control.rates)
 
 
 def _has_slacks(problem: Problem) -> bool:
@@ -92,12 +90,6 @@ _RULES = (
         lambda problem: problem.bounds.rates and not problem.is_timed,
     ),
     _rule(
-        ("forces",),
-        f"{_CHOOSES}, and here expressions give forces",
-        "leave forces out; a constant one may be a bound of inputs",
-        lambda problem: len(problem.forces) > len(_list_lifted(problem)),
-    ),
-    _rule(
         ("driven",),
         "a controller plans from any time on, and driven joints move by the time of the problem",
         "give these joints actuators in the model, and references or constraints that they follow",
@@ -110,14 +102,20 @@ _RULES = (
         lambda problem: problem.contacts or problem.touching,
     ),
     _rule(
-        ("controls",),
-        f"{_CHOOSES}, and the problem adds controls",
-        "leave controls out, or make them inputs of joints in the model",
-        _has_own_controls,
+        ("controls", EVERY, "delay"),
+        f"{_REMEMBERS} to joints alone, and controls act late",
+        "delay an input of the model, or leave the delay out",
+        lambda problem: any(delay.kind == "control" for delay in problem.delays),
+    ),
+    _rule(
+        ("controls", EVERY, "rate"),
+        f"{_REMEMBERS} to joints alone, and rates of controls have bounds",
+        "price the rates by weight, or make a state of the control and a control of its rate",
+        _bounds_rates_of_controls,
     ),
     _rule(
         ("constraints", EVERY, "soft"),
-        "a slack is an unknown beside the model's inputs, and a controller has none",
+        "a slack is an unknown beside inputs and controls, and a controller has none",
         "leave soft out, and price the excess under cost.running, as softplus(x, width)**2",
         _has_slacks,
     ),

@@ -25,14 +25,16 @@ from mbsrun.controllers.fields import (
     Sources,
     list_delays,
     list_histories,
+    list_inputs,
 )
 from mbsrun.controllers.sources import PRIVATE, identify_solver, list_shared, name_kernel
 from mbsrun.ocp.evaluation.stages import formulas
 from mbsrun.ocp.evaluation.stages.calls import name_called
 from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, StageProgram
-from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.methods import choose
 from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.transcription.layout import Layout
 from mbsrun.ocp.transcription.transcription import Transcription
 
 METHOD = "mbs"  # of a problem file: the solver that controllers have
@@ -165,7 +167,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     velocities = [manifest.coordinates[i].name for i in layout.motions.velocities]
     states = [f"q_{x}" for x in identify(manifest.positions)] + [f"qd_{x}" for x in identify(velocities)]
     states += [f"s_{x}" for x in identify([state.name for state in problem.states])]
-    inputs = identify([manifest.coordinates[i].name for i in manifest.actuated])
+    inputs = identify([name for name, _ in list_inputs(problem, manifest)])
     fields = [
         _Group(
             field.name,
@@ -255,11 +257,11 @@ def _describe_histories(design: Design) -> _Histories | None:
     inputs, limits = [], []
     for history in histories:
         last = before + history.count - 1
-        inputs.append(_History(before, before + 1, last, history.count - 1, given + history.input))
+        inputs.append(_History(before, before + 1, last, history.count - 1, given + history.place))
         if history.is_rated:
             k = rated.index(history.input)
             lower, upper = (sources.place(name) + k for name in (RATES_LOWER, RATES_UPPER))
-            limits.append(_Limit(_place_input(design, history.input, history.delay), last, lower, upper))
+            limits.append(_Limit(_place_input(design, history.place, history.delay), last, lower, upper))
         before += history.count
     return _Histories(tuple(inputs), tuple(limits), given, list_delays(design.problem))
 
@@ -392,22 +394,27 @@ def _find_places(design: Design, counts: Sequence[int], arrays: Arrays) -> tuple
     """Find where states and inputs are among the variables of each stage."""
     layout, added = design.transcription.layout, len(design.problem.states)
     every = np.concatenate((layout.mesh, layout.extras.states[:, :added]), axis=1)
-    rows = []
+    chosen, rows = _list_chosen(layout), []
     for k, variables in enumerate(split(design.tables.variables, counts)):
         place: dict[int, int] = {}
         for i, variable in enumerate(variables):
             place.setdefault(int(variable), i)
         state = arrays.integers(place[int(i)] for i in every[k])
-        inputs = arrays.integers(place[int(i)] for i in layout.inputs[k]) if k < len(layout.inputs) else "NULL"
+        inputs = arrays.integers(place[int(i)] for i in chosen[k]) if k < len(chosen) else "NULL"
         horizon = -1 if layout.horizon is None else place[layout.horizon]
         rows.append(f"{state}, {inputs}, {horizon}")
     different = list(dict.fromkeys(rows))
     return different, [different.index(row) for row in rows]
 
 
+def _list_chosen(layout: Layout) -> Indices:
+    """List the variables (N, inputs) that a controller chooses, as `list_inputs` names them."""
+    return np.concatenate((layout.inputs, layout.extras.controls), axis=1)
+
+
 def _place_input(design: Design, i: int, stage: int) -> int:
     """Find where an input of a stage is among all variables."""
-    variable = design.transcription.layout.inputs[stage, i]
+    variable = _list_chosen(design.transcription.layout)[stage, i]
     return int(np.flatnonzero(design.tables.variables == variable)[0])
 
 

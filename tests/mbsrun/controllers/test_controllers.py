@@ -36,7 +36,7 @@ from mbsrun.models import Extent
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.guess import make_guess
-from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Force, Problem, Symbolic, Unknown
+from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Problem, Symbolic, Unknown
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import Solver
 from mbsrun.ocp.statement.checks import ProblemError
@@ -513,13 +513,9 @@ REFUSED: Mapping[str, tuple[Callable[[Problem], Problem], str]] = {
         "intervals: a controller moves its plan ahead by equal intervals",
     ),
     "inputs": (lambda problem: replace(problem, inputs="polynomial"), "inputs: a controller holds its inputs"),
-    "forces": (
-        lambda problem: replace(problem, forces=(Force(0, "1"),)),
-        "forces: a controller chooses the inputs of the model alone",
-    ),
     "states": (
-        lambda problem: replace(problem, controls=(Control("brake"),)),
-        "controls: a controller chooses the inputs of the model alone",
+        lambda problem: replace(problem, controls=(Control("brake", rates=(-1.0, 1.0)),)),
+        "controls.rate: a controller remembers the inputs that it gave to joints alone",
     ),
     "delays": (
         lambda problem: replace(problem, delays=(Delay("input", 0, 0.125, None),)),

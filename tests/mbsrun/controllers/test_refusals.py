@@ -69,8 +69,8 @@ def refuse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
 
 SECTIONS = {
-    "controls: {brake: {range: [0, 1]}}": f"{END} controls: a controller chooses the inputs of the model alone",
-    "controls: {brake: {range: [0, 1], rate: {range: [-1, 1]}}}": f"{END} controls: a controller chooses the inputs",
+    "controls: {brake: {range: [0, 1], rate: {range: [-1, 1]}}}": f"{END} controls.brake.rate: a controller remembers",
+    "controls: {brake: {range: [0, 1], delay: 0.125}}": f"{END} controls.brake.delay: a controller remembers",
     "constraints: [{expression: q_cart, range: [0, 1]}, {expression: qd_cart, range: [0, 1], soft: 10}]": (
         f"{END} constraints[1].soft: a slack is an unknown"
     ),
@@ -79,7 +79,6 @@ SECTIONS = {
     "inputs: linear": f"{END} inputs: a controller holds its inputs from sample to sample",
     "inputs: polynomial": f"{END} inputs: a controller holds its inputs from sample to sample",
     "inputs: {delay: 0.125, history: free}": f"{END} inputs.history: a controller remembers the inputs that it gave",
-    "forces: {cart: 3*sin(t)}\ncontrols: {brake: {}}": f"{END} forces: a controller chooses the inputs",
 }
 CHANGES = {
     "intervals: 8": ("intervals: [0.1, 0.4, 0.5]", "task.ocp.yaml:3: intervals: a controller moves its plan ahead"),
@@ -130,10 +129,9 @@ def test_rates_of_periods_that_are_free_are_refused(refuse: Refuse) -> None:
 
 def test_all_parts_are_refused_at_once(refuse: Refuse) -> None:
     changed = PROBLEM.replace("intervals: 8", "intervals: [0.1, 0.9]")
-    told = refuse(
-        f"{changed}controls: {{brake: {{}}}}\nunknowns: {{place: {{range: [0, 1], guess: 0}}}}\n", MODEL
-    ).splitlines()
-    places = ("task.ocp.yaml:3: intervals:", f"{END} controls:", f"task.ocp.yaml:{LINES + 2}: unknowns:")
+    changed += "controls: {brake: {rate: {range: [-1, 1]}}}\n"
+    told = refuse(f"{changed}unknowns: {{place: {{range: [0, 1], guess: 0}}}}\n", MODEL).splitlines()
+    places = ("task.ocp.yaml:3: intervals:", f"{END} controls.brake.rate:", f"task.ocp.yaml:{LINES + 2}: unknowns:")
     assert [line.startswith(place) for line, place in zip(told, places, strict=True)] == [True] * 3
 
 

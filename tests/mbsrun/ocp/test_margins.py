@@ -77,6 +77,23 @@ def test_the_worst_place_between_points_is_exact(tmp_path: Path) -> None:
     assert not worst.is_kept
 
 
+@pytest.mark.parametrize(
+    ("start", "expression", "words"),
+    [
+        (-1.03, "x_p + 0.5", "x_p + 0.5 is -0.53 at 0 s, 0.53 below its limit 0"),
+        (0.0, "log(q_x**2)", "log(q_x**2) is -inf at 0 s, inf below its limit 0"),
+        (-1.03, "vx_p*u_x", ""),  # the inputs may do something about it
+    ],
+)
+def test_a_given_start_keeps_constraints_of_states(tmp_path: Path, start: float, expression: str, words: str) -> None:
+    """A program leaves them out there, as nothing can change: the finest jump away from it would be the answer."""
+    text = POST.replace("-1.03", f"{start}").replace("(y_p - 0.002)**2", "0").replace("x_p**2 + 0", expression)
+    result = run(tmp_path, text.replace(f"{RADIUS**2}", "0").replace("horizon", "solver: {fallback: false}\nhorizon"))
+    assert ("start violates" in result.stderr) == bool(words)
+    assert words in result.stderr
+    assert "Warning" not in result.stderr
+
+
 def test_a_kept_range_is_reported_without_a_warning(tmp_path: Path) -> None:
     """The same arch under a limit above it."""
     result = run(tmp_path, ARCH.replace("LIMIT", "1.001"))

@@ -32,6 +32,7 @@ cost: {running: [{expression: u**2 + s**2}]}
 """
 )
 LOGGED = GRID + "states: {x: {rate: u, start: 0}}\ncontrols: {u: {}}\ncost: {terminal: [{expression: log(x)}]}\n"
+ROOT = LOGGED.replace("log(x)", "sqrt(x)").replace("start: 0", "start: 1, end: 0").replace("radau", "legendre")
 WORK = (
     GRID.replace("2", "1", 1)
     + """
@@ -51,6 +52,7 @@ solver: {max_iterations: 30}
         (THROUGH, ":9: constraints[0]", "sqrt((x - 1)**2 + y**2) has no finite derivative at t = 1 s of the guess"),
         (DIVIDED, ":6: states.w.rate", "1/h has no finite value at t = 0 s of the guess"),
         (LOGGED, ":7: cost.terminal[0]", "log(x) has no finite value at t = 2 s of the guess"),
+        (ROOT, ":7: cost.terminal[0]", "sqrt(x) has no finite derivative at t = 2 s of the guess"),
         (WORK, ":7: cost.running[0]", "abs has no derivative at 0: split it or smooth it"),
     ],
 )
@@ -66,6 +68,34 @@ def test_the_expression_is_named(tmp_path: Path, text: str, place: str, words: s
     assert f"task.ocp.yaml{place}" in result.stderr
     assert "model" in text or not ("kernel" in result.stderr or "poses" in result.stderr)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("link", "place", "words"),
+    [
+        ("map: {v: sqrt(v), x: x}", "links[0].map.v", "sqrt(v) has no finite derivative at t = 2 s of the guess"),
+        ("map: {v: 1 + 1/v}", "links[0].map.v", "1/v has no finite value at t = 2 s"),
+        (
+            "conditions: [{expression: log(end_x - start_v - 9), range: [0, 1]}]",
+            "links[0].conditions[0]",
+            "log(end_x - start_v - 9) has no finite value at t = 2 s",
+        ),
+        ("cost: [{expression: sqrt(end_v)}]", "links[0].cost[0]", "sqrt(end_v) has no finite derivative at t = 2 s"),
+    ],
+)
+def test_expressions_of_links_are_named(tmp_path: Path, link: str, place: str, words: str) -> None:
+    """By the numbers of both sides where the guess joins them; also where no point lies at the end of a phase."""
+    text = (
+        GRID.replace("radau", "legendre")
+        + "states: {x: {rate: v}, v: {rate: u}}\ncontrols: {u: {}}\ncost: {running: [{expression: u**2}]}\n"
+        "phases: [{name: one, states: {x: {start: 0}, v: {start: 0, guess: 0}}}, {name: two, states: {x: {end: 1}}}]\n"
+        f"links: [{{from: one, to: two, {link}}}]\nsolver: {{fallback: false}}\n"
+    )
+    (tmp_path / "task.ocp.yaml").write_text(text, "utf-8")
+    result = CliRunner().invoke(cli, ["solve", str(tmp_path / "task.ocp.yaml"), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 1
+    assert f"task.ocp.yaml:9: {place}: not solved" in result.stderr
+    assert words in result.stderr
 
 
 def test_python_names_it_too(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from mbsrun.closure import CLOSED
 from mbsrun.ocp.problem.problem import Loops, Unknown
 from mbsrun.ocp.searching.multistart import describe_starts
-from mbsrun.ocp.solution.solution import Margin, Resimulation, Run, Size, Solution
+from mbsrun.ocp.solution.solution import Resimulation, Run, Size, Solution
 
 UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
 NAMES = (  # of lines; an unknown may have the same one
@@ -132,7 +132,7 @@ def list_shortcomings(solution: Solution) -> list[str]:
             f"{solution.problem.asked_accuracy:.1e}; take more intervals or a higher degree, or let refine choose them"
         )
     if check is not None and check.margins is not None and check.margins.violated:
-        named = [_describe_margin(margin) for margin in check.margins.violated]
+        named = [margin.describe() for margin in check.margins.violated]
         more = f"; and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
         found.append(
             f"between the points of the grid, {'; '.join(named[:SHOWN])}{more}; take more intervals there, or let "
@@ -152,16 +152,7 @@ def _describe_margins(check: Resimulation) -> str:
         return f"the grid's points, bounds and constraints are violated by {max(most, 0.0):.1e} at most"
     violated = check.margins.violated
     more = f"; {len(violated) - 1} more" if len(violated) > 1 else ""
-    return f"the grid's points, {_describe_margin(worst)}; tolerated {worst.tolerated:.1e}{more}"
-
-
-def _describe_margin(margin: Margin) -> str:
-    """Describe the violation of a bound or a constraint, as in `x is 1.2 at 0.5 s, 0.2 above 1`."""
-    is_low = margin.value < margin.range[0]
-    limit = margin.range[0] if is_low else margin.range[1]
-    name = margin.name.removeprefix("the bounds of ").removeprefix("constraint ")
-    place = f"{name} is {margin.value:.6g} at {margin.time:.4g} s"
-    return f"{place}, {margin.violation:.2g} {'below' if is_low else 'above'} its limit {limit:.6g}"
+    return f"the grid's points, {worst.describe()}; tolerated {worst.tolerated:.1e}{more}"
 
 
 def _describe_grid(solution: Solution) -> dict[str, str]:

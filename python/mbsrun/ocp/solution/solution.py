@@ -138,6 +138,14 @@ class Margin:
     interval: int  # from 0
     tolerated: float  # the violation from which on it counts
 
+    def describe(self) -> str:
+        """Describe the violation, as in `x is 1.2 at 0.5 s, 0.2 above its limit 1`."""
+        is_low = self.value < self.range[0]
+        limit = self.range[0] if is_low else self.range[1]
+        name = self.name.removeprefix("the bounds of ").removeprefix("constraint ")
+        place = f"{name} is {self.value:.6g} at {self.time:.4g} s"
+        return f"{place}, {self.violation:.2g} {'below' if is_low else 'above'} its limit {limit:.6g}"
+
     @property
     def violation(self) -> float:
         """Return by how much the value leaves its range; negative: it stays as far inside."""

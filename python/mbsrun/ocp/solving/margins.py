@@ -24,7 +24,7 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.contacts import write_friction
 from mbsrun.ocp.problem.problem import Problem, Range
 from mbsrun.ocp.solution.solution import Margin, Margins
-from mbsrun.quantities import find_component
+from mbsrun.quantities import SENSED, find_component
 
 SAMPLES = 16  # of an interval
 TOLERATED = 1e-2  # of the scale of a constraint
@@ -129,6 +129,27 @@ class Watch:
         return Margin(part.name, value, part.range, time, int(k), tolerated), tolerated
 
 
+def find_wrong_start(problem: Problem, plant: Plant) -> tuple[str, str] | None:
+    """Find a constraint of the path that a start violates which is given whole: the finding, and its place.
+
+    No motion from there keeps it. A program leaves such a constraint out at the start, where nothing can change.
+    """
+    states, horizon = problem.every_state, np.full((1, 1), problem.horizon)
+    if problem.free_start or any(state.start[0] != state.start[1] for state in states):
+        return None
+    begin = {"t": np.zeros((1, 1)), "T": horizon, "q": np.array([problem.start_q]), "qd": np.array([problem.start_qd])}
+    begin["states"] = np.array([[state.start[0] for state in states]])
+    for i, constraint in enumerate(problem.constraints):
+        values = Values([constraint.expression], problem, plant)
+        if constraint.at != "path" or constraint.is_relaxed or not values.kinds <= {"q", "qd", "states", "t", *SENSED}:
+            continue
+        value, limits = values(begin)[0], constraint.range
+        margin = Margin(constraint.label, float(value[0]), limits, 0.0, 0, find_tolerated(limits, value))
+        if not margin.is_kept:
+            return f"the given start violates a constraint of the path: {margin.describe()}", f"constraints[{i}]"
+    return None
+
+
 def find_tolerated(limits: Range, values: Array) -> float:
     """Return the violation of a range from which on it counts, for a number with these values along a motion."""
     values = values[np.isfinite(values)]
@@ -144,4 +165,4 @@ def find_tolerated(limits: Range, values: Array) -> float:
 
 def _measure(values: Array, limits: Range) -> Array:
     """Return by how much values leave their range, negative inside; what has no value leaves it without end."""
-    return np.nan_to_num(np.maximum(limits[0] - values, values - limits[1]), nan=np.inf)
+    return np.nan_to_num(np.maximum(limits[0] - values, values - limits[1]), nan=np.inf, posinf=np.inf, neginf=-np.inf)

@@ -48,11 +48,12 @@ from mbsrun.ocp.solving.answers import Ended, make_solution, measure_excess, mea
 from mbsrun.ocp.solving.assembly import find_other_assembly
 from mbsrun.ocp.solving.branches import find_jump, find_singular
 from mbsrun.ocp.solving.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
+from mbsrun.ocp.solving.margins import find_wrong_start
 from mbsrun.ocp.solving.polishing import Equations, polish
 from mbsrun.ocp.solving.preparation import describe_unreachable, find_crossed_bounds, find_wrong_states, settle
 from mbsrun.ocp.solving.resimulation import resimulate
 from mbsrun.ocp.solving.runs import Watch, call, report, search
-from mbsrun.ocp.solving.singularities import Cause, find_cause
+from mbsrun.ocp.solving.singularities import Cause, find_cause, find_in_links
 from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.ocp.statement.phase_checks import check_phases, name_phase
 from mbsrun.ocp.statement.surplus import free_targets
@@ -243,11 +244,16 @@ class PhasedSolver:
         return Failure(problem, run, finding, remedy)
 
     def _find_cause(self, problem: PhasedProblem, run: Run, guess: Guess, x: Array) -> Cause | None:
-        """Find an expression of the first phase by which a search failed."""
+        """Find an expression of a phase or a link by which a search failed."""
         ends = self._read_ends(x)
         for phase, plant, motion, end in zip(problem.phases, self.plants.phases, guess.trajectories, ends, strict=True):
             if cause := find_cause(phase.problem, plant, run, motion, end):
                 return replace(cause, finding=f"{phase.title}{cause.finding}", place=f"{phase.title}{cause.place}")
+        if run.status == INVALID:
+            last = [end for end in ends if end is not None]
+            for motions, title in ((guess.trajectories, "the guess"), (last, "the motion where the search ended")):
+                if motions and (cause := find_in_links(problem, self.plants, motions, title)):
+                    return cause
         return None
 
     def _read_ends(self, x: Array) -> list[Trajectory] | list[None]:
@@ -520,7 +526,7 @@ def solve_phases(
 def prepare_phases(
     problem: PhasedProblem, plants: Plants, guess: Guess | PartialGuess | None = None, make: Make = PhasedSolver
 ) -> Ready | Failure:
-    """Return a problem with its solver and its guess; a failure where no pose meets the targets of a phase."""
+    """Return a problem with its solver and its guess; a failure where a start or a target of a phase cannot be."""
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
     _check_states(problem, plants)
@@ -531,6 +537,10 @@ def prepare_phases(
         finding, remedy = describe_unreachable(start.pose)
         finding = f"{problem.phases[start.phase].title}{finding}"
         return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
+    for phase, plant in zip(problem.phases, plants.phases, strict=True):
+        if wrong := find_wrong_start(phase.problem, plant):
+            run, (finding, place) = Run(INFEASIBLE[0], 0, 0.0, 0.0), wrong
+            return Failure(problem, run, f"{phase.title}{finding}", "start within its range", f"{phase.title}{place}")
     settled = settle_phases(problem, plants, start)
     return Ready(make(settled, plants), settled, start)
 

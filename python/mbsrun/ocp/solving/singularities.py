@@ -10,7 +10,7 @@ Solvers use the derivatives by the variables of a program; by the time and by co
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,11 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.status import INFEASIBLE, OVERDETERMINED
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.state_guess import list_parts
+from mbsrun.ocp.problem.phases import Link, PhasedProblem, Plants
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Run
+from mbsrun.ocp.transcription.sides import END, START
+from mbsrun.quantities import Quantity, list_quantities
 
 KINKS = ("abs", "max", "min")
 NEAR = 1e-6  # of the largest argument of a kink: it is met
@@ -55,7 +58,7 @@ class Singularity:
     def describe(self, motion: str) -> str:
         """Return the finding; `motion` is the one along which it was found."""
         whole = f"{self.stated.title} {self.stated.text}"
-        where = f"in the {whole}" if self.part != self.stated.text else f"the {self.stated.title}"
+        where = f"in the {whole}" if self.part != self.stated.text else f"the {self.stated.title.rstrip(':')}"
         return f"{self.part} {self.finding} at t = {self.time:.4g} s of {motion} ({where})"
 
 
@@ -113,16 +116,28 @@ class _Points:
         points, first = list_parts(motion, plant), slice(None, None, motion.point_t.shape[1])
         mesh = {kind: values[first] for kind, values in points.items()}  # inputs of the interval that begins there
         mesh |= {"t": motion.t[:-1, None], "q": motion.q[:-1], "qd": motion.qd[:-1], "states": motion.states[:-1]}
+        end = {kind: values[-1:] for kind, values in points.items()}
+        end |= {"t": motion.t[-1:, None], "q": motion.q[-1:], "qd": motion.qd[-1:], "states": motion.states[-1:]}
         order = np.argsort(np.concatenate((mesh["t"], points["t"]))[:, 0], kind="stable")
-        self._parts = {kind: np.concatenate((mesh[kind], points[kind]))[order] for kind in points}
+        path = {kind: np.concatenate((mesh[kind], points[kind]))[order] for kind in points}
+        self._parts = {kind: np.concatenate((values, end[kind])) for kind, values in path.items()}
         self.times = self._parts["t"][:, 0]
+
+    @property
+    def known(self) -> Mapping[str, Quantity]:
+        """Return the quantities that expressions may read."""
+        return list_quantities(self._plant.manifest, self._problem.added)
+
+    def read_end(self, named: Sequence[str], *, is_last: bool) -> Array:
+        """Return the quantities (1, names) at the end, or at the start."""
+        return Values(named, self._problem, self._plant)(self._parts)[[-1 if is_last else 0]]
 
     def read(self, stated: Stated) -> tuple[Mapping[str, Jet], Array]:
         """Return the jets of the names that an expression reads, and the times of its places."""
         text = stated.text
         every = sorted(names(parse(text)) | {"T"})
         values = Values(every, self._problem, self._plant)(self._parts)
-        chosen = slice(-1, None) if stated.is_terminal else slice(0, 1) if stated.is_initial else slice(None)
+        chosen = slice(-1, None) if stated.is_terminal else slice(0, 1) if stated.is_initial else slice(-1)
         fixed = {"t", "T", *(name for name, _ in self._problem.constants)}
         if not self._problem.is_timed:
             fixed.discard("T")
@@ -140,15 +155,65 @@ def find_singularity(problem: Problem, plant: Plant, motion: Trajectory) -> Sing
     """Find the first expression that has no finite value or derivative at a point of a motion."""
     points = _Points(problem, plant, motion)
     for stated in list_stated(problem):
-        jets, times = points.read(stated)
-        algebra = make_jets(max(len(next(iter(jets.values())).H[0]), 1))
-        for part in _list_parts(parse(stated.text)):
-            with np.errstate(all="ignore"):
-                jet = evaluate(part, jets, algebra)
-            wrong, kind = _find_wrong(jet, times.size)
-            if wrong is not None:
-                return Singularity(stated, write(part), f"has no finite {kind}", _advise(part), float(times[wrong]))
+        if found := _find_singular_part(stated, *points.read(stated)):
+            return found
     return None
+
+
+def _find_singular_part(stated: Stated, jets: Mapping[str, Jet], times: Array) -> Singularity | None:
+    """Find the first part of an expression without a finite value or derivative."""
+    algebra = make_jets(max(len(next(iter(jets.values())).H[0]), 1))
+    for part in _list_parts(parse(stated.text)):
+        with np.errstate(all="ignore"):
+            jet = evaluate(part, jets, algebra)
+        wrong, kind = _find_wrong(jet, times.size)
+        if wrong is not None:
+            return Singularity(stated, write(part), f"has no finite {kind}", _advise(part), float(times[wrong]))
+    return None
+
+
+def find_in_links(problem: PhasedProblem, plants: Plants, motions: Sequence[Trajectory], title: str) -> Cause | None:
+    """Find the first expression of a link that has no finite value or derivative at the ends of motions."""
+    numbers = {name: np.full(1, value) for name, value in problem.constants}
+    numbers |= {unknown.name: np.full(1, unknown.guess) for unknown in problem.every_unknown}
+    for i, link in enumerate(problem.links):
+        ends = [problem.find(link.source), problem.find(link.target)]
+        sides = [_Points(problem.phases[k].problem, plants.phases[k], motions[k]) for k in ends]
+        for stated in _list_of_link(i, link):
+            every = sorted(names(parse(stated.text)))
+            known = numbers | _read_sides(stated, every, *sides)
+            if not every or not known.keys() >= set(every):  # a number alone, or impulses
+                continue
+            jets = {name: vary(known[name], k, len(every)) for k, name in enumerate(every)}
+            if found := _find_singular_part(stated, jets, sides[0].times[-1:]):
+                return Cause(found.describe(f"{title}, phase {link.source}"), found.remedy, stated.place)
+    return None
+
+
+def _list_of_link(i: int, link: Link) -> Iterator[Stated]:
+    """List the expressions of a link."""
+    own = f"link {link.source} to {link.target}"
+    for key, given in (("map", link.map), ("velocities", link.velocities)):
+        yield from (Stated(f"links[{i}].{key}.{name}", f"{name} by {own}:", text) for name, text in given if text)
+    for k, condition in enumerate(link.conditions):
+        yield Stated(f"links[{i}].conditions[{k}]", f"condition of {own}:", condition.expression)
+    for k, term in enumerate(link.cost):
+        yield Stated(f"links[{i}].cost[{k}]", f"cost of {own}:", term.expression)
+
+
+def _read_sides(stated: Stated, every: Sequence[str], before: _Points, after: _Points) -> dict[str, Array]:
+    """Return the numbers of both sides of a link that an expression of it reads, by the names in it."""
+    found: dict[str, Array] = {}
+    for prefix, side in ((END, before), (START, after)):
+        known = {prefix + name: name for name in side.known}
+        if prefix == END and ".map." in stated.place:
+            known = {name.removeprefix("q_"): name for name, x in side.known.items() if x.kind in ("q", "states")}
+        elif prefix == END and ".velocities." in stated.place:
+            known = {name.removeprefix("qd_"): name for name, x in side.known.items() if x.kind == "qd"}
+        read = {name: known[name] for name in every if name in known}
+        values = side.read_end([*read.values()], is_last=prefix == END)
+        found |= dict(zip(read, values.T, strict=True))
+    return found
 
 
 def find_kink(problem: Problem, plant: Plant, motion: Trajectory) -> Singularity | None:
