@@ -19,7 +19,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROJECT = ("pyproject.toml", "README.md", "LICENSE", "LICENSE-GENERATED", "generator", "python", "templates", "csrc")
+PROJECT = (
+    *("pyproject.toml", "README.md", "LICENSE", "LICENSE-GENERATED"),
+    *("generator", "python", "templates", "csrc", "studies"),
+)
 PLACES = """\
 import mbsgen, mbsrun
 from mbsgen.resources import folder
@@ -99,6 +102,7 @@ def test_the_wheel_holds_both_packages_with_templates_csrc_and_licences(wheel: P
         "python/mbsrun": "mbsrun",
         "templates": "mbsgen/templates",
         "csrc": "mbsgen/csrc",
+        "studies": "mbsrun/sources/studies",
     }.items():
         wanted = {f"{place}/{file}" for file in files_below(ROOT / source)}
         assert wanted, f"{source} is empty"
@@ -113,13 +117,13 @@ def test_an_installed_wheel_reads_its_own_files(installed: Path) -> None:
     assert places == [str(installed / place) for place in expected]
 
 
-def test_an_installed_wheel_says_where_the_study_is(installed: Path) -> None:
-    """The folder `studies` is in the sources alone; the command exits with 2 and without a traceback."""
+def test_an_installed_wheel_starts_the_study(installed: Path) -> None:
+    """A problem that is missing is refused by the study itself, with 2 and without a traceback."""
     command = [sys.executable, "-m", "mbsrun", "study", "problem.ocp.yaml"]
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     done = subprocess.run(command, cwd="/", env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
-    assert "take the sources of mbsgen, and run there: python -m studies.docquier PROBLEM" in done.stderr
+    assert "problem.ocp.yaml" in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -40,6 +40,7 @@ from studies.docquier.export import DIGITS, Row, list_rows
 from studies.docquier.figures import draw_figures, name_set
 from studies.docquier.growth import Growth, count_growth
 from studies.docquier.judgement import SHOWN, judge_all
+from studies.docquier.nonzeros import explain_nonzeros
 from studies.docquier.optima import Optimum, list_optima
 from studies.docquier.questions import GridPoint, System, TaskList, name_transcription
 from studies.docquier.results import Effort, Results, find_shown_task
@@ -406,6 +407,7 @@ def report(campaign: Campaign, out: Path) -> list[Section]:
             (tabulate_claims(judgements), *([scatter] if scatter else [])),
         ),
         Section("tables", "The paper's tables", "", tuple(tabulate(results))),
+        *(found for found in (explain_nonzeros(campaign.subject.problem, campaign.subject.plant),) if found),
         Section("figures", "The paper's figures", "", tuple(draw_figures(results, campaign.subject.plant))),
     ]
     run = Section("run", "The run", "", (_tabulate_run(results, own), *_tabulate_environments(counts)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import os
 import sys
@@ -54,7 +55,6 @@ from studies.docquier.figures import drawn_as
 from studies.docquier.judgement import INSIDE, TURNS
 from studies.docquier.judges import CONFIRMED, REFUTED
 from studies.docquier.markdown import ARCHIVE, write_archive, write_page
-from studies.docquier.nonzeros import explain_nonzeros
 from studies.docquier.optima import OPTIMA, describe_optima, tabulate_optima
 
 NOT_THROUGH, BAD_INPUT = 1, 2  # exit codes
@@ -129,7 +129,9 @@ Exit codes
     help="-0.1 0.1 11.",
 )
 @click.option(
-    "--workers", type=click.IntRange(0), help="Processes, by default one per core; 0: this one, without Dask."
+    "--workers",
+    type=click.IntRange(0),
+    help="Processes; with Dask one per core, without it this one alone, as with 0.",
 )
 @click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, instead of processes on this machine.")
 @click.option(
@@ -230,7 +232,7 @@ def study_command(
         if earlier is not None:
             click.echo(restore(campaign, out, earlier), err=True)
         if minutes > 0:
-            processes = len(os.sched_getaffinity(0)) if workers is None else workers
+            processes = _count_processes(scheduler) if workers is None else workers
             with open_workers(processes, scheduler) as executor_for, show_steps() as watch:
                 is_through = carry_out(campaign, out, executor_for, watch, 60 * minutes)
         with drawn_as(drawn):
@@ -252,14 +254,20 @@ def study_command(
     context.exit(0 if is_through else NOT_THROUGH)
 
 
+def _count_processes(scheduler: str | None) -> int:
+    """Return one process per core, or none besides this one where Dask is missing, which a note says."""
+    if scheduler is None and importlib.util.find_spec("distributed") is None:
+        click.echo("note: one process does the work; with Dask (pip install distributed) each core has one", err=True)
+        return 0
+    return len(os.sched_getaffinity(0))
+
+
 def _write_markdown(campaign: Campaign, out: Path, sections: Sequence[Section], place: Path, seconds: float) -> None:
     """Write README.md with pictures, tables.tar.xz with all tables and attempts, and optima.csv."""
     optima = list_lowest(campaign, out, seconds)
     place.mkdir(parents=True, exist_ok=True)
     write_csv(tabulate_optima(campaign.study, optima), place / OPTIMA)
     shown = [*sections, describe_optima(campaign.study, optima, OPTIMA)]
-    nonzeros = explain_nonzeros(campaign.subject.problem, campaign.subject.plant)
-    shown += [] if nonzeros is None else [nonzeros]
     attempts = export(list_attempts(campaign, out), out / DATA / ATTEMPTS, "csv")
     write_archive(shown, [attempts], place / ARCHIVE, out / DATA)
     extent = (" ".join(describe_extent(campaign, out)), _ABOUT)

@@ -11,7 +11,7 @@ import tarfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from mbsrun.measuring.sections import KINDS, Cell, Picture, Section, Table, write_section
+from mbsrun.measuring.sections import KINDS, Cell, Picture, Section, Table, name_items, write_section
 
 PAGE, ARCHIVE = "README.md", "tables.tar.xz"
 LONGEST = 40  # rows of a table that the page shows
@@ -26,8 +26,8 @@ def write_page(title: str, introduction: Sequence[str], sections: Sequence[Secti
     for section in sections:
         lines += [f"## {section.title}", ""]
         lines += [section.text, ""] if section.text else []
-        for number, item in enumerate(section.items, 1):
-            lines += _write_item(item, f"{section.name}_{number}", folder)
+        for name, item in name_items(section).items():
+            lines += _write_item(item, name, folder)
     path = folder / PAGE
     path.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     return path

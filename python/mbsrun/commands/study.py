@@ -1,4 +1,4 @@
-"""The command `mbsrun study`: start a study that lies beside the package, in the folder `studies` of the sources."""
+"""The command `mbsrun study`: start the study in the folder `studies`, beside the package or within it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,8 @@ from pathlib import Path
 
 import click
 
-from mbsgen.errors import MbsError
-
-SOURCES = Path(__file__).resolve().parents[3]  # in a checkout or an editable install
-MODULE = "studies.docquier"
-
-
-class NotInstalledError(MbsError):
-    """The folder of a study is missing: an installed package does not contain it."""
+HERE = Path(__file__).resolve()
+PLACES = HERE.parents[3], HERE.parents[1] / "sources"  # in a checkout or an editable install; in an installed package
 
 
 @click.command(
@@ -25,19 +19,14 @@ class NotInstalledError(MbsError):
 @click.argument("arguments", metavar="PROBLEM", nargs=-1, type=click.UNPROCESSED)
 def study_command(arguments: tuple[str, ...]) -> None:
     """Pass all arguments to the command of the study, `python -m studies.docquier`."""
-    find_study(SOURCES).main(args=list(arguments), prog_name="mbsrun study")
+    find_study().main(args=list(arguments), prog_name="mbsrun study")
 
 
-def find_study(sources: Path) -> click.Command:
-    """Import the command of the study from a folder of sources. Raises NotInstalledError."""
-    folder = sources.joinpath(*MODULE.split("."))
-    if not (folder / "command.py").is_file():
-        raise NotInstalledError(
-            f"the study is not part of the installed package: there is no folder {folder}; take the sources of mbsgen, "
-            f"and run there: python -m {MODULE} PROBLEM"
-        )
-    if str(sources) not in sys.path:
-        sys.path.append(str(sources))
-    from studies.docquier.command import study_command as found  # an installed package does not have it
+def find_study() -> click.Command:
+    """Import the command of the study."""
+    place = next(place for place in PLACES if (place / "studies" / "docquier" / "command.py").is_file())
+    if str(place) not in sys.path:
+        sys.path.append(str(place))
+    from studies.docquier.command import study_command as found
 
     return found

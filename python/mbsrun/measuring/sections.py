@@ -60,11 +60,20 @@ class Section:
     items: tuple[Table | Picture, ...]
 
 
+def name_items(section: Section) -> dict[str, Table | Picture]:
+    """Return the items of a section by the names of their files: fig_7 for figure 7 of a paper, else NAME_1, …"""
+    named: dict[str, Table | Picture] = {}
+    for number, item in enumerate(section.items, 1):
+        figure = re.match(r"Fig\. (\d+)(?: and (\d+))?", item.title)
+        name = "_".join(("fig", *filter(None, figure.groups()))) if figure else f"{section.name}_{number}"
+        named[f"{name}_{number}" if name in named else name] = item
+    return named
+
+
 def write_section(section: Section, folder: Path) -> None:
     """Write tables as NAME_1.csv, …, and pictures in their format."""
     folder.mkdir(parents=True, exist_ok=True)
-    for number, item in enumerate(section.items, 1):
-        name = f"{section.name}_{number}"
+    for name, item in name_items(section).items():
         if isinstance(item, Picture):
             suffix = ".pdf" if item.paper else next(suffix for suffix, kind in KINDS.items() if kind == item.kind)
             (folder / f"{name}{suffix}").write_bytes(item.paper or item.content)
