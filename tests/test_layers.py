@@ -244,6 +244,7 @@ MBSRUN = Package(
         "measuring.points measuring.functions measuring.mechanisms measuring.reference measuring.sections "
         "measuring.store",
         "measuring.timing measuring.captions measuring.fronts measuring.page",
+        "measuring.growth",
         "measuring.pictures",
         "measuring.candidates",
         "measuring.fidelity measuring.kernels measuring.motions measuring.solves",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 ALIKE = 1.1  # works count as equal within a tenth
 SHOWN = 7  # lines of a panel that have a name
@@ -69,6 +70,32 @@ class Panel:
     choice: Dot | None = None  # the advised setting
     floor: float | None = None  # the reference is no more accurate
     whole: float | None = None  # the work without any reduction
+
+    better: ClassVar[str] = "↙ better"
+    worst: ClassVar[float] = 10.0  # larger errors stand there
+
+    @property
+    def across(self) -> str:
+        """Return the name of the axis across."""
+        return f"← {self.work}"
+
+    @property
+    def front(self) -> list[Dot]:
+        """Return the dots on the front."""
+        return find_front(self.good)
+
+    @property
+    def marks(self) -> dict[float, str]:
+        """Return texts at places of the axis across; none."""
+        return {}
+
+    def join(self, dots: Sequence[Dot]) -> list[Dot]:
+        """Return the dots of a method that its line joins: the ones on its own front."""
+        return find_front(dots)
+
+    def write_upwards(self, error: float) -> str:
+        """Write an error for the axis."""
+        return write_error(error)
 
     @property
     def good(self) -> list[Dot]:

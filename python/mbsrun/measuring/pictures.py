@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mbsgen.style import FORMATS, PALETTE, in_format, mix, save_figure, styled
-from mbsrun.measuring.fronts import Dot, Panel, find_front, write_error, write_work
+from mbsrun.measuring.fronts import Dot, Panel, write_error, write_work
 from mbsrun.measuring.sections import NARROW
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ INK, QUIET, FAINT, SHADE = "#1d2733", "#5d6b7a", "#c3ccd6", "#e9edf1"
 DARK = {INK: "#e4eaf1", QUIET: "#9fadbb", FAINT: "#4a5865", SHADE: "#252f39", "#ffffff": "#12171d"}
 MARK = 5.0  # points across a dot
 RING = 12.0
-NONE, WORST = 1e-35, 10.0  # smaller and larger errors stand there
+NONE = 1e-35  # smaller errors stand there
 FINEST = ((1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8), (1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))  # labels of a decade
 RINGS = (3.0, 8.0, 14.0, 20.0, 28.0, 38.0, 50.0, 65.0, 85.0, 110.0)  # points from a line's end to its name
 WAYS = tuple(np.array([math.cos(x), math.sin(x)]) for x in np.deg2rad((0, 45, -45, 90, -90, 135, -135, 180, 20, -20)))
@@ -189,7 +189,7 @@ def _write_cell(panel: Panel, across: float, *, is_bare: bool) -> _Cell:
         sentences = (*sentences, (f"◉ {panel.advice}" if panel.choice else panel.advice, INK, "normal"))
     head = [(line, color, weight) for text, color, weight in sentences for line in wrap(text, across, weight)]
     head += [(line, QUIET, "normal") for line in wrap(f"↓ {panel.error}", across)]
-    foot = [line for text in (f"← {panel.work}", panel.note) for line in wrap(text, across - LEFT)]
+    foot = [line for text in (panel.across, panel.note) for line in wrap(text, across - LEFT)]
     return _Cell(panel, tuple(head), tuple(foot))
 
 
@@ -223,9 +223,10 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
     place = _find_places(panel)
     _set_limits(axes, panel, place)
     broken = _draw_frame(axes, panel)
-    lines = {name: [place(dot) for dot in find_front(dots)] for name, dots in panel.lines.items()}
-    front = [place(dot) for dot in find_front(panel.good)]
-    axes.plot(*zip(*front, strict=True), color=SHADE, linewidth=10, solid_joinstyle="round", zorder=0.5)
+    lines = {name: [place(dot) for dot in panel.join(dots)] for name, dots in panel.lines.items()}
+    front = [place(dot) for dot in panel.front]
+    if front:
+        axes.plot(*zip(*front, strict=True), color=SHADE, linewidth=10, solid_joinstyle="round", zorder=0.5)
     taken = [*(box for name in lines for box in _cover(axes, lines[name], map(place, panel.lines[name])))]
     if panel.choice is not None:
         axes.plot(*place(panel.choice), "o", markersize=RING, markerfacecolor="none", markeredgecolor=INK, zorder=4)
@@ -247,7 +248,7 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
 def _find_places(panel: Panel) -> Callable[[Dot], tuple[float, float]]:
     """Return the function that places a dot: errors of 0 stand below the others."""
     least = _find_least(panel)
-    return lambda dot: (dot.place[0], min(max(dot.place[1], least), WORST))
+    return lambda dot: (dot.place[0], min(max(dot.place[1], least), panel.worst))
 
 
 def _find_least(panel: Panel) -> float:
@@ -284,9 +285,9 @@ def _draw_frame(axes: Axes, panel: Panel) -> list[Covered]:
         axes.axhline(panel.asked, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
         y = float(axes.transData.transform((1.0, panel.asked))[1])
         boxes.append((frame.x0, y - 1, frame.x1, y + 1))
-    if panel.whole is not None:
-        axes.axvline(panel.whole, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
-        x = float(axes.transData.transform((panel.whole, 1.0))[0])
+    for place in ([panel.whole] if panel.whole is not None else []) + list(panel.marks):
+        axes.axvline(place, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        x = float(axes.transData.transform((place, 1.0))[0])
         boxes.append((x - 1, frame.y0, x + 1, frame.y1))
     return boxes
 
@@ -297,14 +298,15 @@ def _write_quiet(axes: Axes, panel: Panel, taken: Sequence[Covered]) -> list[Cov
     A text stands at the first place where it covers nothing, or else at its usual place.
     """
     frame = axes.bbox
-    wanted = [("↙ better", [(frame.x0 + 3, frame.y0 + 2)])]
+    wanted = [(panel.better, [(frame.x0 + 3, frame.y0 + 2)])]
     if panel.asked is not None:
         text, y = f"asked: {write_error(panel.asked)}", float(axes.transData.transform((1.0, panel.asked))[1])
         right = frame.x1 - 3 - measure(text)
         places = [(x, z) for x in (right, frame.x0 + 3, (right + frame.x0) / 2) for z in (y + 3, y - 3 - ROW)]
         wanted.append((text, places))
-    if panel.whole is not None:
-        text, x = "whole model", float(axes.transData.transform((panel.whole, 1.0))[0])
+    marks = {panel.whole: "whole model"} if panel.whole is not None else panel.marks
+    for place, text in marks.items():
+        x = float(axes.transData.transform((place, 1.0))[0])
         left = x + 4 if x + 4 + measure(text) < frame.x1 else x - 4 - measure(text)
         wanted.append((text, [(left, z) for z in (frame.y1 - 2 - ROW, frame.y0 + 2)]))
     found: list[Covered] = []
@@ -323,7 +325,7 @@ def _set_ticks(axes: Axes, panel: Panel, width: float) -> None:
     axes.xaxis.set_major_locator(FixedLocator(works))
     axes.xaxis.set_major_formatter(FixedFormatter([write_work(x, panel.unit) for x in works]))
     errors, least = _choose_ticks(*axes.get_ylim(), most=6), _find_least(panel)
-    labels = {x: write_error(x) for x in errors}
+    labels = {x: panel.write_upwards(x) for x in errors}
     if any(dot.place[1] <= NONE for dot in panel.good):
         labels = {x: label for x, label in labels.items() if x > 10 * least} | {least: "none"}
     axes.yaxis.set_major_locator(FixedLocator([*labels]))
