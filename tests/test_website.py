@@ -18,7 +18,7 @@ from website import notebooks
 from website.__main__ import main
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
-from website.pages import FILM, START, Staging, list_examples, write_front
+from website.pages import CHART, FILM, Staging, list_examples, write_front
 
 ROOT = Path(__file__).parents[1]
 LOADED = re.compile(r"""<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=["']([^"']+)["']""")
@@ -134,29 +134,16 @@ def test_the_search_works_without_a_server(site: Path, requires: Callable[[str],
     assert re.search(r"\d+ matching documents", done.stdout)
 
 
-README = """Before.
-
-<!-- begin: benchmarks/results/headlines -->
-
-- **10 times faster** than others
-  ([figures](a.md)).
-
-<!-- end -->
-"""
-
-
-def test_the_front_page_shows_the_film_of_the_first_page(tmp_path: Path) -> None:
-    film = tmp_path / "run" / FILM
-    film.parent.mkdir(parents=True)
-    film.write_bytes(b"GIF89a")
-    assert FILM in (ROOT / START).read_text(encoding="utf-8")
-    write_front(tmp_path, "", {START: tmp_path / "run"}, README)
-    assert "](written/up.gif)](start.md)" in (tmp_path / "index.md").read_text(encoding="utf-8")
-    assert (tmp_path / "written" / "up.gif").read_bytes() == film.read_bytes()
-    write_front(tmp_path, "", {}, README)
+def test_the_front_page_shows_film_chart_and_figures(tmp_path: Path) -> None:
+    """The figures are the README's sentences, without their links."""
+    write_front(ROOT, tmp_path, "CARDS")
     front = (tmp_path / "index.md").read_text(encoding="utf-8")
-    assert "up.gif" not in front
-    assert "\n- **10 times faster** than others.\n" in front
+    for path in (FILM, CHART):
+        assert f"](written/{Path(path).name})" in front
+        assert (tmp_path / "written" / Path(path).name).read_bytes() == (ROOT / path).read_bytes()
+    assert "\nCARDS\n" in front
+    assert re.search(r"\n- \*\*[\d.]+ times faster\*\* than .*\.\n", front)
+    assert "([figures]" not in front
 
 
 def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:

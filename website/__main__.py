@@ -44,7 +44,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     navigation = pages.write(ROOT, source, folders)
     results = results[len(shown) :]
     gallery.write(results, source)
-    pages.write_front(source, gallery.write_front_cards(results), folders, (ROOT / "README.md").read_text("utf-8"))
+    pages.write_front(ROOT, source, gallery.write_front_cards(results))
     messages.write(source, 1 if quick else None)
     commands.write(source)
     listed = [] if quick else [{"Python": reference.PAGES}]

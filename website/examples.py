@@ -73,7 +73,8 @@ def _play(model: str, title: str, text: str, options: str = "", before: str = ""
     """Return a page that computes by the model's own C."""
     page, picture = f"build/{model}.html", f"build/{model}.png"
     commands = (
-        f"mbsrun playground models/{model}.yaml{options} -o {page}\nmbsgen show models/{model}.yaml -o {picture}\n"
+        f"mbsrun playground models/{model}.yaml{options} -o {page}\n"
+        f"mbsrun simulate models/{model}.yaml --duration 0.1 -o build/{model}\n{_draw(model, model, 0)}"
     )
     return Example(f"play_{model}", title, text, before + commands, picture, (page, f"models/{model}.yaml"))
 

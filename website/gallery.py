@@ -21,7 +21,16 @@ RECORD = "run.json"  # in the folder of a run
 SOURCES = ("generator", "python", "csrc", "templates", "models")  # what decides the result of a run
 LONGEST = 600  # seconds
 SHOWN = 40  # lines of a command's output
-FRONT = ("bound", "six_axis", "stewart", "play_cart_pole")  # examples on the front page
+FRONT = (  # examples on the front page
+    "bound",
+    "six_axis",
+    "play_cart_pole",
+    "muscles",
+    "stewart",
+    "walker",
+    "delta_pick",
+    "equations",
+)
 
 
 class ExampleError(Exception):

@@ -33,22 +33,24 @@ STYLE = """\
 .md-typeset :is(td, th) code { overflow-wrap: normal; word-break: normal; }
 .md-typeset .wrap code { white-space: pre-wrap; }
 .md-typeset .help code { font-size: .6rem; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(max(8rem, 22%), 1fr)); gap: 1rem; }
 .cards a { border: 1px solid var(--md-default-fg-color--lightest); border-radius: .3rem; padding: .6rem; }
 .cards a { color: inherit; }
-.front { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 18rem), 1fr)); gap: 2rem; }
-.front { align-items: center; margin-bottom: 1.5rem; }
+.front { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 18rem), 1fr)); gap: 0 2rem; }
+.front { align-items: center; margin-bottom: 1rem; }
+.front > * { min-width: 0; }
 .front h1 { margin-bottom: .6rem; }
-.front img { width: 100%; border-radius: .3rem; }
+.front img { width: 100%; border-radius: .3rem; background: white; }
+.ways { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 16rem), 1fr)); gap: .4rem 1.5rem; }
+.ways p { margin: 0; }
 .cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
 """
 
 TUTORIALS = "tutorials"  # their folder
 GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
-    {"Overview": ["readme.md", "coming_from.md"]},
+    {"Overview": ["readme.md", "conventions.md", "coming_from.md"]},
     {
         "Model": [
-            "kernels.md",
             "model.md",
             "loops.md",
             "importing.md",
@@ -59,16 +61,26 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
         ],
     },
     {
+        "Compute": [
+            "kernels.md",
+            "kernels_python.md",
+            "batches.md",
+            "several_models.md",
+            "learning.md",
+            "gpu.md",
+            "cpp.md",
+            "rust.md",
+            "julia.md",
+        ]
+    },
+    {
         "Simulate": [
             "simulation.md",
             "stops.md",
             "contacts.md",
             "tyres.md",
-            "batches.md",
-            "gpu.md",
             "animation.md",
             "playground.md",
-            "learning.md",
             "fmu.md",
         ]
     },
@@ -77,8 +89,6 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "problem.md",
             "phases.md",
             "python.md",
-            "recordings.md",
-            "identification.md",
             "gait.md",
             "muscles.md",
             "opensim.md",
@@ -88,7 +98,8 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "solver.md",
         ]
     },
-    {"Control": ["controller.md", "cpp.md", "rust.md", "julia.md", "track.md", "microcontroller.md", "acados.md"]},
+    {"Measure": ["recordings.md", "identification.md", "known_inputs.md"]},
+    {"Control": ["controller.md", "track.md", "memory.md", "microcontroller.md", "acados.md"]},
     {
         "Trust": [
             "accuracy.md",
@@ -232,20 +243,16 @@ def _navigate(known: set[str], tutorials: str) -> list[dict[str, Any]]:
     return [{"Home": "index.md"}, {"Start": "start.md"}, {"Tutorials": listed}, {"Guides": guides}]
 
 
-def write_front(target: Path, cards: str, runs: Mapping[str, Path], readme: str) -> None:
-    """Write the front page: what the project is for, the film that its first page makes, figures, cards of examples.
+def write_front(root: Path, target: Path, cards: str) -> None:
+    """Write the front page: what the project is for, a film, commands, figures with their chart, cards of examples.
 
-    `runs` holds the folders in which the commands of pages were run; without the first page's, there is no film. The
-    figures are sentences of the README.
+    The figures are sentences of the README.
     """
-    film = ""
-    if START in runs:
-        (target / WRITTEN).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(runs[START] / FILM, target / WRITTEN / Path(FILM).name)
-        film = f"[![A cart swings its pole up with the least force]({WRITTEN}/{Path(FILM).name})](start.md)\n"
-    (target / "index.md").write_text(
-        FRONT.format(film=film, figures=read_figures(readme), cards=cards), encoding="utf-8"
-    )
+    (target / WRITTEN).mkdir(parents=True, exist_ok=True)
+    for path in (FILM, CHART):
+        shutil.copyfile(root / path, target / WRITTEN / Path(path).name)
+    figures = read_figures((root / "README.md").read_text(encoding="utf-8"))
+    (target / "index.md").write_text(FRONT.format(figures=figures, cards=cards), encoding="utf-8")
 
 
 def read_figures(readme: str) -> str:
@@ -256,8 +263,7 @@ def read_figures(readme: str) -> str:
     return re.sub(r"\s*\(\[figures\]\([^)]*\)\)", "", sentences.strip())
 
 
-START = "docs/start.md"
-FILM = "build/up.gif"  # a file that the commands of this page write
+FILM, CHART = "docs/arm_reach.gif", "benchmarks/results/faster.png"
 FRONT = """\
 ---
 title: mbsgen
@@ -270,32 +276,77 @@ hide: [navigation, toc]
 Describe a robot or another mechanism in a file. mbsgen writes C code for its dynamics, with exact first and second
 derivatives. mbsrun simulates it, finds optimal motions, and turns them into controllers for small hardware.
 
-For engineers and researchers who compute with robots, legged machines, linkages and vehicles.
-
 [Start here](start.md){{ .md-button .md-button--primary }}
 [Gallery](gallery/index.md){{ .md-button }}
 </div>
-{film}
+![An arm carries a pendulum to a given place, and holds it upright](written/arm_reach.gif)
 </div>
-
-```sh
-make demo && . .venv/bin/activate   # in a clone, with Python 3.11 and a C compiler
-mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
-mbsrun solve models/arm_reach.ocp.yaml -o build/arm_reach
-```
-
-{figures}
 
 {cards}
 
-| I want to | |
-|---|---|
-| learn it by doing | [Tutorials](tutorials/README.md), each with something to see |
-| take my robot's URDF, or a model of OpenSim | [Importing](importing.md) |
-| describe my own mechanism | [The model file](model.md), [closed loops](loops.md) |
-| read its equations | [Equations](equations.md) as text, LaTeX or SymPy |
-| call its dynamics from C, C++ or Python | [Kernels](kernels.md): derivatives, batches; [C++](cpp.md) |
-| find an optimal motion | [The problem file](problem.md) |
-| control it in real time | [Controllers](controller.md), also [on a microcontroller](microcontroller.md) |
-| know how fast and how exact it is | [Figures](readme.md#how-fast), [accuracy](accuracy.md) |
+<div class="front" markdown>
+<div markdown>
+## Install
+
+```sh
+make demo && . .venv/bin/activate  # in a clone
+mbsgen models/arm_pendulum.yaml -o build/arm
+mbsrun solve models/arm_reach.ocp.yaml -o build/reach
+```
+
+It needs Python 3.11 and a C compiler, on Linux.
+</div>
+<div markdown>
+## A line of code
+
+```python
+import mbsrun
+
+arm = mbsrun.load("models/arm_pendulum.yaml")
+arm.exp2(q=[0.1] * 6, qd=[0] * 6, u=[0] * 4)["qdd"]
+mbsrun.read_problem("models/arm_reach.ocp.yaml").solve()
+```
+</div>
+</div>
+
+## How fast
+
+<div class="front" markdown>
+<div markdown>
+{figures}
+
+[All figures](figures/results/overview.md), and what is not equal.
+</div>
+![Times faster than the quickest peer, by kind of work](written/faster.png)
+</div>
+
+## I want to
+
+<div class="ways" markdown>
+
+learn it by doing: [tutorials](tutorials/README.md)
+
+take my robot's file: [importing](importing.md)
+
+describe a mechanism: [model files](model.md), [closed loops](loops.md)
+
+read its equations: [equations](equations.md)
+
+compute from Python: [kernels in Python](kernels_python.md)
+
+compute from C or C++: [kernels](kernels.md), [C++](cpp.md)
+
+simulate it: [simulation](simulation.md)
+
+find an optimal motion: [problem files](problem.md)
+
+control it in real time: [controllers](controller.md), [microcontrollers](microcontroller.md)
+
+measure its inertias: [identification](identification.md)
+
+know how exact it is: [accuracy](accuracy.md)
+
+come from another program: [words and calls](coming_from.md)
+
+</div>
 """
