@@ -49,13 +49,13 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--runtime",
     is_flag=True,
-    help="Make the numbers of the model parameters at run time, except zeros, quarter turns, axes and limits.",
+    help="Turn the model's numbers into run-time parameters, except zeros, quarter turns, axes and limits.",
 )
 @click.option("--zeros", is_flag=True, help="With --runtime: zeros and quarter turns too; this costs operations.")
 @click.option(
     "--lump",
     is_flag=True,
-    help="Place free masses by dividing by run-time parameters too. That saves flops; setup fails where one is 0.",
+    help="Also divide by run-time parameters to lump masses: fewer flops, but setup fails where such a number is 0.",
 )
 @click.option(
     "--without",
@@ -88,7 +88,7 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--prefix",
     metavar="NAME",
-    help="Let names in C begin with NAME; by default, the model's name. Models of one name need it in one program.",
+    help="The beginning of all names in C; by default, the model's name. Models in one program need different ones.",
 )
 @click.option("--check", is_flag=True, help="Write nothing; fail if the folder differs from the generated one.")
 @importing

@@ -48,7 +48,7 @@ _IMPORTING = (
     robot_option(
         "--root",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
-        help="The folder that holds all files which the file names; by default, the file's own folder.",
+        help="The folder of meshes and other files that MODEL refers to; by default, MODEL's own folder.",
     ),
 )
 

@@ -76,14 +76,14 @@ _SHARE = 0.3  # of the largest entry of a mode's shape: joints that move less ar
     "weights",
     multiple=True,
     metavar="NAME=Q",
-    help="With --regulate: the weight of a coordinate's square, by its name, or of its velocity's, as qd_NAME.",
+    help="With --regulate: the weight of a squared coordinate (NAME) or of a squared velocity (qd_NAME).",
 )
 @click.option(
     "--weigh-input",
     "input_weights",
     multiple=True,
     metavar="NAME=R",
-    help="With --regulate: the weight of an input's square in place of W.",
+    help="With --regulate: the weight of this squared input, in place of W.",
 )
 @click.option(
     "--solution",

@@ -140,9 +140,9 @@ def list_keeping() -> str:
     type=click.Choice([f.value for f in Formulation]),
     help="Of the equations of motion; by default exp2.",
 )
-@click.option("--step", metavar="H", help="The longest step of a method with fixed ones [s]; by default 1e-3.")
+@click.option("--step", metavar="H", help="The longest step of a method with fixed steps [s]; by default 1e-3.")
 @click.option("--rtol", metavar="R", help="The relative tolerance of an adaptive method; by default 1e-9.")
-@click.option("--atol", metavar="A", help="The absolute one, in rad, m, rad/s and m/s; by default 1e-9.")
+@click.option("--atol", metavar="A", help="The absolute tolerance, in rad, m, rad/s and m/s; by default 1e-9.")
 @click.option("--stages", type=int, metavar="S", help="The stages of radau-iia and gauss, 1 to 9; by default 2.")
 @click.option(
     "--rho",

@@ -95,7 +95,7 @@ Exit codes
     type=NumberType(),
     nargs=3,
     metavar="R PHI Z",
-    help="Another target for the sensor that the problem has a target for: radius [m], azimuth [rad] and height [m] "
+    help="Another target for the sensor with a target: radius [m], azimuth [rad] and height [m] "
     "about the base's z axis. Expressions will do: --target 0.63 pi/2 -0.1",
 )
 @click.option(
@@ -132,7 +132,7 @@ Exit codes
 @click.option(
     "--fallback/--no-fallback",
     default=None,
-    help="Whether IPOPT solves what mbs does not; by default where no method is named.",
+    help="Whether IPOPT is asked where mbs finds no solution; by default yes, unless a method is named.",
 )
 @click.option(
     "--threads", type=click.IntRange(1, MAX_THREADS), help="The number of threads of a solve by mbs; by default 1."
@@ -149,7 +149,7 @@ Exit codes
 @click.option(
     "--hops",
     type=click.IntRange(0, 1000),
-    help="With --starts: the number of hops from the best, with waves on it; again while they lead to a lower cost.",
+    help="With --starts: the number of hops, from the best motion with waves added; repeated while the cost falls.",
 )
 @click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
 @click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: the time after which no start begins.")
