@@ -87,6 +87,8 @@ class Trial:
                 return Outcome(KILLED, f"no end after {SECONDS} s")
         if run.returncode == 1:
             return Outcome(KILLED, ", ".join(FAILED.findall(run.stdout)))
+        if run.returncode < 0:
+            return Outcome(KILLED, f"ended by signal {-run.returncode}")  # such as a fault of memory
         return Outcome(SURVIVED) if run.returncode == 0 else Outcome(BROKEN, f"pytest returns {run.returncode}")
 
 

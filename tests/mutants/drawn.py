@@ -23,7 +23,7 @@ SIGHTS: tuple[tuple[str, tuple[str, ...]], ...] = (  # the first pattern that a 
     ("csrc/stages/*.c", STAGES),
     ("csrc/mbs_least.c", ("tests/csrc/test_least.py", f"{MOTIONS}/test_loops.py")),
     ("csrc/mbs_variational.c", (f"{MOTIONS}/test_variational.py",)),
-    ("csrc/mbs_cone.c", (f"{MOTIONS}/test_stepping.py",)),
+    ("csrc/mbs_cone.c", ("tests/csrc/test_laws.py", f"{MOTIONS}/test_stepping.py")),
     ("csrc/mbs_stepping.c", (f"{MOTIONS}/test_stepping.py",)),
     (
         "csrc/mbs_explicit.c",

@@ -183,6 +183,24 @@ def test_guesses_of_states(state: State, start: float, end: float) -> None:
     assert guess.states[[0, -1], 0] == pytest.approx([start, end], abs=1e-3)
 
 
+def test_noise_of_states_grows_with_their_range() -> None:
+    """A quarter of the range counts as 1 rad, and as 1 without a range: the same draws, times 10000 and 1."""
+    from mbsrun.ocp.guessing.guess import rest
+    from mbsrun.ocp.guessing.starts import add_noise
+    from mbsrun.ocp.guessing.state_guess import complete
+
+    moved = []
+    for state in (State("e", "0*t", guess=200.0, bounds=(-1e4, 3e4)), State("e", "0*t", guess=200.0)):
+        problem = replace(push(50), states=(state,))
+        guess = complete(rest(problem, schemes.build(problem.family, problem.degree)), problem, mass())
+        noisy = add_noise(guess, problem, mass().manifest, np.random.default_rng(3))
+        moved.append(np.concatenate((noisy.states.ravel(), noisy.point_states.ravel())) - 200.0)
+    assert np.abs(moved[1]).max() > 0.01
+    inside = np.abs(moved[0]) < 1e4  # not at a bound
+    assert inside.mean() > 0.5
+    np.testing.assert_allclose(moved[0][inside], 1e4 * moved[1][inside], rtol=1e-9)
+
+
 BAD = """
 model: pendulum.yaml
 horizon: 1

@@ -245,6 +245,8 @@ def test_failures_take_no_part_in_medians() -> None:
     assert summary.iterations == (10, 11, 12)
     assert summary.cpu_median == 2.0
     assert summary.cpu_seconds == 6.0 + 450.0
+    (none,) = summarise(failed)
+    assert (none.solved, none.iterations, none.cpu_median) == (0, (0, 0, 0), 0)
 
 
 def start(number: int, cost: float | None, turns: str = "", kind: str = "noise") -> Start:
