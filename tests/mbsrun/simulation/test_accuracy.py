@@ -21,7 +21,6 @@ from mbsrun import Mechanism, load
 from mbsrun.simulation import METHODS, Formulation, Motion, Settings, simulate
 from mbsrun.simulation.drive import Drive, express, hold, hold_steps
 from mbsrun.simulation.integration.methods import Family
-from mbsrun.simulation.integration.tableaus import DOP853, EULER, RK4, RK45, Pair
 from mbsrun.simulation.motion import Energy
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "iftomm_A01_pendulum.json").read_text())
@@ -109,13 +108,6 @@ def test_newton_s_method_ends_at_once_for_a_linear_mechanism(bench: Mechanism, r
     motion = simulate(bench.with_parameters(c=0.6), REST, [0, 0.1, 0], [0, 0, 0], settings)
     assert np.ptp(motion.q[:, 1]) > 0.05
     assert motion.effort.iterations <= 2 * motion.effort.steps
-
-
-@pytest.mark.parametrize("pair", [EULER, RK4, RK45, DOP853])
-def test_weights_sum_to_1_and_those_of_errors_to_0(pair: Pair) -> None:
-    """A constant rate is integrated without an error, and each estimate says so."""
-    assert sum(pair.tableau.b) == pytest.approx(1, abs=1e-15)
-    assert [sum(row) for row in pair.E] == pytest.approx([0.0] * len(pair.E), abs=1e-14)
 
 
 def test_work_is_told_apart_from_drift(bench: Mechanism, pendulum: Mechanism) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy import sparse
 
 from mbsgen.expressions import parse
 from mbsrun.external import load_on_demand
+from mbsrun.ocp.evaluation.stages import scripts
 from mbsrun.ocp.evaluation.stages.binding import Evaluator, Tables
 from mbsrun.ocp.evaluation.stages.building import build
 from mbsrun.ocp.ground.functions import Formula, Input
@@ -96,3 +99,17 @@ def test_a_function_may_read_one_variable_twice(plant: Peer) -> None:
     x = rng.uniform(0.3, 1.0, 6)
     found = compare(Evaluator(Tables(build(program, plant), plant), p), program, plant, x, p, rng)
     assert max(found.values, found.slopes, found.curvatures) < 100 * EPSILON
+
+
+def test_entries_that_lie_apart_are_copied_into_a_row() -> None:
+    """A function reads its parameters one after the other: where they lie so, nothing is copied."""
+    frame: Any = SimpleNamespace(parameters=9, given=0, numbers=0)
+    stage: Any = SimpleNamespace(nx=0, nv=0)
+    writer = scripts._Writer(stage, frame)
+    assert writer.gather(np.array([3, 4, 5])) == 3
+    assert (writer.start, writer.terms[scripts.ARGUMENTS]) == ([], [])
+    for entries in ([3, 5], [5, 4], [2, 3, 5]):
+        at = writer.gather(np.array(entries))
+        to, source, factor, _ = writer.terms[scripts.ARGUMENTS][-1]
+        assert (to.tolist(), source.tolist()) == ([*range(at, at + len(entries))], entries)
+        assert (factor == 1).all()
