@@ -47,7 +47,7 @@ SAME = dict.fromkeys(("exp1", "exp2"), ("exp1", "exp2")) | {"jac_exp2": ("jac_ex
 CALLS = ("flops", "ns", "ns/flop", "quickest peer, same header", "ratio", "quickest peer, as it comes", "ratio")
 MAKING = ("generated s", "C kB", "compiled s", "MB")
 LINEAR = ("impl", "exp2")  # linear in the length of a chain, and measured on the longest
-LARGEST_CUBIC, LARGEST_JACOBIAN = 50, 32  # joints up to which all values, and the Jacobian of IMPL, are measured
+LARGEST_CUBIC = 50  # joints up to which all values are measured
 LARGEST_EXPANDED = 20  # joints up to which CasADi writes out M^-1 d Phi: beyond, it takes minutes and megabytes
 
 
@@ -106,8 +106,7 @@ def describe_robot(path: Path) -> Mechanism:
 def describe_chain(size: int, folder: Path) -> Mechanism:
     """Describe a chain: less is measured of a longer one."""
     values = VALUES if size <= LARGEST_CUBIC else LINEAR
-    jacobians = JACOBIANS if size <= LARGEST_JACOBIAN else JACOBIANS[-1:]
-    return Mechanism(write_chain(size, folder), size, values, jacobians)
+    return Mechanism(write_chain(size, folder), size, values, JACOBIANS)
 
 
 def make_kernels(mechanism: Mechanism, cache: Path) -> Made:

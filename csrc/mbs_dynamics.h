@@ -414,14 +414,16 @@ static inline void mbs_accelerate(int n, const int *parents, const mbs_real *qdd
     }
 }
 
-/* dPhi/dq and dPhi/dqd of the bodies, in the first 2 n columns of B, which has rows of `width` numbers. */
-static MBS_APART void mbs_write_slopes(int n, const int *parents, int width, mbs_body *bodies, mbs_real *MBS_RESTRICT B)
+/* dPhi/dq and dPhi/dqd of the bodies, and M, of 3 blocks the first `blocks` ones, in the first columns of B, which has
+ * rows of `width` numbers. */
+static MBS_APART void mbs_write_slopes(int n, const int *parents, int blocks, int width, mbs_body *bodies,
+                                       mbs_real *MBS_RESTRICT B)
 {
     int i, j, k, is_chain = 1;
     for (i = 1; i <= n; ++i)
         is_chain &= parents[i - 1] == i - 1;
     for (i = 0; i < n; ++i)
-        for (k = is_chain ? 2 * n : 0; k < width; ++k)
+        for (k = is_chain ? blocks * n : 0; k < width; ++k)
             B[i * width + k] = MBS_EVERY(0.0);
     for (i = 1; i <= n; ++i) {
         mbs_body *body = bodies + i;
@@ -458,6 +460,9 @@ static MBS_APART void mbs_write_slopes(int n, const int *parents, int width, mbs
             B[(j - 1) * width + n + i - 1] = mbs_dot(carrier->axis, by_qd + carrier->first);
             row[j - 1] = mbs_dot(turned, carrier->V_S) + mbs_power(carrier->A_S, unit);
             row[n + j - 1] = mbs_dot(turned, carrier->S) + MBS_C(2.0) * mbs_power(carrier->V_S, unit);
+            if (blocks == 3)
+                row[2 * n + j - 1] = B[(j - 1) * width + 2 * n + i - 1] =
+                    mbs_dot(carrier->axis, unit + carrier->first);
             mbs_carry_force(carrier->r, unit);
             mbs_carry_force(carrier->r, by_q);
             mbs_carry_force(carrier->r, by_qd);
@@ -465,16 +470,12 @@ static MBS_APART void mbs_write_slopes(int n, const int *parents, int width, mbs
     }
 }
 
-/* The bodies of n joints with rates qd, and their accelerations: `rest` are the forces of joints and wrenches at qdd = 0,
- * and `rotors` their share of M. Used for the while: n + 1 inertias, 12 (n + 1) lanes, a lane for each joint. Returns the
- * number of a joint whose pivot is lost, or 0. */
-static MBS_APART int mbs_write_bodies(int n, const int *parents, const int *joints, const int *owned, mbs_real alone,
-                                      mbs_real locking, const mbs_real *placements, const mbs_real *moments,
-                                      const mbs_real *gravity, const mbs_real *qd, const mbs_real *rest,
-                                      const mbs_real *rotors, const mbs_real *scales, mbs_free_inertia *free,
-                                      mbs_lanes *work, mbs_lanes *column, mbs_body *bodies, mbs_real *qdd)
+/* The bodies of n joints with rates qd, at qdd = 0. */
+static inline void mbs_write_bodies(int n, const int *parents, const int *joints, const mbs_real *placements,
+                                    const mbs_real *moments, const mbs_real *gravity, const mbs_real *qd,
+                                    mbs_body *bodies)
 {
-    int i, k, status;
+    int i, k;
     for (k = 0; k < 9; ++k)
         bodies[0].E[k] = MBS_EVERY(k % 4 ? 0.0 : 1.0);
     for (k = 0; k < 6; ++k)
@@ -491,7 +492,18 @@ static MBS_APART int mbs_write_bodies(int n, const int *parents, const int *join
     for (i = n; i >= 1; --i)
         if (parents[i - 1])
             mbs_join_body(bodies + i, bodies + parents[i - 1]);
-    status = mbs_free_joints(n, parents, owned, alone, locking, rotors, scales, free, bodies);
+}
+
+/* Solve for the accelerations, and move the bodies by them: `rest` are the forces of joints and wrenches at qdd = 0, and
+ * `rotors` their share of M. Used for the while: n + 1 inertias, 12 (n + 1) lanes, a lane for each joint. Returns the
+ * number of a joint whose pivot is lost, or 0. */
+static inline int mbs_find_accelerations(int n, const int *parents, const int *owned, mbs_real alone, mbs_real locking,
+                                         const mbs_real *rest, const mbs_real *rotors, const mbs_real *scales,
+                                         mbs_free_inertia *free, mbs_lanes *work, mbs_lanes *column, mbs_body *bodies,
+                                         mbs_real *qdd)
+{
+    int i;
+    const int status = mbs_free_joints(n, parents, owned, alone, locking, rotors, scales, free, bodies);
     if (status)
         return status;
     for (i = 0; i < n; ++i)
@@ -501,6 +513,16 @@ static MBS_APART int mbs_write_bodies(int n, const int *parents, const int *join
         qdd[i] = mbs_first(column + i);
     mbs_accelerate(n, parents, qdd, (mbs_real *)work, bodies);
     return 0;
+}
+
+/* Move the bodies by given accelerations, at which `rest` are the forces of joints, wrenches and rotors. */
+static inline void mbs_find_residual(int n, const int *parents, const mbs_real *qdd, const mbs_real *rest,
+                                     mbs_lanes *work, mbs_body *bodies, mbs_real *Phi)
+{
+    int i;
+    mbs_accelerate(n, parents, qdd, (mbs_real *)work, bodies);
+    for (i = 0; i < n; ++i)
+        Phi[i] = rest[i] + mbs_power(bodies[i + 1].S, bodies[i + 1].F);
 }
 
 /* Replace B, of rows of `width` numbers, by -M^-1 B. */

@@ -20,8 +20,8 @@ class CodeSize:
     # Operations of the loop from which on the straight code, which leaves zeros out, is certainly longer than
     # `straight`: a quadruped's loop has 30,000 for 20,000, a humanoid's 190,000 for 110,000.
     certain: int = 48_000
-    # Pairs of a body with one that carries it, or itself, from which on accelerations are differentiated by loops over
-    # tables. By tables a chain of 24 (300) takes 1.2 times as long as straight, of 32 (528) 0.9 times, of 48 (1176) a
+    # Pairs of a body with one that carries it, or itself, from which on first derivatives are loops over tables.
+    # By tables a chain of 24 (300) takes 1.2 times as long as straight, of 32 (528) 0.9 times, of 48 (1176) a
     # third; Talos (38 joints in limbs) takes twice as long.
     looped: int = 800
     compared: int = 12  # bodies: in larger trees, derivatives are written once for all forms

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
-from mbsgen.derivatives.looped import LoopedDerivatives, can_loop, count_pairs
+from mbsgen.derivatives.looped import LoopedAccelerations, LoopedResidual, can_loop, count_pairs
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling
 from mbsgen.formulations.multipliers import list_owners
@@ -67,8 +67,13 @@ class Dynamics:
         """
         if any(o.port in implicit.UNKNOWNS for o in tape.outputs):
             if self._is_looped:
-                return LoopedDerivatives(tape, self._tree, self._reductions, lambda: self._of_accelerations(tape, ()))
+                return LoopedAccelerations(tape, self._tree, self._reductions, lambda: self._of_accelerations(tape, ()))
             return self._of_accelerations(tape, before)
+        if self._is_looped:
+            return LoopedResidual(tape, self._tree, self._reductions, lambda: self._of_residual(tape))
+        return self._of_residual(tape)
+
+    def _of_residual(self, tape: Tape) -> Derivatives:
         return self._residual if tape.function == self._residual.tape.function else _Renamed(tape, self._residual)
 
     def _of_accelerations(self, tape: Tape, before: Sequence[Derivatives]) -> Derivatives:

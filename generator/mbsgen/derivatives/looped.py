@@ -1,4 +1,4 @@
-"""First derivatives of the accelerations of large trees, with loops over tables: code of O(n) instead of O(n^3).
+"""First derivatives of the dynamics of large trees, with loops over tables: code of O(n) instead of O(n^3).
 
 A straight stage places each body beside its parent, and adds up the forces of joints and wrenches, whose derivatives
 are its own. The recursions of `procedure.tree_dynamics` do the rest.
@@ -6,6 +6,7 @@ are its own. The recursions of `procedure.tree_dynamics` do the rest.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -21,7 +22,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.formulations.states import State, declare_state
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.patterns import LANES
-from mbsgen.procedure.procedure import Procedure, count
+from mbsgen.procedure.procedure import Computation, Procedure, count
 from mbsgen.procedure.solve import Block
 from mbsgen.procedure.straight import Straight
 from mbsgen.procedure.tree_dynamics import MOMENTS, PLACEMENT, Added, TreeDynamics
@@ -51,31 +52,35 @@ def count_pairs(tree: Tree) -> int:
     return sum(depths)
 
 
-class LoopedDerivatives(Derivatives):
-    """The first derivatives of one form of the accelerations, in stages. `others` are written for second ones alone."""
+class _Looped(Derivatives, ABC):
+    """The first derivatives of one form of the equations of motion, in stages. `others` are its straight ones."""
+
+    value: Port  # of the form
 
     def __init__(self, tape: Tape, tree: Tree, reductions: Reductions, others: Callable[[], Derivatives]) -> None:
         super().__init__(tape, differentiable(tape))
         self._tree, self._reductions, self._others = tree, reductions, others
 
+    @property
+    @abstractmethod
+    def _blocks(self) -> Mapping[str, Wire]:
+        """The blocks of the Jacobian, by input."""
+
     @cached_property
     def jac(self) -> Procedure:
         """The Jacobian."""
-        written = self._write(self.tape.function.to(Order.JACOBIAN), self._blocks)
+        written = self._write(self.tape.function.to(Order.JACOBIAN), self.value, self._blocks)
         return replace(written, outputs=written.outputs[1:])
 
     @cached_property
     def lin(self) -> Procedure:
-        """The accelerations, by the factors of M, and their Jacobian."""
-        return self._write(self.tape.function.to(Order.LINEARISATION), self._blocks)
+        """The value and its Jacobian."""
+        return self._write(self.tape.function.to(Order.LINEARISATION), self.value, self._blocks)
 
     @cached_property
-    def adj1(self) -> Procedure:
-        """The adjoint."""
-        inputs = {x: self.tape.input(x) for x in self.wrt}
-        sums = {x: Wire.to(adjoint_port(i.port), Sparsity.dense(i.sparsity.nnz)) for x, i in inputs.items()}
-        written = self._write(self.tape.function.to(Order.ADJOINT), sums, seed_port(ports.ACCELERATIONS))
-        return replace(written, outputs=written.outputs[1:])
+    def adj1(self) -> Computation:
+        """The adjoint, straight."""
+        return self._others().adj1
 
     @property
     def jac_adj1(self) -> Tape:
@@ -88,41 +93,33 @@ class LoopedDerivatives(Derivatives):
         return {written[o].name: {"tables": count(written[o]).paper} for o in orders if o in written}
 
     @cached_property
-    def _columns(self) -> Mapping[str, int]:
-        """The first column of B of each input."""
-        columns, used = {}, 0
-        for x in self.wrt:
-            columns[x] = used
-            used += self.tape.input(x).sparsity.nnz
-        return columns
+    def _patterns(self) -> Mapping[str, Sparsity]:
+        """The patterns of dPhi/dx, by x."""
+        n, inputs = len(self._tree.bodies), self._forces[0].inputs
+        blocks = {i.name: derivative_port(ports.RESIDUAL, i.port) for i in inputs if i.port.role.is_differentiated}
+        full = {
+            x: Wire.to(port, Sparsity.dense(n, self._forces[0].input(x).sparsity.nnz)) for x, port in blocks.items()
+        }
+        found = find_patterns(self._write(self.tape.function, ports.RESIDUAL, full))
+        return {x: found[port.name] for x, port in blocks.items()}
 
-    @cached_property
-    def _blocks(self) -> Mapping[str, Wire]:
-        """The results, by input: columns of B that do not vanish reach all joints of their part of the tree."""
-        n = len(self._tree.bodies)
-        ports_of = {x: derivative_port(ports.ACCELERATIONS, self.tape.input(x).port) for x in self.wrt}
-        sizes = {x: self.tape.input(x).sparsity.nnz for x in self.wrt}
-        full = {x: Wire.to(port, Sparsity.dense(n, sizes[x])) for x, port in ports_of.items()}
-        patterns = find_patterns(self._write(self.tape.function, full, solved=False))
-        roots = [0]
-        for k, body in enumerate(self._tree.bodies, 1):
-            roots.append(roots[body.parent] or k)
-        blocks = {}
-        for x, port in ports_of.items():
-            reached: dict[int, set[int]] = {}
-            for k, c in patterns[port.name].entries:
-                reached.setdefault(c, set()).add(roots[k + 1])
-            entries = [(k, c) for c, parts in reached.items() for k in range(n) if roots[k + 1] in parts]
-            blocks[x] = Wire.to(port, Sparsity.of(n, sizes[x], entries))
-        return blocks
+    def _number_columns(self, value: Port) -> tuple[Mapping[str, int], int]:
+        """Return the first column of B of each input, and the number of all columns: whole lanes."""
+        columns, used = {}, 0
+        for i in self._forces[0].inputs:
+            if i.port.role.is_differentiated and not (i.port == ports.ACCELERATIONS == value):
+                columns[i.name] = used
+                used += i.sparsity.nnz
+        return columns, -(-used // LANES) * LANES
 
     def _write(
-        self, function: Function, results: Mapping[str, Wire], seeds: Port | None = None, *, solved: bool = True
+        self, function: Function, value: Port, results: Mapping[str, Wire], seeds: Port | None = None
     ) -> Procedure:
         """Write the stage that places bodies and adds up forces, and the recursions."""
         tree, builder = self._tree, Builder()
-        n = len(tree.bodies)
-        state = declare_state(tree, builder, accelerations=False)
+        n, is_given = len(tree.bodies), value == ports.RESIDUAL
+        columns, width = self._number_columns(value)
+        state = declare_state(tree, builder, accelerations=is_given)
         given = builder.vector(seeds, n) if seeds else []
         chain = write_chain(tree, builder, state)
         segments = align(chain, group=False)
@@ -136,13 +133,13 @@ class LoopedDerivatives(Derivatives):
             "rotors": list(chain.armatures),
             "scales": [builder.zero if own else largest[i] for i, own in enumerate(owned, 1)],
             **({"seeds": given} if seeds else {}),
+            **({"accelerations": state.qdd} if is_given else {}),
         }
-        added = self._write_forces(builder, state, numbers)
+        added = self._write_forces(builder, state, numbers, columns)
         for name, values in numbers.items():
             builder.output(name, Sparsity.dense(len(values)), values)
         before = Straight(builder.build(f"place_{function.name}"))
         wires = {wire.name: wire for wire in before.gives}
-        used = sum(self.tape.input(x).sparsity.nnz for x in self.wrt)
         dynamics = TreeDynamics(
             name=f"dynamics_{function.name}",
             parents=tuple(link.parent for link in chain.links),
@@ -157,11 +154,11 @@ class LoopedDerivatives(Derivatives):
             rotors=wires["rotors"],
             scales=wires["scales"],
             added=tuple(Added(wires[name], first) for name, first in added.items()),
-            width=-(-used // LANES) * LANES,
-            accelerations=Wire.to(ports.ACCELERATIONS, Sparsity.dense(n)),
-            results=tuple(Block(wire, self._columns[x]) for x, wire in results.items()),
+            width=width,
+            value=Wire.to(value, Sparsity.dense(n)),
+            results=tuple(Block(wire, columns[x]) for x, wire in results.items()),
+            accelerations=wires.get("accelerations"),
             seeds=wires.get("seeds"),
-            solved=solved,
         )
         return Procedure(function, before.reads, (before, dynamics), dynamics.gives)
 
@@ -169,11 +166,13 @@ class LoopedDerivatives(Derivatives):
     def _forces(self) -> tuple[Tape, Tape]:
         """Phi of the tree without mass, and its derivatives."""
         forces = write_forces(self._tree, self._reductions)
-        return forces, forward.jacobian(forces, self.wrt)
+        return forces, forward.jacobian(forces, differentiable(forces))
 
-    def _write_forces(self, builder: Builder, state: State, numbers: dict[str, list[Scalar]]) -> dict[str, int]:
-        """Write the forces of joints and wrenches at qdd = 0, and their derivatives; return the columns of these."""
-        given: dict[str, Sequence[Scalar]] = {**vars(state), "qdd": [builder.zero] * len(state.qd)}
+    def _write_forces(
+        self, builder: Builder, state: State, numbers: dict[str, list[Scalar]], columns: Mapping[str, int]
+    ) -> dict[str, int]:
+        """Write the forces of joints, wrenches and rotors, and their derivatives; return the columns of these."""
+        given: dict[str, Sequence[Scalar]] = {**vars(state), "qdd": state.qdd or [builder.zero] * len(state.qd)}
         added = {}
         for tape in self._forces:
             values = replay(tape, builder, given)
@@ -181,10 +180,52 @@ class LoopedDerivatives(Derivatives):
             for o in tape.outputs:
                 if o.port.by is None:
                     numbers["rest"] = [values[v] for v in o.values]
-                elif o.sparsity.nnz:
-                    builder.output(o.name, o.sparsity, [values[v] for v in o.values])
-                    added[o.name] = self._columns[o.port.by.name]
+                elif o.sparsity.nnz and o.port.by.name in columns:
+                    builder.output(f"of_forces_{o.name}", o.sparsity, [values[v] for v in o.values])
+                    added[f"of_forces_{o.name}"] = columns[o.port.by.name]
         return added
+
+
+class LoopedResidual(_Looped):
+    """The derivatives of the residual."""
+
+    value = ports.RESIDUAL
+
+    @cached_property
+    def _blocks(self) -> Mapping[str, Wire]:
+        by = {x: derivative_port(ports.RESIDUAL, self.tape.input(x).port) for x in self.wrt}
+        return {x: Wire.to(port, self._patterns[x]) for x, port in by.items()}
+
+
+class LoopedAccelerations(_Looped):
+    """The derivatives of the accelerations."""
+
+    value = ports.ACCELERATIONS
+
+    @cached_property
+    def adj1(self) -> Procedure:
+        """The adjoint."""
+        inputs = {x: self.tape.input(x) for x in self.wrt}
+        sums = {x: Wire.to(adjoint_port(i.port), Sparsity.dense(i.sparsity.nnz)) for x, i in inputs.items()}
+        seeds = seed_port(ports.ACCELERATIONS)
+        written = self._write(self.tape.function.to(Order.ADJOINT), self.value, sums, seeds)
+        return replace(written, outputs=written.outputs[1:])
+
+    @cached_property
+    def _blocks(self) -> Mapping[str, Wire]:
+        """The results, by input: columns of dPhi/dx that do not vanish reach all joints of their part of the tree."""
+        roots = [0]
+        for k, body in enumerate(self._tree.bodies, 1):
+            roots.append(roots[body.parent] or k)
+        blocks = {}
+        for x in self.wrt:
+            pattern, reached = self._patterns[x], dict[int, set[int]]()
+            for k, c in pattern.entries:
+                reached.setdefault(c, set()).add(roots[k + 1])
+            entries = [(k - 1, c) for c, parts in reached.items() for k in range(1, len(roots)) if roots[k] in parts]
+            port = derivative_port(ports.ACCELERATIONS, self.tape.input(x).port)
+            blocks[x] = Wire.to(port, Sparsity.of(pattern.rows, pattern.cols, entries))
+        return blocks
 
 
 def _place(link: Link) -> list[Scalar]:

@@ -62,9 +62,9 @@ class Added:
 
 @dataclass(frozen=True)
 class TreeDynamics(Stage):
-    """The accelerations, and their derivatives; where `seeds` are given, the adjoints instead.
+    """The accelerations qdd with their derivatives, or the residual Phi with its own.
 
-    Of derivatives that are not `solved`, the results are blocks of B.
+    With `seeds`, adjoints take the place of derivatives.
     """
 
     name: str
@@ -76,15 +76,15 @@ class TreeDynamics(Stage):
     moments: Wire
     gravity: Wire
     rates: Wire
-    rest: Wire  # Phi of the tree without mass, at qdd = 0
+    rest: Wire  # Phi of the tree without mass, at the given accelerations or at 0
     rotors: Wire  # added to the diagonal of M
     scales: Wire
     added: tuple[Added, ...]
-    width: int  # columns of B: by q, by qd, then others
-    accelerations: Wire
-    results: tuple[Block, ...]  # columns of -M^-1 B
+    width: int  # columns of B: by q, by qd, by qdd where it is given, then others
+    value: Wire  # qdd, or Phi where accelerations are given
+    results: tuple[Block, ...]  # columns of -M^-1 B, or of B where accelerations are given
+    accelerations: Wire | None = None  # at which Phi is computed
     seeds: Wire | None = None
-    solved: bool = True
 
     def __post_init__(self) -> None:
         n = self.size
@@ -108,41 +108,43 @@ class TreeDynamics(Stage):
 
     @property
     def reads(self) -> tuple[Wire, ...]:
-        """List all wires of the bodies, the added blocks, and the seeds."""
+        """List all wires of the bodies, the added blocks, the accelerations and the seeds."""
         own = (self.placements, self.moments, self.gravity, self.rates, self.rest, self.rotors, self.scales)
-        return (*own, *(x.wire for x in self.added), *((self.seeds,) if self.seeds else ()))
+        more = (wire for wire in (self.accelerations, self.seeds) if wire)
+        return (*own, *(x.wire for x in self.added), *more)
 
     @property
     def gives(self) -> tuple[Wire, ...]:
-        """List the accelerations and the results."""
-        return (self.accelerations, *(block.result for block in self.results))
+        """List the value and the results."""
+        return (self.value, *(block.result for block in self.results))
 
     @property
     def can_fail(self) -> bool:
-        """Return that a pivot may be lost."""
-        return True
+        """Return whether a pivot may be lost."""
+        return self.accelerations is None
 
     def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
         """Compute by the factors of M, where the C frees one joint after the other: pivots are the same."""
         zero = arithmetic.numbers.literal(LITERALS.mpf(0))
-        n, width, bodies = self.size, self.width, self._place(given, zero)
+        n, bodies = self.size, self._place(given, zero)
         M = [[zero] * n for _ in range(n)]
         for i, j, unit in self._pairs([body.inertia.apply(body.S) for body in bodies[1:]], bodies):
             M[i][j] = M[j][i] = bodies[j + 1].S.dot(unit)
+        if self.accelerations:
+            self._accelerate(bodies, given[self.accelerations.name])
+            rows = self._differentiate(bodies, given, M)
+            found = {b.result.name: [rows[r][c] for r, c in b.entries(n)] for b in self.results}
+            return Outcome(0, {self.value.name: self._balance(bodies, given), **found})
         for i, rotor in enumerate(given[self.rotors.name]):
             M[i][i] = M[i][i] + rotor
         factors, _ = self.pattern.factorise(M, -1)
         if arithmetic.tested and (status := self._test(M, factors[1], given, arithmetic)):
             return Outcome(status, {})
-        felt = [[x + body.S.dot(body.F)] for x, body in zip(given[self.rest.name], bodies[1:], strict=True)]
+        felt = [[x] for x in self._balance(bodies, given)]
         self.pattern.solve(factors, felt)
         qdd = [-x for (x,) in felt]
         self._accelerate(bodies, qdd)
-        B = self._differentiate(bodies, zero)
-        for block in self.added:
-            for place, value in zip(block.places(width), given[block.wire.name], strict=True):
-                B[place] = B[place] + value
-        rows = [B[k * width : (k + 1) * width] for k in range(n)]
+        rows = self._differentiate(bodies, given)
         if self.seeds:
             weights = [[-x] for x in given[self.seeds.name]]
             self.pattern.solve(factors, weights)
@@ -152,11 +154,13 @@ class TreeDynamics(Stage):
             ]
             found = {b.result.name: sums[b.first : b.last(1)] for b in self.results}
         else:
-            if self.solved:
-                self.pattern.solve(factors, rows)
-                rows = [[-x for x in row] for row in rows]
-            found = {b.result.name: [rows[r][c] for r, c in b.entries(n)] for b in self.results}
-        return Outcome(0, {self.accelerations.name: qdd, **found})
+            self.pattern.solve(factors, rows)
+            found = {b.result.name: [-rows[r][c] for r, c in b.entries(n)] for b in self.results}
+        return Outcome(0, {self.value.name: qdd, **found})
+
+    def _balance(self, bodies: Sequence[_Body], given: Values) -> list[Any]:
+        """Return Phi of the bodies' motion."""
+        return [x + body.S.dot(body.F) for x, body in zip(given[self.rest.name], bodies[1:], strict=True)]
 
     def _test(self, M: patterns.Rows, inverses: Sequence[Any], given: Values, arithmetic: Arithmetic) -> int:
         own, other = (find_threshold(x, arithmetic.numbers) for x in self.tolerances)
@@ -209,9 +213,13 @@ class TreeDynamics(Stage):
             bodies[i].F = bodies[i].F + forces[i]
             forces[self.parents[i - 1]] = forces[self.parents[i - 1]] + forces[i].taken(bodies[i].r)
 
-    def _differentiate(self, bodies: Sequence[_Body], zero: Any) -> list[Any]:
-        n, width = self.size, self.width
-        B = [zero] * (n * width)
+    def _differentiate(self, bodies: Sequence[_Body], given: Values, M: patterns.Rows | None = None) -> patterns.Rows:
+        """Return B by rows; M is a block of it where accelerations are given."""
+        n = self.size
+        zero = bodies[0].inertia.m
+        B = [[zero] * self.width for _ in range(n)]
+        for row, own in zip(B, M or (), strict=False):
+            row[2 * n : 3 * n] = own
         A_S = [bodies[0].S]
         for body, parent in zip(bodies[1:], self.parents, strict=True):
             A, V = (x.carried(body.r) for x in (bodies[parent].A, bodies[parent].V))
@@ -220,22 +228,25 @@ class TreeDynamics(Stage):
         turned = [body.turn_back() for body in bodies[1:]]
         for i, j, unit in self._pairs(units, bodies):
             S, V_S = bodies[j + 1].S, bodies[j + 1].V_S
-            B[i * width + j] = turned[i].dot(V_S.one) + A_S[j + 1].dot(unit)
-            B[i * width + n + j] = turned[i].dot(S.one) + 2 * V_S.dot(unit)
+            B[i][j] = turned[i].dot(V_S.one) + A_S[j + 1].dot(unit)
+            B[i][n + j] = turned[i].dot(S.one) + 2 * V_S.dot(unit)
         by_q, by_qd = [], []
         for body, a in zip(bodies[1:], A_S[1:], strict=True):
             by_q.append(body.gyrate(body.V_S) + body.inertia.apply(a) + body.S.turn(body.F))
             by_qd.append(body.gyrate(body.S) + body.inertia.apply(body.V_S.scale(2)))
         for first, forces in ((0, by_q), (n, by_qd)):
             for i, j, force in self._pairs(forces, bodies):
-                B[j * width + first + i] = bodies[j + 1].S.dot(force)
+                B[j][first + i] = bodies[j + 1].S.dot(force)
+        for block in self.added:
+            for (r, c), value in zip(block.wire.sparsity.entries, given[block.wire.name], strict=True):
+                B[r][block.first + c] = B[r][block.first + c] + value
         return B
 
     def count(self) -> Counts:
         """Count as the C computes: for bodies, for pairs of bodies, and for the columns at bodies."""
         n, pairs = self.size, self.pattern.starts[-1] + self.size
-        columns = 0 if not self.solved else LANES // 2 if self.seeds else self.width
-        columns += LANES // 2  # of the accelerations
+        solved = LANES // 2 + (LANES // 2 if self.seeds else self.width)  # first the accelerations
+        columns = 0 if self.accelerations else solved
         total = {op: n * (own + columns * _OF_COLUMN[op]) + pairs * _OF_PAIR[op] for op, own in _OF_BODY.items()}
         total[Op.ADD] += sum(x.wire.sparsity.nnz for x in self.added)
         if self.seeds:

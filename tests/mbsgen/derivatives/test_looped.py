@@ -1,4 +1,4 @@
-"""First derivatives of accelerations by loops over tables: the straight code's, and Pinocchio's, for any tree, in C."""
+"""First derivatives by loops over tables: the straight code's, and Pinocchio's, for any tree, in C."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.random_trees import Pinocchio, floating, random_tree, with_laws, with
 
 MODELS = Path(__file__).parents[3] / "models"
 LOOPED, STRAIGHT = CodeSize(looped=0, compared=0), CodeSize(compared=0)
-OPTIONS = Options(functions=("exp1",), derivatives=1, size=LOOPED)
+OPTIONS = Options(functions=("impl", "exp1"), derivatives=1, size=LOOPED)
 TREES = {
     "all forces": with_wrenches(with_laws(with_rotors(random_tree(5, 7), 5)), 5),
     "run time": with_laws(random_tree(7, 4, runtime=True)),
@@ -31,8 +31,8 @@ TREES = {
 
 
 def write(tree: Tree, size: CodeSize) -> dict[str, Computation]:
-    """Return `exp2` with its derivatives, and `setup`, by name."""
-    request = Request(functions=("exp2",), derivatives=1, size=size)
+    """Return `impl` and `exp2` with their derivatives, and `setup`, by name."""
+    request = Request(functions=("impl", "exp2"), derivatives=1, size=size)
     families = write_functions(tree, request, staged=True).families
     return {f.name: f for family in families for f in family.functions}
 
@@ -43,7 +43,7 @@ def test_loops_give_what_straight_code_gives(name: str) -> None:
     rng = np.random.default_rng(1)
     looped, straight = write(TREES[name], LOOPED), write(TREES[name], STRAIGHT)
     values = {"p": list(rng.uniform(0.3, 1.2, looped["setup"].input("p").sparsity.nnz))} if "setup" in looped else {}
-    for kernel in ("jac_exp2", "adj1_exp2", "lin_exp2"):
+    for kernel in ("jac_exp2", "adj1_exp2", "lin_exp2", "jac_impl", "lin_impl"):
         assert isinstance(looped[kernel], Procedure)
         drawn = {i.name: list(rng.uniform(0.3, 1.2, i.sparsity.nnz)) for i in straight[kernel].inputs}
         dense = []
@@ -94,6 +94,7 @@ def test_the_c_of_loops_gives_the_derivatives(kind: str, tmp_path: Path, monkeyp
         seeds = {"adj_qdd": state.pop("adj_qdd")}
         one = {name: x[0] for name, x in state.items()}
         found.append(kernels.jac("exp1", **one) | kernels.lin("exp1", **one))
+        found[-1] |= kernels.lin("impl", **one, qdd=rng.uniform(-1, 1, 7))
         for name, more in (("jac_exp1", {}), ("adj1_exp1", seeds)):
             many, _ = kernels.batch(name, lanes=kind == "vectors", **state, **more)
             found[-1] |= {f"many {result}": values for result, values in many.items()}

@@ -444,33 +444,39 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
 
 
 def _write_dynamics(writer: Writer, stage: TreeDynamics) -> None:
-    assert stage.solved, "right-hand sides alone are looked at for their patterns"
     writer.headers |= {DYNAMICS: None, COLUMNS: None}
     n, width = stage.size, stage.width
     parents, joints = writer.tabulate("mbs_parents", stage.parents), writer.tabulate("mbs_joints", stage.joints)
-    own = writer.tabulate("mbs_owned", ("1" if own else "0" for own in stage.owned))
-    thresholds = [f"MBS_THRESHOLD({write_literal(x)})" for x in stage.tolerances]
-    wires = (stage.placements, stage.moments, stage.gravity, stage.rates, stage.rest, stage.rotors, stage.scales)
     writer.read.update(wire.name for wire in stage.reads)
     writer.locals += [
         f"mbs_body mbs_bodies[{n + 1}];",
-        f"mbs_free_inertia mbs_free[{n + 1}];",
-        f"mbs_lanes mbs_work[{12 * (n + 1)}], mbs_column[{n}];",
+        f"mbs_lanes mbs_work[{12 * (n + 1)}];",
         f"MBS_ALIGNED mbs_real mbs_right[{n * width}];",
     ]
-    results, work = writer.name(stage.accelerations), ("mbs_free", "mbs_work", "mbs_column", "mbs_bodies")
-    given = (str(n), parents, joints, own, *thresholds, *map(writer.name, wires), *work, results)
-    writer.call("mbs_write_bodies", given)
-    writer.lines.append(f"mbs_write_slopes({n}, {parents}, {width}, mbs_bodies, mbs_right);")
+    bodies = ", ".join(map(writer.name, (stage.placements, stage.moments, stage.gravity, stage.rates)))
+    writer.lines.append(f"mbs_write_bodies({n}, {parents}, {joints}, {bodies}, mbs_bodies);")
+    rest, value = writer.name(stage.rest), writer.name(stage.value)
+    if stage.accelerations:
+        motion = f"{writer.name(stage.accelerations)}, {rest}, mbs_work, mbs_bodies, {value}"
+        writer.lines.append(f"mbs_find_residual({n}, {parents}, {motion});")
+    else:
+        writer.locals.append(f"mbs_free_inertia mbs_free[{n + 1}];")
+        writer.locals.append(f"mbs_lanes mbs_column[{n}];")
+        own = writer.tabulate("mbs_owned", ("1" if own else "0" for own in stage.owned))
+        thresholds = [f"MBS_THRESHOLD({write_literal(x)})" for x in stage.tolerances]
+        wires = map(writer.name, (stage.rest, stage.rotors, stage.scales))
+        work = ("mbs_free", "mbs_work", "mbs_column", "mbs_bodies")
+        writer.call("mbs_find_accelerations", (str(n), parents, own, *thresholds, *wires, *work, value))
+    blocks = 3 if stage.accelerations else 2
+    writer.lines.append(f"mbs_write_slopes({n}, {parents}, {blocks}, {width}, mbs_bodies, mbs_right);")
     for added in stage.added:
         places = writer.tabulate(f"mbs_places_{added.wire.name}", added.places(width))
         count, numbers = added.wire.sparsity.nnz, writer.name(added.wire)
         writer.lines.append(f"mbs_add_places({count}, {places}, {numbers}, mbs_right);")
     if stage.seeds:
-        writer.lines.append(
-            f"mbs_solve_column({n}, {parents}, mbs_bodies, {writer.name(stage.seeds)}, mbs_work, mbs_column);"
-        )
-    else:
+        seeds = writer.name(stage.seeds)
+        writer.lines.append(f"mbs_solve_column({n}, {parents}, mbs_bodies, {seeds}, mbs_work, mbs_column);")
+    elif not stage.accelerations:
         writer.lines.append(f"mbs_solve_bodies({n}, {parents}, mbs_bodies, {width}, mbs_work, mbs_right);")
     writer.lines += (_give(writer, stage, block) for block in stage.results if block.result.sparsity.nnz)
 
