@@ -468,6 +468,7 @@ def test_a_transmission_with_text_in_place_of_a_number(part: str, tmp_path: Path
         ('xyz="0.2 0.1 -0.3"', 'xyz="0 0 ${h}"'),
         ('parent link="a"', 'parent link="${prefix}a"'),
         ('type="continuous"', 'type="$(arg kind)"'),
+        ("</joint>", '</joint><link name="${prefix}c"/>'),
         ("</joint>", '</joint><xacro:wheel side="left"/>'),
         ("</joint>", '</joint><property name="h" value="2"/>'),
     ],
@@ -475,6 +476,14 @@ def test_a_transmission_with_text_in_place_of_a_number(part: str, tmp_path: Path
 def test_leftovers_of_xacro_are_named(leftover: tuple[str, str], tmp_path: Path) -> None:
     path = write(tmp_path, link("a") + link("b") + joint("j", "continuous", "a", "b").replace(*leftover))
     assert "xacro" in faults_of(path)[0]
+
+
+@pytest.mark.parametrize("part", ["mechanicalReduction", "rotorInertia"])
+def test_a_transmission_with_leftovers_of_xacro_is_a_warning(part: str, tmp_path: Path) -> None:
+    actuator = f'<actuator name="m"><{part}>${{ratio}}</{part}></actuator>'
+    gear = f'<transmission name="t"><joint name="j"/>{actuator}</transmission>'
+    imported = import_model(write(tmp_path, link("a") + link("b") + joint("j", "continuous", "a", "b") + gear))
+    assert any(notice.alters and "xacro" in notice.text for notice in imported.notices)
 
 
 def test_an_orientation_may_be_a_quaternion(tmp_path: Path) -> None:
