@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
+.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -103,6 +103,10 @@ bench-mpc: $(VENV)/installed
 # BENCH=--prepare, which compiles the others' programs.
 bench-loops: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks.loops $(BENCH)
+
+# Motions of the community's benchmark mechanisms to 3, 6, 9 and 12 digits, beside the same programs: five minutes.
+bench-community: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks.community $(BENCH)
 
 # Kernels in batches, in lanes and one by one: three minutes.
 bench-batches: $(VENV)/installed-bench

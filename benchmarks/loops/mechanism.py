@@ -12,7 +12,7 @@ from typing import Literal
 from sympy import Expr, Symbol
 
 from benchmarks.mechanism import write_mechanism
-from mbsgen.model.tree import NO_FORCE, Body, Cut, Loop, LoopFrame, Motion, Tree
+from mbsgen.model.tree import NO_FORCE, ZERO, Body, Cut, Loop, LoopFrame, Motion, Tree
 
 Kind = Literal["point", "axis", "frame", "rod"]
 
@@ -120,9 +120,24 @@ def _join(numbers: Iterable[float]) -> str:
 SOFT = 'solref="0.0002 1" solimp="0.9999 0.9999 0.001 0.5 1"'  # as stiff as MuJoCo's loops remain stable with
 
 
+def find_massless(tree: Tree) -> list[str]:
+    """List the bodies without mass; a body that only carries a joint of the next one, at one point, is none."""
+    return [body.name for number, body in enumerate(tree.bodies, 1) if body.mass == 0 and not _carries(tree, number)]
+
+
+def _carries(tree: Tree, number: int) -> bool:
+    """Return whether a body without mass is the place of one more joint of its only child."""
+    if tree.bodies[number - 1].mass != 0 or len(children := tree.children(number)) != 1:
+        return False
+    child = tree.bodies[children[0] - 1]
+    return child.position == (ZERO,) * 3 and all(
+        child.orientation[r][c] == int(r == c) for r in range(3) for c in range(3)
+    )
+
+
 def write_xml(tree: Tree, springs: Sequence[Spring] = ()) -> str:
     """Write a mechanism as MJCF; its loops are soft. Raises ValueError."""
-    massless = [body.name for body in tree.bodies if body.mass == 0]
+    massless = find_massless(tree)
     if massless:
         raise ValueError(f"{tree.name}: {', '.join(massless)}: MuJoCo takes no bodies without mass")
     rods = [loop.name for loop in tree.loops if loop.cut is Cut.ROD]
@@ -148,9 +163,11 @@ def _write_bodies(tree: Tree, parent: int, values: Mapping[Symbol, float], sprin
     for number in tree.children(parent):
         body = tree.bodies[number - 1]
         yield f'<body name="{body.name}" pos="{_join(_numbers(body.position, values))}" {_write_axes(body, values)}>'
-        kind = "hinge" if body.joint.motion is Motion.REVOLUTE else "slide"
-        axis = _join(float(k == body.joint.axis) for k in range(3))
-        yield f'<joint name="{body.joint.name}" type="{kind}" axis="{axis}"/>'
+        yield _write_joint(body)
+        while _carries(tree, number):
+            number = tree.children(number)[0]
+            body = tree.bodies[number - 1]
+            yield _write_joint(body)
         I = [_numbers(row, values) for row in body.inertia]
         entries = [max(I[k][k], TINY) for k in range(3)] + [I[0][1], I[0][2], I[1][2]]
         (mass,), com = _numbers((body.mass,), values), _join(_numbers(body.com, values))
@@ -158,6 +175,12 @@ def _write_bodies(tree: Tree, parent: int, values: Mapping[Symbol, float], sprin
         yield from _write_sites(tree, number, values, springs)
         yield from _write_bodies(tree, number, values, springs)
         yield "</body>"
+
+
+def _write_joint(body: Body) -> str:
+    kind = "hinge" if body.joint.motion is Motion.REVOLUTE else "slide"
+    axis = _join(float(k == body.joint.axis) for k in range(3))
+    return f'<joint name="{body.joint.name}" type="{kind}" axis="{axis}"/>'
 
 
 def _write_axes(body: Body, values: Mapping[Symbol, float]) -> str:

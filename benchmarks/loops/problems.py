@@ -42,16 +42,17 @@ class Problem:
     springs: tuple[Spring, ...] = ()  # instead of laws that are not constant, for peers that have springs
     is_stiff: bool = False
     is_redundant: bool = False
+    file: Path | None = None  # our model file, if it is none of the loops'
 
     @property
     def model(self) -> Path:
         """Return our model file."""
-        return find_model(self.name)
+        return self.file or find_model(self.name)
 
     @property
     def start(self) -> tuple[Array, Array]:
         """Return our start: the coordinates and velocities of all joints."""
-        n = len(_read(self.name).bodies) - len(self.q)
+        n = 0 if self.file else len(_read(self.name).bodies) - len(self.q)
         return np.concatenate([self.q, np.full(n, 0.5)]), np.concatenate([self.qd, np.zeros(n)])
 
     def measure(self, q: Array, qd: Array) -> float:

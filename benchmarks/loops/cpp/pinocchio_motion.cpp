@@ -1,9 +1,10 @@
-// Motions of a mechanism with closed loops by Pinocchio's accelerations and DOP853, without projection.
+// Motions of a mechanism by Pinocchio's accelerations and DOP853, without projection; of trees by articulated bodies.
 //
 // Pinocchio brings no integrator; this is what its users write around it.
 #include <ctime>
 #include <memory>
 
+#include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 
 #include "pinocchio_loops.hpp"
@@ -22,9 +23,13 @@ extern "C" int pinm_simulate(const char *path, double mu, double accuracy, int i
             position = x.head(n);
             velocity = x.tail(n);
             rate.head(n) = velocity;
-            rate.tail(n) = pinocchio::constraintDynamics(state.mechanism.model, state.data, position, velocity,
-                                                         state.torques(position.data(), nullptr), state.constraints,
-                                                         state.datas, state.settings);
+            const Eigen::VectorXd &Q = state.torques(position.data(), nullptr);
+            if (state.constraints.empty())
+                rate.tail(n) = pinocchio::aba(state.mechanism.model, state.data, position, velocity, Q,
+                                              pinocchio::Convention::LOCAL);
+            else
+                rate.tail(n) = pinocchio::constraintDynamics(state.mechanism.model, state.data, position, velocity, Q,
+                                                             state.constraints, state.datas, state.settings);
         };
         const std::clock_t begin = std::clock();
         *calls = integrate({stages, A, b, e3, e5}, accelerate, span, tolerance, y);

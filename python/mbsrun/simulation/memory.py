@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel, Manifest
-from mbsrun.binding import Entry, bind
+from mbsrun.binding import Entry
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
 
@@ -60,9 +60,9 @@ class Memory:
         return value
 
     def bind(self, name: str) -> Entry:
-        """Compile a kernel and find its arguments."""
+        """Return a bound kernel, and keep its inputs that come from parameters."""
         holder = self.kernels.find_holder(name)
-        entry: Entry = self.keep(bind(holder.compile(name), holder.describe(name)))
+        entry = holder.bind(name)
         self._filled[name] = {key: x.copy() for key, x in holder.filled.items()}
         return entry
 

@@ -1,0 +1,338 @@
+"""A point of a nonlinear program with its multipliers -> a proof that a strict local minimum is near.
+
+    minimise f(x) such that g(x) = 0 in some rows, between bounds in others, and x between bounds
+
+Bounds that hold x or a row of g are an active set; x there is its bound, and the rows are equations. There remains
+the system F(z) = 0 of z = (free x, lam): the gradient of f + lam' g by free x, and held rows of g less their bounds.
+
+Krawczyk's test proves one zero z* within |z - z0| <= rho: with any matrix C, here an approximate inverse of F'(z0),
+
+    |C F(z0)| + |I - C F'(Z)| rho < rho,   Z the box of all such z.
+
+F and F' are evaluated in balls of Arb; C and products with it in doubles, with bounds of their rounding: n u times the
+same products of absolute values, n the number of terms. On Z, multipliers of held bounds keep their sign, and other
+numbers stay off their bounds: strict complementarity. With A the held rows, H + w A'A positive definite for all z in Z
+gives d'Hd > 0 where A d = 0: z* is a strict local minimum. This is proved by L D L' with D > 0 that differs from
+H + w A'A - s I, in a norm, by less than s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from flint import arb, ctx
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from benchmarks.proofs.intervals import Instructions
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Matrix = sparse.csc_array
+
+UNIT = 2.0**-53
+BITS = 90
+LEAST, LARGEST = 1e-13, 1e-8  # radius
+LOT = 64  # rows of the inverse at once
+ROOM = 1 + 1e-9  # covers roundings of sums of norms
+WEIGHTS = (1e4, 1e6, 1e2, 1.0, 1e8)  # w
+SHIFTS = tuple(10.0**-k for k in range(2, 13))  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Nonlinear:
+    """A program in CasADi's symbols, with its numbers."""
+
+    objective: ca.Function  # x -> f
+    constraint: ca.Function  # x -> g
+    lower: Array  # of x
+    upper: Array
+    g_lower: Array
+    g_upper: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point with an active set: -1, 0, 1 for each x and row that lies at its lower bound, none, its upper one."""
+
+    x: Array
+    lam: Array  # of all rows of g
+    held: NDArray[np.int8]  # of x
+    rows: NDArray[np.int8]  # of g; an equation is 1
+
+    @property
+    def free(self) -> Indices:
+        """Number the x that no bound holds."""
+        return np.flatnonzero(self.held == 0)
+
+    @property
+    def kept(self) -> Indices:
+        """Number the rows that are equations here."""
+        return np.flatnonzero(self.rows != 0)
+
+    @property
+    def unknowns(self) -> Array:
+        """Return z."""
+        return np.concatenate([self.x[self.free], self.lam[self.kept]])
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The figures of a proof; `reason` says why it fails, and is empty where it does not."""
+
+    radius: float  # z* lies within radius max(1, |z0|) of each entry
+    contraction: float  # the norm of I - C F'(Z)
+    least_multiplier: float  # of held bounds
+    least_distance: float  # of other numbers, from their bounds
+    curvature: float  # a lower bound of the eigenvalues of H + w A'A, whose diagonal is scaled to nearly 1
+    reason: str = ""
+
+
+class System:
+    """F and F' of a program, for any active set."""
+
+    def __init__(self, program: Nonlinear) -> None:
+        """Differentiate the Lagrangian in CasADi's symbols. Raises UnknownOperationError."""
+        self.program = program
+        x, lam = ca.SX.sym("x", len(program.lower)), ca.SX.sym("lam", len(program.g_lower))
+        f, g = program.objective(x), program.constraint(x)
+        hessian, gradient = ca.hessian(f + ca.dot(lam, g), x)
+        first = ca.Function("first", [x, lam], [ca.densify(gradient), ca.densify(g)])
+        self.second = ca.Function("second", [x, lam], [ca.tril(hessian), ca.jacobian(g, x)])
+        self.balls = Instructions.of(first), Instructions.of(self.second)
+        self.patterns = tuple(
+            tuple(np.array(x, dtype=np.int64) for x in self.second.sparsity_out(k).get_triplet()) for k in range(2)
+        )
+
+    def bound_rows(self, point: Point) -> Array:
+        """Return the values that held rows take."""
+        both = np.where(point.rows < 0, self.program.g_lower, self.program.g_upper)
+        return both[point.kept]
+
+    def assemble(self, point: Point, H: Array, J: Array) -> tuple[Matrix, Matrix]:
+        """Return H of the free x, and A, of values of nonzeros."""
+        n, m = len(self.program.lower), len(self.program.g_lower)
+        triangle = Matrix(sparse.coo_array((H, self.patterns[0]), shape=(n, n)))
+        whole = Matrix(triangle + sparse.tril(triangle, -1).T)
+        jacobian = sparse.csr_array(sparse.coo_array((J, self.patterns[1]), shape=(m, n)))
+        free = point.free
+        return Matrix(whole[free][:, free]), Matrix(jacobian[point.kept][:, free])
+
+    def step(self, point: Point) -> Point:
+        """Take a step of Newton's method, with a residual of more digits than its matrix. Raises RuntimeError."""
+        right, _ = _evaluate_residual(self, point)
+        H, J = (np.array(part.nonzeros()) for part in self.second(point.x, point.lam))
+        step = splu(_border(*self.assemble(point, H, J))).solve(right)
+        x, lam, free = point.x.copy(), point.lam.copy(), point.free
+        x[free] -= step[: len(free)]
+        lam[point.kept] -= step[len(free) :]
+        return Point(x, lam, point.held, point.rows)
+
+    def change(self, point: Point) -> Point:
+        """Hold numbers beyond bounds, and release bounds that would have to pull; the same point if there are none."""
+        program = self.program
+        gradient, g = ([float(y.mid()) for y in part] for part in self.balls[0].evaluate(_box(point, 0.0)))
+        held = _revise(point.x, -np.array(gradient), point.held, program.lower, program.upper)
+        rows = _revise(np.array(g), point.lam, point.rows, program.g_lower, program.g_upper)
+        if np.array_equal(held, point.held) and np.array_equal(rows, point.rows):
+            return point
+        x = np.where(held < 0, program.lower, np.where(held > 0, program.upper, point.x))
+        return Point(x, np.where(rows == 0, 0.0, point.lam), held, rows)
+
+
+def _revise(values: Array, multipliers: Array, signs: NDArray[np.int8], lower: Array, upper: Array) -> NDArray[np.int8]:
+    """Return which bounds hold, by the values of free numbers and the multipliers of held ones."""
+    pulled = (signs != 0) & (signs * multipliers < 0) & (lower < upper)
+    beyond = np.where(values < lower, -1, np.where(values > upper, 1, 0))
+    return np.where(signs == 0, beyond, np.where(pulled, 0, signs)).astype(np.int8)
+
+
+def settle(system: System, point: Point, rounds: int = 20) -> Point:
+    """Find the active set and the zero of F near a point. Raises ArithmeticError."""
+    before, ctx.prec = ctx.prec, BITS
+    try:
+        for _ in range(rounds):
+            for _ in range(3):
+                point = system.step(point)
+            changed = system.change(point)
+            if changed is point:
+                return point
+            point = changed
+    except RuntimeError as error:
+        raise ArithmeticError("the matrix of the conditions is singular: no isolated optimum") from error
+    finally:
+        ctx.prec = before
+    raise ArithmeticError("no active set was found")
+
+
+def prove(system: System, point: Point) -> Proof:
+    """Prove a strict local minimum near a point, if it is one."""
+    before, ctx.prec = ctx.prec, BITS
+    try:
+        return _prove(system, point)
+    except (ArithmeticError, RuntimeError) as error:
+        return Proof(np.inf, np.inf, 0.0, 0.0, 0.0, str(error) or type(error).__name__)
+    finally:
+        ctx.prec = before
+
+
+def _prove(system: System, point: Point) -> Proof:
+    z = point.unknowns
+    scale, size = np.maximum(1.0, np.abs(z)), len(z)
+    residual = _evaluate_residual(system, point)
+    middle, _ = _evaluate_matrix(system, point, 0.0)
+    factors = splu(_border(*middle))
+    guess = np.abs(factors.solve(residual[0])) / scale  # the test below decides
+    radius = float(min(max(8 * guess.max(), LEAST), LARGEST))
+    (H, A), (H_radius, A_radius) = _evaluate_matrix(system, point, radius)
+    matrix, radii = _border(H, A), _border(H_radius, A_radius)
+    contraction, moved, slack = 0.0, 0.0, _bound_rounding(matrix)
+    for lot, C in _list_rows(factors, size):
+        product, absolute = np.abs(C @ matrix - _unit(lot, size)), np.abs(C)
+        rest = product * (1 + UNIT) + absolute @ (radii + slack * abs(matrix))
+        contraction = max(contraction, ROOM * float(((rest @ scale) / scale[lot]).max()))
+        shift = np.abs(C @ residual[0]) + absolute @ (residual[1] + (size + 4) * UNIT * np.abs(residual[0]))
+        moved = max(moved, ROOM * float((shift / scale[lot]).max()))
+    if not moved + contraction * radius < radius:
+        reason = f"Krawczyk's test fails: a step of {moved:.1e} and a contraction of {contraction:.1e} at {radius:.0e}"
+        return Proof(radius, contraction, 0.0, 0.0, 0.0, reason)
+    signs, distance = _check_sides(system, point, radius)
+    if signs <= 0 or distance <= 0:
+        reason = f"no strict complementarity: multipliers from {signs:.1e}, distances from {distance:.1e}"
+        return Proof(radius, contraction, signs, distance, 0.0, reason)
+    curvature = _bound_curvature(H, A, H_radius, A_radius)
+    reason = "" if curvature > 0 else "the second-order condition was not proved"
+    return Proof(radius, contraction, signs, distance, curvature, reason)
+
+
+def _bound_rounding(matrix: Matrix) -> float:
+    """Return a bound of the relative error of products with the columns of a matrix, by their number of terms."""
+    return float(np.diff(matrix.indptr).max() + 4) * UNIT
+
+
+def enclose_cost(system: System, point: Point, radius: float) -> tuple[float, float]:
+    """Return the least and the largest cost within a ball."""
+    before, ctx.prec = ctx.prec, BITS
+    try:
+        ((cost,),) = Instructions.of(system.program.objective).evaluate(_box(point, radius)[:1])
+        return float(cost.lower()), float(cost.upper())
+    finally:
+        ctx.prec = before
+
+
+def _balls(values: Array, radii: Array | float) -> list[arb]:
+    return [arb(float(x), float(r)) for x, r in zip(values, np.broadcast_to(radii, values.shape), strict=True)]
+
+
+def _box(point: Point, radius: float) -> tuple[list[arb], list[arb]]:
+    """Return x and lam as balls; held x are their bounds, and rows that are not held have no multiplier."""
+    x_radius = np.where(point.held == 0, radius * np.maximum(1.0, np.abs(point.x)) * ROOM, 0.0)
+    lam_radius = np.where(point.rows != 0, radius * np.maximum(1.0, np.abs(point.lam)) * ROOM, 0.0)
+    return _balls(point.x, x_radius), _balls(point.lam, lam_radius)
+
+
+def _split(values: list[arb]) -> tuple[Array, Array]:
+    """Return middles as doubles, and bounds of the distances from them."""
+    middles = np.array([float(x.mid()) for x in values])
+    radii = np.array([float(abs(x - arb(m)).upper()) for x, m in zip(values, middles, strict=True)])
+    if not np.isfinite(middles).all() or not np.isfinite(radii).all():
+        raise ArithmeticError("a function is not finite on the ball")
+    return middles, np.nextafter(radii, np.inf)
+
+
+def _evaluate_residual(system: System, point: Point) -> tuple[Array, Array]:
+    """Return F(z0) and its error."""
+    gradient, g = system.balls[0].evaluate(_box(point, 0.0))
+    bounds = system.bound_rows(point).tolist()
+    return _split(
+        [*(gradient[k] for k in point.free), *(g[k] - arb(b) for k, b in zip(point.kept, bounds, strict=True))]
+    )
+
+
+def _evaluate_matrix(
+    system: System, point: Point, radius: float
+) -> tuple[tuple[Matrix, Matrix], tuple[Matrix, Matrix]]:
+    """Return H and A, middles and radii."""
+    H, J = (_split(part) for part in system.balls[1].evaluate(_box(point, radius)))
+    return system.assemble(point, H[0], J[0]), system.assemble(point, H[1], J[1])
+
+
+def _border(H: Matrix, A: Matrix) -> Matrix:
+    return Matrix(sparse.block_array([[H, A.T], [A, None]], format="csc"))
+
+
+def _list_rows(factors: object, size: int) -> Iterator[tuple[Indices, Array]]:
+    """List rows of the approximate inverse, some at a time."""
+    for begin in range(0, size, LOT):
+        lot = np.arange(begin, min(begin + LOT, size))
+        yield lot, factors.solve(_unit(lot, size).T, trans="T").T  # type: ignore[attr-defined]
+
+
+def _unit(lot: Indices, size: int) -> Array:
+    rows = np.zeros((len(lot), size))
+    rows[np.arange(len(lot)), lot] = 1.0
+    return rows
+
+
+def _check_sides(system: System, point: Point, radius: float) -> tuple[float, float]:
+    """Return the least multiplier of held bounds, and the least distance of other numbers from bounds, over the box."""
+    program, (x, lam) = system.program, _box(point, radius)
+    gradient, g = system.balls[0].evaluate((x, lam))
+    pulls = [-y for y in gradient]
+    sides = (
+        (x, pulls, point.held, program.lower, program.upper),
+        (g, lam, point.rows, program.g_lower, program.g_upper),
+    )
+    signs, distances = [np.inf], [np.inf]
+    for values, multipliers, held, lows, highs in sides:
+        for value, y, side, low, high in zip(
+            values, multipliers, held.tolist(), lows.tolist(), highs.tolist(), strict=True
+        ):
+            if not side:
+                distances += [float((value - arb(low)).lower()), float((arb(high) - value).lower())]
+            elif low < high:
+                signs.append(float((side * y).lower()))
+    return min(signs), min(distances)
+
+
+def _bound_curvature(H: Matrix, A: Matrix, H_radius: Matrix, A_radius: Matrix) -> float:
+    """Return a lower bound of the eigenvalues of D (H + w A'A) D for all H and A in their intervals; 0: none is found.
+
+    D holds powers of 2, so that products with it are exact, and makes the diagonal nearly 1.
+    """
+    size = H.shape[0]
+    wide, slack = abs(A) + A_radius, _bound_rounding(A) + 4 * UNIT
+    for weight in WEIGHTS:
+        S = Matrix(H + weight * (A.T @ A))
+        S = Matrix((S + S.T) / 2)
+        doubt = H_radius + weight * (abs(A).T @ A_radius + A_radius.T @ wide)
+        doubt = doubt + slack * (abs(H) + weight * (wide.T @ wide))
+        D = sparse.diags_array(2.0 ** np.round(-np.log2(np.maximum(S.diagonal(), 1e-30)) / 2))
+        S, doubt = Matrix(D @ S @ D), Matrix(D @ doubt @ D)
+        for shift in SHIFTS:
+            shifted = Matrix(S - shift * sparse.eye_array(size))
+            rest = _bound_difference(shifted, doubt)
+            if rest < shift:
+                return (shift - rest) / ROOM
+    return 0.0
+
+
+def _bound_difference(S: Matrix, doubt: Matrix) -> float:
+    """Return a bound of the norm of S, give or take `doubt`, less the nearest L D L' with D > 0; infinity for none."""
+    options = {"SymmetricMode": True}
+    try:
+        factors = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:
+        return np.inf
+    D = factors.U.diagonal()
+    if not np.array_equal(factors.perm_r, factors.perm_c) or not (D > 0).all():
+        return np.inf
+    L, order = Matrix(factors.L), np.argsort(factors.perm_c)
+    scaled = Matrix(L @ sparse.diags_array(D))
+    error = abs(S[order][:, order] - scaled @ L.T) + UNIT * abs(S[order][:, order])
+    error = error + 2 * _bound_rounding(Matrix(L.T)) * (abs(scaled) @ abs(L).T) + doubt[order][:, order]
+    return ROOM * float(error.sum(axis=1).max())

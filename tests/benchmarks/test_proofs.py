@@ -1,0 +1,92 @@
+"""Proofs of optima: minima by hand are proved, other points are not, and a stored point is proved again."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from flint import arb
+
+from benchmarks.proofs.__main__ import POINTS, PROBLEMS, Row, check_row, write_page
+from benchmarks.proofs.intervals import Instructions, UnknownOperationError
+from benchmarks.proofs.programs import drop_implied, find_point
+from benchmarks.proofs.proof import Nonlinear, Point, Proof, System, enclose_cost, prove, settle
+
+X = ca.SX.sym("x", 3)
+NONE = np.full(3, np.inf)
+
+
+def state(cost: ca.SX, row: ca.SX, lower: list[float]) -> Nonlinear:
+    """State a problem of three variables with one equation and lower bounds."""
+    functions = (ca.Function("f", [X], [cost]), ca.Function("g", [X], [row]))
+    return Nonlinear(*functions, np.array(lower), NONE, np.zeros(1), np.zeros(1))
+
+
+def test_a_bounded_minimum_is_proved_and_its_cost_enclosed() -> None:
+    """Least distance from (0, 0, -1) on the sphere's cap x'x = 2, z >= 1, x >= 1/2: cost x^2 + y^2 + (z + 1)^2 = 5."""
+    program = state(ca.sumsqr(X) + 2 * X[2] + 1 + 0.1 * (X[1] - 1) ** 2, ca.sumsqr(X) - 2, [0.5, -np.inf, 1.0])
+    system = System(program)
+    point = settle(system, find_point(program, np.array([0.6, 0.9, 1.1])))
+    assert point.held.tolist() == [-1, 0, -1]
+    proof = prove(system, point)
+    assert proof.reason == ""
+    assert proof.radius < 1e-8
+    low, high = enclose_cost(system, point, proof.radius)
+    y = np.sqrt(0.75)
+    assert low <= 5 + 0.1 * (y - 1) ** 2 <= high < low + 1e-10
+
+
+def test_a_saddle_and_a_point_beside_are_not_proved() -> None:
+    """x y on x + y + z = 0 at 0: a zero of the conditions that is no minimum. Beside a minimum there is no zero."""
+    free = [-np.inf] * 3
+    saddle = System(state(X[0] * X[1] + X[2] ** 2 / 10, ca.sum(X), free))
+    signs = (np.zeros(3, dtype=np.int8), np.ones(1, dtype=np.int8))
+    found = prove(saddle, Point(np.zeros(3), np.zeros(1), *signs))
+    assert found.reason == "the second-order condition was not proved"
+    assert found.contraction < 1
+    bowl = System(state(ca.sumsqr(X), ca.sum(X), free))
+    assert "Krawczyk's test fails" in prove(bowl, Point(np.full(3, 1e-3), np.zeros(1), *signs)).reason
+    assert prove(bowl, Point(np.zeros(3), np.zeros(1), *signs)).reason == ""
+
+
+def test_a_bound_without_a_multiplier_is_not_strictly_complementary() -> None:
+    """x^2 + y^2 + z^2 with x >= 0: at 0 the bound holds x, and needs no force."""
+    system = System(state(ca.sumsqr(X), ca.sum(X[1:]), [0.0, -np.inf, -np.inf]))
+    held, rows = np.array([-1, 0, 0], dtype=np.int8), np.ones(1, dtype=np.int8)
+    assert "no strict complementarity" in prove(system, Point(np.zeros(3), np.zeros(1), held, rows)).reason
+
+
+def test_balls_hold_the_values_and_kinks_are_refused() -> None:
+    function = ca.Function("f", [X], [ca.vertcat(ca.sin(X[0]) / X[1], ca.sqrt(X[2]) ** 3)])
+    balls = Instructions.of(function).evaluate([[arb(x, 1e-3) for x in (0.3, 1.7, 2.2)]])[0]
+    for shift in (-9e-4, 0.0, 9e-4):
+        values = function(np.array([0.3, 1.7, 2.2]) + shift).full().ravel()
+        assert all(ball.contains(arb(value)) for ball, value in zip(balls, values.tolist(), strict=True))
+    with pytest.raises(UnknownOperationError):
+        Instructions.of(ca.Function("f", [X], [ca.fabs(X[0])]))
+
+
+def test_a_bound_that_an_equation_implies_is_dropped() -> None:
+    program = state(ca.sumsqr(X), X[0] - X[1], [0.5, 0.5, 0.5])
+    assert drop_implied(program).lower.tolist().count(-np.inf) == 1
+
+
+def test_a_stored_point_is_proved_again() -> None:
+    """The quickest of the classics, from its file."""
+    row = check_row("brachistochrone", POINTS / "brachistochrone.npz")
+    assert row.proof.reason == ""
+    assert row.proof.radius <= 1e-8
+
+
+def test_the_page_lists_proofs_and_reasons() -> None:
+    proved, failed = Proof(1e-13, 1e-8, np.inf, 0.1, 1e-4), Proof(1e-9, 2.0, 0.0, 0.0, 0.0, "a reason")
+    page = write_page([Row("a_b", 10, proved, 2.5, 1e-9), Row("c", 0, failed, np.nan, np.nan)])
+    assert "1 of 2 problems are proved." in page
+    assert "| a b | 10 | 1e-13 | no bounds | 1e-04 | 2.5 | 1e-09 |" in page
+    assert "- c: a reason" in page
+
+
+def test_points_belong_to_problems() -> None:
+    stored = {path.stem for path in POINTS.glob("*.npz")}
+    assert "brachistochrone" in stored
+    assert stored <= set(PROBLEMS)
