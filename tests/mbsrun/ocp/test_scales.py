@@ -65,6 +65,35 @@ def test_a_lander_in_any_unit_burns_as_much(tmp_path: Path, unit: str, method: s
     assert solution.run.iterations < 40
 
 
+ORBIT = """
+horizon: 3.32*second
+intervals: 15
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, mu: metre**3/second**2, push: 0.1405*metre/second**2, flow: 0.0749/second}
+states:
+  r: {rate: out, start: metre, range: [0.6*metre, 2*metre]}
+  out: {rate: along**2/r - mu/r**2 + push*sin(angle)/(1 - flow*t), start: 0, end: 0}
+  along: {rate: -out*along/r + push*cos(angle)/(1 - flow*t), start: metre/second}
+controls: {angle: {range: [-3.2, 6.4], guess: 1.5}}
+constraints: [{expression: along - sqrt(mu/r), range: [0, 0], at: end}]
+cost: {terminal: [{expression: -r/metre}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+def test_a_velocity_from_rest_to_rest_has_the_size_of_its_rate(tmp_path: Path) -> None:
+    """An orbit is raised as far in metres and seconds as in its own units, though `out` is guessed as 0 in both."""
+    costs = []
+    for metre, second in (("1", "1"), ("1.5e11", "5.0e6")):
+        (tmp_path / "orbit.ocp.yaml").write_text(ORBIT.replace("METRE", metre).replace("SECOND", second), "utf-8")
+        problem, plant = read_problem(tmp_path / "orbit.ocp.yaml", load_on_demand, NO_MECHANISM)
+        outcome = solve(problem, plant)
+        assert isinstance(outcome, Solution), outcome.finding
+        costs.append(outcome.cost.total)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-7)
+
+
 def test_a_launch_in_metres_and_kilograms() -> None:
     """The published optimum of the Delta III is 7529.7123 kg; radii are of 1e7 m, their squares of 1e14 m^2."""
     file = Path(__file__).parent / "phases" / "delta_iii.ocp.yaml"

@@ -19,6 +19,7 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.driving import find_point_forces, follow
 from mbsrun.ocp.problem.problem import Problem, Range, State
+from mbsrun.ocp.transcription.scales import NOTHING
 from mbsrun.quantities import name_components
 
 Array = NDArray[np.float64]
@@ -55,6 +56,27 @@ def guess_largest(motion: Trajectory, problem: Problem, plant: Plant) -> Traject
             found = Values(unknown.largest, problem, plant)(list_parts(motion, plant))
             unknowns[i] = max(found[np.isfinite(found)], default=unknown.guess)
     return replace(motion, unknowns=unknowns)
+
+
+def size_states(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Return a complete motion in which open states that are guessed as 0 have a size: the change by their rates.
+
+    A velocity from rest to rest is guessed as 0, in any unit; its rate along the guess, for the horizon, is not.
+    """
+    states = problem.every_state
+    unsized = [
+        i
+        for i, state in enumerate(states)
+        if not np.isfinite(state.bounds).all() and np.abs(motion.states[:, i]).max(initial=0.0) < NOTHING
+    ]
+    if not unsized:
+        return motion
+    rates = Values([states[i].rate for i in unsized], problem, plant)(list_parts(motion, plant))
+    sizes = np.abs(np.nan_to_num(rates, posinf=0.0, neginf=0.0)).max(axis=0) * motion.t[-1]
+    found = [array.copy() for array in (motion.states, motion.point_states)]
+    for array in found:
+        array[..., unsized] = sizes
+    return replace(motion, states=found[0], point_states=found[1])
 
 
 def list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:

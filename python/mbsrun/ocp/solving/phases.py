@@ -36,7 +36,7 @@ from mbsrun.ocp.ground.status import (
 )
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.phases import Unreached, adapt_guess, carry_states, guess_phases, solve_links
-from mbsrun.ocp.guessing.state_guess import complete, guess_largest
+from mbsrun.ocp.guessing.state_guess import complete, guess_largest, size_states
 from mbsrun.ocp.methods import METHODS, Assignment, Instance
 from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.problem.problem import Loops, SolverOptions
@@ -144,10 +144,18 @@ class PhasedSolver:
         own, x = self.transcription, self.pack(problem, guess)
         freed = self._free_targets(problem, guess)
         bounds = own.variable_bounds(freed)
-        is_packed = usual is guess and not own.defined  # what links define is no part of usual sizes
-        scales = own.find_scales(x if is_packed else own.pack(problem, usual), bounds)
+        sized = self._size_states(problem, usual)
+        is_packed = sized is guess and not own.defined  # what links define is no part of usual sizes
+        scales = own.find_scales(x if is_packed else own.pack(problem, sized), bounds)
         told = None if watch is None else report(watch)
         return Instance(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
+
+    def _size_states(self, problem: PhasedProblem, usual: Guess) -> Guess:
+        """Return motions of usual sizes; the same ones where all states have a size."""
+        parts = zip(usual.trajectories, problem.phases, self.plants.phases, strict=True)
+        sized = tuple(size_states(motion, phase.problem, plant) for motion, phase, plant in parts)
+        same = all(a is b for a, b in zip(sized, usual.trajectories, strict=True))
+        return usual if same else replace(usual, trajectories=sized)
 
     def resume(self, problem: PhasedProblem, guess: Guess) -> Outcome:
         """Run the method from a guess, such as a solution, without a judge: for its multipliers.
