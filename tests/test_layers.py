@@ -107,7 +107,7 @@ MBSRUN = Package(
         "animation",
         "recordings.recording",
         "recordings.lines recordings.splines",
-        "recordings.tables recordings.markers recordings.storage",
+        "recordings.tables recordings.c3d recordings.markers recordings.storage",
         "recordings.reading recordings.references recordings.fitting recordings.pictures",
         "recordings",
         "simulation",

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.errors import Fault, InputError
+from mbsrun.recordings.c3d import read_c3d
 from mbsrun.recordings.markers import read_markers
 from mbsrun.recordings.recording import Array, Recording
 from mbsrun.recordings.storage import read_storage
@@ -20,6 +21,7 @@ READERS: Mapping[str, Callable[[Path], Recording]] = {
     ".trc": read_markers,
     ".mot": read_storage,
     ".sto": read_storage,
+    ".c3d": read_c3d,
 }
 
 
