@@ -26,7 +26,10 @@ from mbsgen.targets.languages import TARGETS
 
 SWITCHES = {
     name.replace("_", "-"): name
-    for name in ("regroup", "share_frames", "lump", "absolute", "meet", "together", "rest", "factor", "share", "order")
+    for name in (
+        *("regroup", "share_frames", "lump", "absolute", "meet", "together"),
+        *("rest", "series", "factor", "share", "order"),
+    )
 }
 
 

@@ -100,7 +100,10 @@ class Plans:
 
         plan = self._search(write, self.residual, restrain=restrain)
         others = (replace(plan, together=depth, by_motions=True) for depth in self._list_together())
-        return self._refine(write, plan, *others, rests=rest)
+        flags = ["shift_first", "first_resists", "by_motions"] + ["in_series"] * self._reductions.series
+        best = self._refine(write, plan, *others, flags=flags)
+        decides = rest and self._size <= ELIMINATED
+        return min(best, replace(best, at_rest=False), key=partial(self._finish, write)) if decides else best
 
     def _list_together(self) -> Iterator[int]:
         """List how many joints of each branch EXP2 may eliminate together.
@@ -126,12 +129,11 @@ class Plans:
         write: Callable[[PlanTrials, Plan], Sequence[Scalar]],
         plan: Plan,
         *others: Plan,
-        rests: bool = False,
+        flags: Sequence[str] = ("first_resists",),
     ) -> Plan:
         """Choose among plans that differ in more than one body, each with the bodies that M meets.
 
-        Then choices of the whole plan are tried the other way, one by one. Rest changes what sums share, so the
-        operations of the finished tape decide on it.
+        Then choices of the whole plan, its `flags`, are tried the other way, one by one.
         """
         if self._reductions.trials == 1 or self._size > ELIMINATED:
             return plan
@@ -146,13 +148,12 @@ class Plans:
                 fewest = min(map(cost, tried))
                 tried = [meet(shared.segments, cost, x) for x in tried if cost(x) <= NEAR * fewest]
             best = min(tried, key=cost)
-            if self._reductions.meet:
-                best = min(best, replace(best, first_resists=True), key=cost)
-                best = min(best, replace(best, by_motions=False), key=cost)
-        return min(best, replace(best, at_rest=False), key=partial(self._finish, write)) if rests else best
+            for flag in flags:
+                best = min(best, best.flip(flag), key=cost)
+            return best
 
     def _finish(self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], plan: Plan) -> tuple[int, int]:
-        """Count the operations that a plan takes after its sums are written."""
+        """Count the operations that a plan takes after its sums are written: what they share may decide."""
         with PlanTrials(self._tree, self._reductions) as alone:
             builder = alone.chain.builder
             builder.output_dense("found", [[x] for x in write(alone, plan)])

@@ -17,6 +17,7 @@ class Reductions:
     meet: bool = True  # carry motions of joints up to inertia in M, instead of loads and inertia down
     together: bool = True  # eliminate joints near the base together in EXP2
     rest: bool = True  # let joints of EXP2's bias motion rest: no acceleration along axes of joints eliminated alone
+    series: bool = True  # put a point mass in series with the rotor between the two joints before it, in EXP2
     factor: bool = True  # take common factors out of sums
     share: bool = True  # compute common parts of sums and of products once
     order: bool = True  # add terms in the order in which they are ready: this saves time, not operations
@@ -37,6 +38,7 @@ NONE = Reductions(
     meet=False,
     together=False,
     rest=False,
+    series=False,
     factor=False,
     share=False,
 )

@@ -11,7 +11,7 @@ import pytest
 
 from mbsgen.formulations import exp1, exp2, impl, semi, textbook
 from mbsgen.formulations.chain import write_chain
-from mbsgen.formulations.parsimony.articulated import accelerations
+from mbsgen.formulations.parsimony.articulated import accelerations, articulate
 from mbsgen.formulations.parsimony.mass_matrix import joint_matrix, mass_matrix
 from mbsgen.formulations.parsimony.plan import Choice, Mass, Meeting, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.residual import residual
@@ -88,6 +88,44 @@ def random_chain(seed: int) -> Tree:
     return build_tree(make_model("chain", bodies, gravity=(0.5, -0.3, -9.81)))
 
 
+def hang(seed: int) -> Tree:
+    """Make a tree whose last two joints meet in a point at right angles, with a pendulum in a plane beyond."""
+    rng = np.random.default_rng(seed)
+    first, last, along = (int(x) for x in rng.permutation(3))
+    place = np.where((np.arange(3) == first) | (rng.random() < 0.5), rng.uniform(0.3, 1, 3), 0.0)
+    moments = [inertia(*(float(x) for x in rng.uniform(0.2, 0.3, 3))) for _ in range(3)]
+    kind = (revolute, prismatic)[int(rng.integers(2))]
+    rotor, ring = float(rng.choice([0.0, 0.2])), revolute("xyz"[first], position=tuple(map(float, place)))
+    mass = float(rng.choice([0.0, 0.5]))
+    com = tuple(float(x) for x in 0.4 * (np.arange(3) == along))
+    bodies = [
+        body("b0", revolute("z"), mass=1, com=(0.2, 0.1, 0), inertia=moments[0]),
+        body("b1", kind("y", position=(0.5, 0, 0), armature=rotor), parent="b0", mass=1, com=com, inertia=moments[1]),
+        body("ring", ring, parent="b1", mass=mass, inertia=moments[2] if mass else inertia(0, 0, 0)),
+        body("bob", revolute("xyz"[last], armature=rotor), parent="ring", mass=2, com=com, inertia=moments[0]),
+    ]
+    return build_tree(make_model("hang", bodies, gravity=(0.5, -0.3, -9.81)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_point_mass_in_series_with_a_rotor_moves_as_the_textbook_says(seed: int) -> None:
+    tree, rng = hang(seed), np.random.default_rng(seed)
+    for _ in range(6):
+        plan = replace(change(Plan((Choice(),) * 4), rng), in_series=True, together=int(rng.integers(3)))
+        for i in (1, 2):
+            plan = plan.put(i, replace(plan[i], mass=Mass.PASSED, scaled=False))
+        plan = plan.put(3, Choice()).put(4, Choice(own_frame=False, mass=Mass.POINT, spin_from=spin_of(tree)))
+        assert_textbook(write_by(tree, plan), state_of(tree, seed))
+        trials = PlanTrials(tree, ALL)
+        assert articulate(trials.begin(plan), together=(1, 2)[: plan.together])[3].series
+
+
+def spin_of(tree: Tree) -> int:
+    """Return the axis across a pendulum, from the one after its joint's, of the moment that becomes spin."""
+    axis, com = tree.bodies[3].joint.axis, [x != 0 for x in tree.bodies[3].com]
+    return int(com[(axis + 1) % 3])
+
+
 def random_choice(rng: np.random.Generator) -> Choice:
     mass = [Mass.PASSED, Mass.BALANCING, Mass.POINT, Mass.KEPT][rng.integers(4)]
     meeting = list(Meeting)[rng.integers(len(Meeting))]
@@ -98,15 +136,9 @@ def change(plan: Plan, rng: np.random.Generator) -> Plan:
     """Change one body's choice, the joints that are eliminated together, and the choices of the whole plan."""
     n = len(plan.choices)
     changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
-    by_angles, by_motions, first_resists, at_rest = (bool(x) for x in rng.integers(2, size=4))
-    return replace(
-        changed,
-        by_angles=by_angles,
-        by_motions=by_motions,
-        first_resists=first_resists,
-        at_rest=at_rest,
-        together=int(rng.integers(n + 1)),
-    )
+    flags = ("by_angles", "by_motions", "first_resists", "shift_first", "in_series", "at_rest")
+    chosen = {name: bool(x) for name, x in zip(flags, rng.integers(2, size=len(flags)), strict=True)}
+    return replace(changed, together=int(rng.integers(n + 1)), **chosen)
 
 
 @pytest.mark.parametrize("seed", range(12))

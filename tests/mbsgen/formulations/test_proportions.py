@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sympy import Integer
 
@@ -64,9 +65,9 @@ def test_ordinary_machines_regroup_all(model: str):
 
 
 def test_heavy_tips_cost_no_more_digits_than_they_must():
-    """At most ten times what is lost with nothing regrouped."""
+    """In the median of states at most three times what is lost with nothing regrouped; at one state chance decides."""
     tree = spatial_chain(10, [1] * 9 + [Integer(10**8)])
-    for seed in range(5):
-        state = draw_state(10, seed)
-        plain = error_of("exp2", tree, state, Reductions(trials=1, regroup=False))
-        assert error_of("exp2", tree, state) <= 10 * plain
+    states = [draw_state(10, seed) for seed in range(9)]
+    found = [error_of("exp2", tree, state) for state in states]
+    plain = [error_of("exp2", tree, state, Reductions(trials=1, regroup=False)) for state in states]
+    assert np.median(found) <= 3 * np.median(plain)

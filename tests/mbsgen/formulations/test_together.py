@@ -30,7 +30,6 @@ from tests.mbsgen.failures.mechanisms import (
 
 MODELS = Path(__file__).parents[3] / "models"
 ONE_BY_ONE = Reductions(together=False)
-RIGID = ("SEMI", "EXP1")  # rows whose M is of composite bodies alone
 ARMS = {"arm_pendulum": 3, "six_axis": 3}  # with the joints that are eliminated together
 
 
@@ -90,9 +89,8 @@ def test_levers_of_a_group_are_carried_up_to_the_body_beyond() -> None:
 @pytest.mark.parametrize(
     ("row", "switch"),
     [
-        (row, x)
-        for x, rows in {"meet": RIGID, "share": RIGID, "together": ["EXP2"], "rest": ["EXP2"]}.items()
-        for row in rows
+        *((row, x) for row in ("SEMI", "EXP1") for x in ("meet", "share")),
+        *(("EXP2", x) for x in ("together", "rest", "series")),
     ],
 )
 def test_a_reduction_that_is_switched_off_costs_operations(row: str, switch: str) -> None:

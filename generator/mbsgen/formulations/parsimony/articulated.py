@@ -18,6 +18,8 @@ acceleration vanish, and qdd = u / D - K.a' - c. The rotor turns with this joint
 Joints near the base may be eliminated *together*, in absolute angles: by their part of the mass matrix, in which
 articulated bodies beyond are met by the motions of these joints. This takes fewer operations where axes are parallel.
 
+A point mass behind two joints may be in *series* with the rotor between them (`series`).
+
 A rotor feels only its joint's own acceleration. So the pivot D contains its inertia, and the rotor takes the fraction
 `rotor_share` = rotor / D of the joint's force. The bodies take the rest. Along the axis, the parent then feels
 `rotor_share` times the bodies' inertia; without a rotor, nothing.
@@ -26,7 +28,7 @@ A rotor feels only its joint's own acceleration. So the pivot D contains its ine
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 
 from mbsgen.algebra.vectors import Matrix, Vector
@@ -48,6 +50,7 @@ from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
 from mbsgen.formulations.parsimony.residual import Load, join_loads, unloaded
 from mbsgen.formulations.parsimony.segments import Segment, children
+from mbsgen.formulations.parsimony.series import Line, Series, follow, join, passes, split
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
@@ -62,6 +65,8 @@ class Body:
     KF: Vector[Scalar]  # K: load for a unit force of its joint
     KN: Vector[Scalar]
     left: Inertia  # the articulated inertia that its parent feels, with its joint free
+    halves: tuple[Line, Inertia] | None = None  # the part of this that may be in series with a rotor, and the rest
+    series: Series | None = None  # how the joint feels a point mass beyond it
 
 
 @dataclass(frozen=True)
@@ -94,10 +99,12 @@ def accelerations(
     forces = absolute_forces(segments, Q) if absolute else [s.signed(x) for s, x in zip(segments, Q, strict=True)]
     force_residual: dict[int, Scalar] = {}  # u = Q - e.p: the joint force residual of the bias motion
     loads: dict[int, Load] = {}
+    followed: dict[int, Scalar] = {}  # the acceleration of the point mass that a joint feels in series
     met: dict[int, Load] = {}  # of bodies whose loads the motions of the joints before them meet
     for segment in reversed(segments):
         i = segment.number
-        bias = join_loads(kinematics, segment, inertias[i], movements[i], loads)
+        slack = segment.parent in bodies and _is_joined(bodies[segment.parent], i)
+        bias = join_loads(kinematics, segment, inertias[i], movements[i], loads, slack=slack)
         if i in together:
             turning = bias.alone if absolute else bias.N
             force_residual[i] = forces[i - 1] - (turning if segment.is_revolute else bias.F)[segment.axis]
@@ -107,18 +114,23 @@ def accelerations(
         if i in still:
             force = force + writing.chain.armatures[i - 1] * carried[i]
         force_residual[i] = force - (bias.N if segment.is_revolute else bias.F)[segment.axis]
-        loads[i] = kinematics.builder.remember(
-            ("hook", force_residual[i].ref, force.ref),
-            (segment, bias, bodies[i]),
-            partial(_hook, segment, bias, bodies[i], force_residual[i], force),
-        )
+        if series := bodies[i].series:
+            point = series.point
+            followed[i] = follow(kinematics, segments[point - 1], inertias[point], movements[point])
+            loads[i] = _tighten(segment, bias, series.tighten(followed[i], force_residual[i]), force)
+        else:
+            loads[i] = kinematics.builder.remember(
+                ("hook", force_residual[i].ref, force.ref),
+                (segment, bias, bodies[i]),
+                partial(_hook, segment, bias, bodies[i], force_residual[i], force),
+            )
         if _meets(kinematics, segment, together):
             met[i], loads[i] = loads[i], unloaded(kinematics.builder)
     for i, load in met.items():
         for j, work in meet_load(kinematics, segments[i - 1], load, absolute=absolute).items():
             force_residual[j] = force_residual[j] - work
     solution = _solve_together(writing, bodies, force_residual, together, absolute=absolute)
-    qdd = _accelerate(kinematics, bodies, force_residual, solution.x, carried, absolute=absolute)
+    qdd = _accelerate(kinematics, bodies, force_residual, solution.x, carried, followed, absolute=absolute)
     return Accelerations(qdd, bodies, {i: x.pivot for i, x in bodies.items()} | solution.pivots)
 
 
@@ -174,11 +186,47 @@ def articulate(writing: Writing, together: Container[int] = ()) -> dict[int, Bod
         inertia, beyond = writing.inertias[segment.number], children(kinematics.segments, segment.number)
         parts = (*(bodies[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
         bodies[segment.number] = kinematics.builder.remember(
-            ("articulate",),
+            ("articulate", kinematics.plan.in_series, kinematics.plan.shift_first),
             (segment, inertia, kinematics.frames[segment.number], *parts),
-            lambda: _free(writing.chain, segment, _gather(kinematics, segment, inertia, bodies)),  # noqa: B023  # now
+            lambda: _eliminate(writing, segment, bodies),  # noqa: B023  # now
         )
     return bodies
+
+
+def _eliminate(writing: Writing, segment: Segment, bodies: dict[int, Body]) -> Body:
+    """Eliminate a joint; a point mass beyond it may be in series with the rotor about the joint's axis."""
+    kinematics, inertia = writing.kinematics, writing.inertias[segment.number]
+    parts = _gather(kinematics, segment, inertia, bodies)
+    body = _free(writing.chain, segment, parts)
+    if not kinematics.plan.in_series:
+        return body
+    halves = split(kinematics, segment, inertia, parts[0])
+    if halves and passes(kinematics, segment):
+        line, own = halves
+        return replace(body, halves=(line, _free(writing.chain, segment, (own, *parts[1:])).left))
+    beyond = children(kinematics.segments, segment.number)
+    points = {c.number: halves for c in beyond if (halves := bodies[c.number].halves)}
+    if len(points) != 1 or not writing.chain.armatures[segment.number - 1].is_zero:
+        return body
+    ((point, (line, rest)),) = points.items()
+    others = (part for c, part in zip(beyond, parts[1:], strict=True) if c.number != point)
+    rest = reduce(_add, (parts[0], *others), rest)
+    series = join(segment, point, line, rest)
+    if series is None:
+        return body
+    left = _add(_clear(segment, rest), series.left.inertia)
+    return replace(body, series=series, left=left, pivot=series.pivot)
+
+
+def _clear(segment: Segment, inertia: Inertia) -> Inertia:
+    """Take the moment of inertia about a joint's axis out of an inertia that the joint feels only so."""
+    e, zero = segment.axis, inertia.J[0, 0].builder.zero
+    J = Matrix.of([zero if r == c == e else inertia.J[r, c] for c in range(3)] for r in range(3))
+    return Inertia(inertia.M, inertia.B, J)
+
+
+def _is_joined(body: Body, number: int) -> bool:
+    return body.series is not None and body.series.point == number
 
 
 def _gather(
@@ -191,10 +239,18 @@ def _gather(
     M = Matrix.of([inertia.m if r == c else b.zero for c in range(3)] for r in range(3))
     parts = [Inertia(M, cross_matrix(b, -S), own_inertia(b, segment, inertia, axes))]
     for child in children(kinematics.segments, segment.number):
-        beyond, d = bodies[child.number].left, link(kinematics, child)
+        beyond, is_along = bodies[child.number].left, kinematics.plan.shift_first and _is_along(child)
+        if is_along:  # a shift along the axis leaves fewer entries to turn about it
+            beyond = _shift(b, beyond, child.d)
         M, B, J = (kinematics.depart_tensor(child, x, faithful=True) for x in (beyond.M, beyond.B, beyond.J))
-        parts.append(_shift(b, Inertia(M, B, J), d))
+        turned = Inertia(M, B, J)
+        parts.append(turned if is_along else _shift(b, turned, link(kinematics, child)))
     return tuple(parts)
+
+
+def _is_along(child: Segment) -> bool:
+    """Return whether the link to a body is along the axis of its joint."""
+    return child.is_revolute and child.turn is None and all(child.d[r].is_zero for r in child.across)
 
 
 def _add(first: Inertia, second: Inertia) -> Inertia:
@@ -251,18 +307,26 @@ def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, forc
     return Load(Vector.of(F), Vector.of(N), Vector.of(N))
 
 
+def _tighten(segment: Segment, bias: Load, tension: Load, force: Scalar) -> Load:
+    """Add a point's tension to the bias load; along the axis, this is the joint's force."""
+    N = Vector.of(force if r == segment.axis else x for r, x in enumerate(bias.N + tension.N))
+    return Load(bias.F + tension.F, N, N)
+
+
 def _accelerate(
     kinematics: Kinematics,
     bodies: Mapping[int, Body],
     force_residual: Mapping[int, Scalar],
     known: Mapping[int, Scalar],
     taken: Mapping[int, Scalar],
+    followed: Mapping[int, Scalar],
     *,
     absolute: bool,
 ) -> list[Scalar]:
     """Compute the increments and qdd, from the base to the leaves.
 
-    `known` holds accelerations near the base, `taken` what joints at rest take back.
+    `known` holds accelerations near the base, `taken` what joints at rest take back, `followed` the accelerations of
+    point masses in the bias motion.
     """
     zero = kinematics.builder.zero
     still = Vector(zero, zero, zero)
@@ -289,7 +353,10 @@ def _accelerate(
             total = carried[i] + (known[i] if absolute else segment.signed(known[i]))
             qdd.append(relative_acceleration(segment, known) if absolute else known[i])
         else:
-            total = _free_acceleration(segment, bodies[i], force_residual[i], a, OMp)
+            if series := bodies[i].series:
+                total = series.accelerate(followed[i], force_residual[i], a, OMp)
+            else:
+                total = _free_acceleration(segment, bodies[i], force_residual[i], a, OMp)
             qdd.append(segment.signed(total - (before + taken[i] if i in taken else before)))
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[i] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 from mbsgen.errors import TapeError
 from mbsgen.tape.builder import Scalar
@@ -53,6 +54,8 @@ class Plan:
     together: int = 0  # in EXP2, joints with fewer joints before them are eliminated together, in M
     by_motions: bool = False  # in EXP2, loads and increments of bodies that M meets are by the motions brought to them
     first_resists: bool = False  # where M meets a body, it takes the load for the motion of the earlier of two joints
+    shift_first: bool = False  # in EXP2, a link along the next joint's axis is passed before this joint turns inertia
+    in_series: bool = False  # in EXP2, a point mass behind two joints is in series with the rotor between them
     at_rest: bool = False  # in EXP2, other joints do not accelerate along their axes in the bias motion
 
     def __getitem__(self, number: int) -> Choice:
@@ -62,6 +65,11 @@ class Plan:
     def put(self, number: int, choice: Choice) -> Plan:
         """Return the plan with another choice for one body."""
         return replace(self, choices=(*self.choices[: number - 1], choice, *self.choices[number:]))
+
+    def flip(self, flag: str) -> Plan:
+        """Return the plan with one of its flags the other way, by its name."""
+        flipped: dict[str, Any] = {flag: not getattr(self, flag)}
+        return replace(self, **flipped)
 
     @property
     def carried_down(self) -> Plan:

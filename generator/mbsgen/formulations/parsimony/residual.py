@@ -86,30 +86,48 @@ def _along(segment: Segment, load: Load, *, absolute: bool) -> Scalar:
 
 
 def join_loads(
-    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement, loads: dict[int, Load]
+    kinematics: Kinematics,
+    segment: Segment,
+    inertia: RegroupedInertia,
+    movement: Movement,
+    loads: dict[int, Load],
+    *,
+    slack: bool = False,
 ) -> Load:
-    """Add to a body's own load what its joints carry, and what acts on it from outside."""
+    """Add to a body's own load what its joints carry, and what acts on it from outside.
+
+    slack: leave out the force of a point mass along its joint's axis.
+    """
 
     def write() -> Load:
-        return _join_loads(kinematics, segment, inertia, movement, loads)
+        return _join_loads(kinematics, segment, inertia, movement, loads, slack=slack)
 
     if segment.wrenches:  # components in the base frame need the frames of all bodies before
         return write()
     beyond = [c.number for c in children(kinematics.segments, segment.number)]
     parts = (*(loads[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
     return kinematics.builder.remember(
-        ("loads", kinematics.plan[segment.number].scaled, kinematics.plan.by_runtime),
+        ("loads", slack, kinematics.plan[segment.number].scaled, kinematics.plan.by_runtime),
         (segment, inertia, movement, kinematics.frames[segment.number], *parts),
         write,
     )
 
 
 def _join_loads(
-    kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia, movement: Movement, loads: dict[int, Load]
+    kinematics: Kinematics,
+    segment: Segment,
+    inertia: RegroupedInertia,
+    movement: Movement,
+    loads: dict[int, Load],
+    *,
+    slack: bool,
 ) -> Load:
     directions = directions_of(kinematics, segment, inertia, movement)
     F, N, V = inertial_load(kinematics.builder, segment, inertia, movement, directions)
     zero = kinematics.builder.zero
+    if slack:
+        F = Vector.of(zero if r == segment.axis else x for r, x in enumerate(F))
+        V[inertia.direction] = F
     grouped = Vector(zero, zero, zero)
     for child in children(kinematics.segments, segment.number):
         force, moment = (kinematics.depart(child, x) for x in (loads[child.number].F, loads[child.number].N))
