@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -14,10 +15,9 @@ from rich.console import Console
 from benchmarks.community.ours import list_community
 from benchmarks.community.page import write_page
 from benchmarks.community.problems import PROBLEMS
-from benchmarks.community.trees import list_trees
 from benchmarks.compilation import BuildError, describe_machine
 from benchmarks.loops.kernels import hash_sources
-from benchmarks.loops.motions import Diagram, list_peers, measure_problem
+from benchmarks.loops.motions import Diagram, Way, list_peers, measure_problem
 from benchmarks.loops.problems import Problem
 from benchmarks.preparation import hash_file
 from mbsgen.errors import MbsError
@@ -52,8 +52,16 @@ def main(out: Path, repeats: int, motions: tuple[str, ...], again: bool) -> None
 
 def _measure(problem: Problem, repeats: int, report: Callable[[str], None]) -> list[Diagram]:
     with tempfile.TemporaryDirectory() as place:
-        ways = [*list_community(problem), *list_peers(problem, Path(place)), *list_trees(problem)]
+        ways = [*list_community(problem), *list_peers(problem, Path(place)), *_list_trees(problem)]
         return [measure_problem(problem, ways, repeats, report)]
+
+
+def _list_trees(problem: Problem) -> Iterator[Way]:
+    """List the ways of Exudyn in minimal coordinates, if it is installed."""
+    if find_spec("exudyn") is not None:
+        from benchmarks.community.trees import list_trees
+
+        yield from list_trees(problem)
 
 
 if __name__ == "__main__":
