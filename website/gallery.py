@@ -21,6 +21,7 @@ RECORD = "run.json"  # in the folder of a run
 SOURCES = ("generator", "python", "csrc", "templates", "models")  # what decides the result of a run
 LONGEST = 600  # seconds
 SHOWN = 40  # lines of a command's output
+QUICKLY = "-O1"  # flags of the compiler: an example takes two thirds of the processor time, and shows the same
 FRONT = (  # examples on the front page
     "bound",
     "six_axis",
@@ -74,7 +75,7 @@ def run(example: Example, root: Path, runs: Path) -> Result:
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", example.commands],
         cwd=folder,
-        env={**os.environ, "PATH": path, "COLUMNS": "100"},
+        env={"CFLAGS": QUICKLY, **os.environ, "PATH": path, "COLUMNS": "100"},
         capture_output=True,
         text=True,
         timeout=LONGEST,
