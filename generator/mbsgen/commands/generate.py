@@ -28,7 +28,7 @@ SWITCHES = {
     name.replace("_", "-"): name
     for name in (
         *("regroup", "share_frames", "lump", "absolute", "meet", "together"),
-        *("rest", "series", "factor", "share", "order"),
+        *("spin", "rest", "series", "factor", "share", "order"),
     )
 }
 

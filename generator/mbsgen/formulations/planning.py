@@ -17,7 +17,7 @@ from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.proportions import Proportions, find_least
 from mbsgen.formulations.parsimony.regrouping import regroup, restrain
 from mbsgen.formulations.parsimony.residual import residual
-from mbsgen.formulations.parsimony.search import Restraint, leave, meet, search
+from mbsgen.formulations.parsimony.search import Restraint, leave, meet, search, spin
 from mbsgen.formulations.parsimony.segments import Moments, Segment, align, largest_inertias
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
@@ -184,7 +184,9 @@ class Plans:
                 except NoSuchPlanError:
                     return None
 
-            return search(shared.segments, cost, self._reductions, trials, start, restrain)
+            found = search(shared.segments, cost, self._reductions, trials, start, restrain)
+            spins = self._reductions.spin and trials > 1 and self._size <= ELIMINATED
+            return spin(shared.segments, cost, found) if spins else found
 
 
 def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:

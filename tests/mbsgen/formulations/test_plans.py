@@ -129,7 +129,9 @@ def spin_of(tree: Tree) -> int:
 def random_choice(rng: np.random.Generator) -> Choice:
     mass = [Mass.PASSED, Mass.BALANCING, Mass.POINT, Mass.KEPT][rng.integers(4)]
     meeting = list(Meeting)[rng.integers(len(Meeting))]
-    return Choice(bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)), meeting)
+    return Choice(
+        bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)), meeting, bool(rng.integers(2))
+    )
 
 
 def change(plan: Plan, rng: np.random.Generator) -> Plan:

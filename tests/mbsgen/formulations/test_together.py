@@ -89,7 +89,7 @@ def test_levers_of_a_group_are_carried_up_to_the_body_beyond() -> None:
 @pytest.mark.parametrize(
     ("row", "switch"),
     [
-        *((row, x) for row in ("SEMI", "EXP1") for x in ("meet", "share")),
+        *((row, x) for row in ("SEMI", "EXP1") for x in ("meet", "share", "spin")),
         *(("EXP2", x) for x in ("together", "rest", "series")),
     ],
 )

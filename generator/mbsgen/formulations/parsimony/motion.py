@@ -12,6 +12,9 @@ not move with the joint. The other columns of U follow: with e1, e2 across the a
 
     U e1 = -(q2 + w2) e1 + (p q + wp) e2 + (2 w p - A1) e,    U e2 = (p q - wp) e1 - (p2 + w2) e2 + (2 w q - A2) e.
 
+Where the angular acceleration across the axis takes fewer operations than A, the last entries are from it instead: with
+its components o1, o2 before the joint, they are (w + qd) p - o2 and (w + qd) q + o1.
+
 From parent h to body i, revolute: a0 = a0_h + U_h d, w = w_h + qd, wp = wp_h + qdd; and A = U_h e where a group opens.
 A prismatic joint adds A q + 2 OM x e qd + e qdd to a0 instead.
 
@@ -121,6 +124,7 @@ class Movement:
     a0: Vector[Scalar]
     U: Matrix[Scalar]
     carried: Scalar  # the acceleration along the axis, for the given qdd
+    spin: tuple[Scalar, Scalar]  # the angular acceleration across the axis
 
     def field(self, v: Vector[Scalar]) -> Vector[Scalar]:
         """Form U v."""
@@ -207,15 +211,17 @@ class Kinematics:
         """Compute the movement of every body; the base accelerates against gravity, and joints in `still` rest."""
         zero = self.builder.zero
         unmoved = Vector(zero, zero, zero)
-        base = Movement(zero, zero, zero, zero, unmoved, -gravity, Matrix((unmoved, unmoved, unmoved)), zero)
+        base = Movement(
+            zero, zero, zero, zero, unmoved, -gravity, Matrix((unmoved, unmoved, unmoved)), zero, (zero, zero)
+        )
         movements = {0: self.builder.remember(("base", *(x.ref for x in gravity)), (), lambda: base)}
         for segment in self.segments:
             parent, frames = movements[segment.parent], (self.frames[segment.number], self.frames.get(segment.parent))
             rates = [segment.signed(x[segment.number - 1]) for x in (qd, qdd)]
             scaled = bool(segment.parent) and self.plan[segment.parent].scaled
-            is_still = segment.number in still
+            is_still, by_spin = segment.number in still, self.plan[segment.number].by_spin
             movements[segment.number] = self.builder.remember(
-                ("move", scaled, is_still, *(x.ref for x in rates)),
+                ("move", scaled, is_still, by_spin, *(x.ref for x in rates)),
                 (segment, parent, *frames),
                 partial(self._move, segment, parent, *rates, is_still=is_still),
             )
@@ -242,7 +248,11 @@ class Kinematics:
         if segment.is_revolute:
             wp = self.builder.zero if is_still else carried
         j, k = segment.across
-        return self._complete(segment, turned[j], turned[k], w, wp, A, a0, carried)
+        before = None
+        if self.plan[segment.number].by_spin and segment.is_revolute:
+            spin = self.arrive(segment, self._spin_before(segment, parent))
+            before = qd, spin[j], spin[k]
+        return self._complete(segment, turned[j], turned[k], w, wp, A, a0, carried, before)
 
     def _complete(
         self,
@@ -254,17 +264,24 @@ class Kinematics:
         A: Vector[Scalar],
         a0: Vector[Scalar],
         carried: Scalar,
+        before: tuple[Scalar, Scalar, Scalar] | None,
     ) -> Movement:
         """Write U from a body's state."""
         j, k = segment.across
         a, ww, pq, wp_, wq_ = segment.axis, w * w, p * q, w * p, w * q
         columns: list[list[Scalar]] = [[], [], []]
-        columns[j] = self._by_axis(segment, -(q * q + ww), pq + wp, wp_ + (wp_ - A[j]))
-        columns[k] = self._by_axis(segment, pq - wp, -(p * p + ww), wq_ + (wq_ - A[k]))
+        if before is None:
+            along, spin = (wp_ + (wp_ - A[j]), wq_ + (wq_ - A[k])), (wq_ - A[k], A[j] - wp_)
+        else:
+            qd, first, second = before
+            twice = w + qd
+            along, spin = (twice * p - second, twice * q + first), (first + qd * q, second - qd * p)
+        columns[j] = self._by_axis(segment, -(q * q + ww), pq + wp, along[0])
+        columns[k] = self._by_axis(segment, pq - wp, -(p * p + ww), along[1])
         columns[a] = list(A)
         i = segment.number
         self.builder.label((w, wp, *a0), (f"w_{i}", f"wp_{i}", *(f"a{r}_{i}" for r in "123")))
-        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed, carried)
+        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed, carried, spin)
 
     @staticmethod
     def _by_axis(segment: Segment, first: Scalar, second: Scalar, along: Scalar) -> list[Scalar]:
@@ -309,8 +326,11 @@ class Kinematics:
         """Form the component of the parent's angular acceleration along the joint's axis."""
         if not segment.parent:
             return parent.wp
-        before = self.segments[segment.parent - 1]
-        j, k = before.across
-        across = (parent.w * parent.q - parent.A[k], parent.A[j] - parent.w * parent.p)
-        OMp = Vector.of(self._by_axis(before, *across, parent.wp))
+        OMp = self._spin_before(segment, parent)
         return self.frames[segment.parent].own(OMp).dot(self._axis_before(segment))
+
+    def _spin_before(self, segment: Segment, parent: Movement) -> Vector[Scalar]:
+        """Form the parent's angular acceleration, where it is written."""
+        if not segment.parent:
+            return Vector(*parent.spin, parent.wp)
+        return Vector.of(self._by_axis(self.segments[segment.parent - 1], *parent.spin, parent.wp))

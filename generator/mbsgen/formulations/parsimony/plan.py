@@ -42,6 +42,7 @@ class Choice:
     scaled: bool = False  # directions across the axis have the length of the link, instead of 1; divides by it
     spin_from: int = 1  # the transverse second moment that becomes spin: 0, 1: first, second axis after the joint's
     meeting: Meeting = Meeting.PASSED  # in M alone
+    by_spin: bool = False  # U from the angular acceleration of the body before, not from its field along the axis
 
 
 @dataclass(frozen=True)

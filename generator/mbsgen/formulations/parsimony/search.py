@@ -87,7 +87,18 @@ def _alternatives(
     yield from (replace(choice, scaled=scaled) for scaled in lengths)
     yield from (replace(choice, mass=mass, spin_from=spin_from) for mass, spin_from in product(masses, (0, 1)))
     for own_frame, mass, spin_from, scaled in product(frames, masses, (0, 1), lengths):
-        yield Choice(own_frame, mass, scaled, spin_from, choice.meeting)
+        yield replace(choice, own_frame=own_frame, mass=mass, spin_from=spin_from, scaled=scaled)
+
+
+def spin(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
+    """Choose the bodies whose field is from their angular acceleration, one by one from the leaves."""
+    fewest = cost(plan)
+    for segment in (s for s in reversed(segments) if s.parent and s.is_revolute and s.opens_group):
+        trial = plan.put(segment.number, replace(plan[segment.number], by_spin=not plan[segment.number].by_spin))
+        found = cost(trial)
+        if found is not None and (fewest is None or found < fewest):
+            plan, fewest = trial, found
+    return plan
 
 
 def meet(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
