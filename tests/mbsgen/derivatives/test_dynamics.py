@@ -74,7 +74,7 @@ def test_patterns_do_not_depend_on_the_way():
 
 
 def test_pivots_of_m_have_the_guards_of_exp1_in_both_forms():
-    """Where derivatives solve with M; those of a form's own tape have the guards of that form."""
+    """Where derivatives solve with M; derivatives of the tape of a form keep the guards of this form."""
     tree, value = random_tree(1, 3), impl.build(random_tree(1, 3))
     of_value = kernels.differentiate(value, differentiable(value))
     expected = [(g.joint, g.tolerance) for g in exp1.build(tree).guards]
