@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
 from mbsrun.simulation.drive import control, hold
+from mbsrun.simulation.integration import touching
 from mbsrun.simulation.saltation import differentiate
 
 Array = NDArray[np.float64]
@@ -103,6 +105,22 @@ def test_a_ball_bounces_up_to_its_accumulation_point(make: Make) -> None:
     )
     assert times(motion, Kind.REST) == pytest.approx([t0 * (1 + e) / (1 - e)], abs=1e-9)
     assert motion.q[-1] == pytest.approx([0.45, RADIUS, 0.3], abs=1e-12)
+
+
+def test_an_event_at_once_is_no_step(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of no length to an event changes neither the motion nor its times, and loses no impact."""
+    look, told = touching._Course.look, iter([True])
+
+    def look_at_once(self: touching._Course, *given: Any) -> tuple[float, Array] | None:
+        return (0.0, given[4]) if given[3] > 0.1 and next(told, False) else look(self, *given)
+
+    kernels, start = grip(make(DISC), 0, 0.5), ([0, 1 + RADIUS, 0], [0.3, 0, 0.2], 0.8)
+    plain = move(kernels, *start)
+    monkeypatch.setattr(touching._Course, "look", look_at_once)
+    found = move(kernels, *start)
+    assert (np.diff(found.t) > 0).all()
+    assert found.q == pytest.approx(plain.q, abs=1e-12)
+    assert times(found, Kind.IMPACT) == pytest.approx(times(plain, Kind.IMPACT), abs=1e-12)
 
 
 def test_a_block_on_a_slope_sticks_or_slips_to_rest(make: Make) -> None:

@@ -263,7 +263,7 @@ class _Course(Course):
         return rows
 
     def run(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
-        """Integrate until an event or the end of the piece."""
+        """Integrate until an event or the end of the piece; the chunk of an event at once has one state."""
         assert self.mode is not None, "a mode was found"
         mode, guards = self.mode, self.list_guards(self.mode)
         count = 0 if len(self.E) else count_steps(piece, self.settings.step)
@@ -290,8 +290,11 @@ class _Course(Course):
             time = piece.end if h >= left * (1 - 1e-14) and not is_event else time + h
             self.dynamics.effort.steps += 1
             x = y
-            times.append(time)
-            states.append(x)
+            if time > times[-1]:
+                times.append(time)
+                states.append(x)
+            else:  # an event at once
+                states[-1] = x
             if len(times) > STEPS or is_event or time >= piece.end:
                 yield self.gather(piece, mode, times, states)
                 times, states = [time], [x]
@@ -419,7 +422,8 @@ class _Course(Course):
             return loads.qdd, force.reshape(len(at), -1), lost
 
         segment = Segment((0,) * self.dynamics.size, self.passed, self.loss, push=push)
-        self.passed, self.loss = (), 0.0
+        if len(t) > 1:
+            self.passed, self.loss = (), 0.0
         return Chunk(t, q, qd, dense, segment=segment)
 
 
