@@ -263,7 +263,8 @@ MBSRUN = Package(
         "lab",
         "commands.console",
         "commands.searching commands.failures commands.columns commands.derived",
-        "commands.recorded commands.animated commands.robots",
+        "commands.animated commands.robots",
+        "commands.recorded",
         "commands.cases commands.starts",
         "commands.advise commands.animate commands.cache commands.chart commands.continue_ commands.controller "
         "commands.cuda commands.excite commands.fit_motion commands.fmu commands.identify commands.inverse "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -11,27 +10,15 @@ from numpy.typing import NDArray
 
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
-from mbsrun.commands.animated import equip
 from mbsrun.commands.console import choose_format, list_written, say, show_progress
-from mbsrun.commands.recorded import (
-    accept_motion,
-    cut,
-    read_loads,
-    set_parameters,
-    split_pairs,
-    write_json,
-    write_table,
-)
+from mbsrun.commands.recorded import GivenMotion, accept_motion, gather_motion, write_json, write_table
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import Mechanism, load
-from mbsrun.models import INTEGRATED
+from mbsrun.external import Mechanism
 from mbsrun.quantities import Quantity, find_unit
-from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
 from mbsrun.simulation.muscles import list_muscles
 from mbsrun.simulation.recorded import Recalled, analyse
-from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -80,40 +67,23 @@ Exit codes
 @click.option("--without-muscles", is_flag=True, help="The forces that muscles and other actuators give together.")
 @choose_format
 @accept_robots
-def inverse_dynamics_command(
-    model: Path,
-    file: Path,
-    out: Path | None,
-    columns: Sequence[str],
-    other: Path | None,
-    wrenches: Sequence[str],
-    treatment: Treatment,
-    start: float | None,
-    end: float | None,
-    parameters: Sequence[str],
-    without_muscles: bool,
-) -> None:
+@gather_motion
+def inverse_dynamics_command(given: GivenMotion, out: Path | None, without_muscles: bool) -> None:
     """Read, compute, write, print."""
-    recording = cut(read_recording(file), start, end)
-    load_recording = None if other is None else read_recording(other)
-    mechanism = load(model, extent=INTEGRATED)
-    demand_smooth(mechanism.manifest, "inverse dynamics", stops=False)
-    given = set_parameters(mechanism, parameters)
-    mechanism = equip(mechanism.with_parameters(**given), model, INTEGRATED, file, given)
-    manifest = mechanism.manifest
-    named = split_pairs("wrench", wrenches, [wrench.name for wrench in manifest.wrenches])
+    opened = given.open("inverse dynamics")
+    mechanism, manifest = opened.mechanism, opened.mechanism.manifest
     with show_progress() as report:
         found = analyse(
-            recording,
+            opened.recording,
             mechanism,
-            treatment,
-            columns=split_pairs("column", columns, manifest.positions),
-            loads={name: read_loads(text) for name, text in named.items()} or None,
-            load_recording=load_recording,
+            given.treatment,
+            columns=opened.columns,
+            loads=opened.loads,
+            load_recording=opened.load_recording,
             without=list_muscles(manifest) if without_muscles else None,
             report=lambda done, total: report("computing forces", done, total),
         )
-    out = out or Path(f"{file.stem}.forces")
+    out = out or Path(f"{given.file.stem}.forces")
     out.mkdir(parents=True, exist_ok=True)
     header, rows = tabulate(found.forces, mechanism)
     names = [c.name for c in manifest.coordinates]

@@ -6,6 +6,7 @@ import csv
 import functools
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
+from mbsrun.commands.animated import equip
 from mbsrun.commands.console import NumberType
+from mbsrun.external import Mechanism, load
 from mbsrun.kernel import Kernels
-from mbsrun.recordings import Recording, Treatment
+from mbsrun.models import INTEGRATED
+from mbsrun.recordings import Recording, Treatment, read_recording
 from mbsrun.simulation.recorded import Load
+from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -57,8 +62,51 @@ _MOTION = (
 )
 
 
+@dataclass(frozen=True)
+class OpenMotion:
+    """A recorded motion, and the mechanism that moves."""
+
+    recording: Recording
+    mechanism: Mechanism
+    columns: Mapping[str, str]  # of coordinates
+    loads: Mapping[str, Load] | None
+    load_recording: Recording | None
+
+
+@dataclass(frozen=True)
+class GivenMotion:
+    """The arguments of a command on a recorded motion with the forces that act meanwhile."""
+
+    model: Path
+    file: Path
+    columns: Sequence[str]
+    other: Path | None
+    wrenches: Sequence[str]
+    treatment: Treatment
+    start: float | None
+    end: float | None
+    parameters: Sequence[str]
+
+    def open(self, purpose: str) -> OpenMotion:
+        """Read the recordings, and load the model with the parameters of the motion; `purpose` is for messages."""
+        recording = cut(read_recording(self.file), self.start, self.end)
+        load_recording = None if self.other is None else read_recording(self.other)
+        plain = load(self.model, extent=INTEGRATED)
+        demand_smooth(plain.manifest, purpose, stops=False)
+        given = set_parameters(plain, self.parameters)
+        mechanism = equip(plain.with_parameters(**given), self.model, INTEGRATED, self.file, given)
+        named = split_pairs("wrench", self.wrenches, [wrench.name for wrench in mechanism.manifest.wrenches])
+        return OpenMotion(
+            recording,
+            mechanism,
+            split_pairs("column", self.columns, mechanism.manifest.positions),
+            {name: read_loads(text) for name, text in named.items()} or None,
+            load_recording,
+        )
+
+
 def accept_motion(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of a recorded motion with the forces that act meanwhile; the command gets a `treatment`."""
+    """Add the options of a recorded motion with the forces that act meanwhile; `gather_motion` collects them."""
 
     @functools.wraps(command)
     def call(*, degree: str, noise: float | None, gap: float, cutoff: float | None, **own: Any) -> None:
@@ -67,6 +115,17 @@ def accept_motion(command: Callable[..., None]) -> Callable[..., None]:
         command(treatment=Treatment(int(degree), noise, gap, cutoff), **own)
 
     return functools.reduce(lambda function, option: option(function), reversed(_MOTION), recording_options(call))
+
+
+def gather_motion(command: Callable[..., None]) -> Callable[..., None]:
+    """Give the arguments of a recorded motion to a command as one, `given`; the innermost decorator."""
+    names = [field.name for field in fields(GivenMotion)]
+
+    @functools.wraps(command)
+    def call(**own: Any) -> None:
+        command(given=GivenMotion(**{name: own.pop(name) for name in names}), **own)
+
+    return call
 
 
 def cut(recording: Recording, start: float | None, end: float | None) -> Recording:

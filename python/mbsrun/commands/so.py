@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -11,26 +10,13 @@ from numpy.typing import NDArray
 
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
-from mbsrun.commands.animated import equip
 from mbsrun.commands.console import NOT_SOLVED, NumberType, choose_format, list_written, say
-from mbsrun.commands.recorded import (
-    accept_motion,
-    cut,
-    read_loads,
-    set_parameters,
-    split_pairs,
-    write_json,
-    write_table,
-)
+from mbsrun.commands.recorded import GivenMotion, accept_motion, gather_motion, write_json, write_table
 from mbsrun.commands.robots import accept_robots
-from mbsrun.external import load
-from mbsrun.models import INTEGRATED
-from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.muscles import list_muscles
 from mbsrun.simulation.recorded import retrace
 from mbsrun.simulation.sharing import Shares, share
-from mbsrun.smoothness import demand_smooth
 
 Array = NDArray[np.float64]
 
@@ -68,44 +54,27 @@ Exit codes
 @click.option("--no-passive", is_flag=True, help="Leave passive fibres and damping out, as OpenSim's tool does.")
 @choose_format
 @accept_robots
+@gather_motion
 def so_command(
-    model: Path,
-    file: Path,
-    out: Path | None,
-    columns: Sequence[str],
-    other: Path | None,
-    wrenches: Sequence[str],
-    treatment: Treatment,
-    start: float | None,
-    end: float | None,
-    parameters: Sequence[str],
-    reserve: float,
-    least: float,
-    most: float,
-    no_passive: bool,
+    given: GivenMotion, out: Path | None, reserve: float, least: float, most: float, no_passive: bool
 ) -> None:
     """Read, share, write, print."""
     if not (reserve > 0 and 0 <= least < most):
         raise click.UsageError("--reserve must be positive, and --least 0 or more, and below --most")
-    recording = cut(read_recording(file), start, end)
-    mechanism = load(model, extent=INTEGRATED)
-    demand_smooth(mechanism.manifest, "static optimisation", stops=False)
-    given = set_parameters(mechanism, parameters)
-    mechanism = equip(mechanism.with_parameters(**given), model, INTEGRATED, file, given)
-    manifest = mechanism.manifest
+    opened = given.open("static optimisation")
+    mechanism, manifest = opened.mechanism, opened.mechanism.manifest
     muscles = list_muscles(manifest)
-    named = split_pairs("wrench", wrenches, [wrench.name for wrench in manifest.wrenches])
     motion = retrace(
-        recording,
+        opened.recording,
         mechanism,
-        treatment,
-        columns=split_pairs("column", columns, manifest.positions),
-        loads={name: read_loads(text) for name, text in named.items()} or None,
-        load_recording=None if other is None else read_recording(other),
+        given.treatment,
+        columns=opened.columns,
+        loads=opened.loads,
+        load_recording=opened.load_recording,
         idle=muscles.signals,
     )
     found = share(mechanism, motion, reserve=reserve, bounds=(least, most), is_passive=not no_passive)
-    out = out or Path(f"{file.stem}.activations")
+    out = out or Path(f"{given.file.stem}.activations")
     out.mkdir(parents=True, exist_ok=True)
     parts = {
         **{f"activation[{name}]": x for name, x in zip(muscles.names, found.activations.T, strict=True)},
