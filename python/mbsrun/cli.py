@@ -42,8 +42,8 @@ COMMANDS = {
     ),
     "Recorded motions": (
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers (ik)."),
-        Entry("inverse-dynamics", "MODEL", "Compute the forces that a recorded motion takes (id)."),
-        Entry("so", "MODEL", "Find the least activations of muscles for a recorded motion."),
+        Entry("inverse-dynamics", "MODEL", "Compute the forces of a recorded motion (id)."),
+        Entry("so", "MODEL", "Share a recorded motion among muscles."),
         Entry("excite", "MODEL", "Design motions that determine inertias."),
         Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
