@@ -118,7 +118,7 @@ def accept_motion(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def gather_motion(command: Callable[..., None]) -> Callable[..., None]:
-    """Give the arguments of a recorded motion to a command as one, `given`; the innermost decorator."""
+    """Collect the arguments of a recorded motion in one, `given`; this is the innermost decorator."""
     names = [field.name for field in fields(GivenMotion)]
 
     @functools.wraps(command)
