@@ -3,18 +3,13 @@
 
 #include <string.h>
 
-static real larger(real a, real b)
-{
-    return a > b ? a : b;
-}
-
 /* Start the filter, and the limits of the violation, at x. */
 void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
 {
     const real theta = mbs_stages_sum(s->rows, p->c), size = theta > 1 ? theta : 1;
     p->theta_most = s->options.theta_max_fact * size;
     p->theta_least = s->options.theta_min_fact * size;
-    p->tau = larger(1 - p->mu, s->options.tau_min);
+    p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
     p->shortened = p->cautious = 0;
     p->regular = p->added = p->alpha = 0;
@@ -58,7 +53,7 @@ static int lower_barrier(mbs_stages *s, mbs_stages_phase *p)
         if (p->mu <= least)
             return force ? -1 : 0;
         p->mu = lower > least ? lower : least;
-        p->tau = larger(1 - p->mu, s->options.tau_min);
+        p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
         p->rejected = 0;
         mbs_stages_search_anew(p);
         mbs_stages_filter_clear(&p->filter);

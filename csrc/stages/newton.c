@@ -140,14 +140,9 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     return mbs_stages_factorise(&s->recursion, 0);
 }
 
-static real larger(real a, real b)
-{
-    return a > b ? a : b;
-}
-
 static real first_curvature(const mbs_stages_options *o, real before)
 {
-    return before == 0 ? o->first_hessian_perturbation : larger(before / 3, o->min_hessian_perturbation);
+    return before == 0 ? o->first_hessian_perturbation : mbs_stages_larger(before / 3, o->min_hessian_perturbation);
 }
 
 /* Let rows be soft where more curvature than there is anywhere does not make hard ones convex: they take all digits. */
@@ -263,9 +258,9 @@ static residuals measure(const mbs_stages *s, const real *w, const real *c)
 static real rate(const mbs_stages *s, residuals error, residuals right, real share)
 {
     const real least = s->options.tol * REFINED_SHARE;
-    const real w = larger(least, SUM_ROUNDING * mbs_stages_largest(s->rows, s->dy));
-    const real c = larger(least, SUM_ROUNDING * mbs_stages_largest(s->variables, s->dw));
-    return larger(error.w / larger(share * right.w, w), error.c / larger(share * right.c, c));
+    const real w = mbs_stages_larger(least, SUM_ROUNDING * mbs_stages_largest(s->rows, s->dy));
+    const real c = mbs_stages_larger(least, SUM_ROUNDING * mbs_stages_largest(s->variables, s->dw));
+    return mbs_stages_larger(error.w / mbs_stages_larger(share * right.w, w), error.c / mbs_stages_larger(share * right.c, c));
 }
 
 static void add(int n, const real *a, real *b)

@@ -18,21 +18,16 @@ real mbs_stages_sum(int n, const real *c)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-static real larger(real a, real b)
-{
-    return a > b ? a : b;
-}
-
 real mbs_stages_largest(int n, const real *c)
 {
     real most[4] = {0};
     int i, l;
     for (i = 0; i + 4 <= n; i += 4)
         for (l = 0; l < 4; ++l)
-            most[l] = larger(real_abs(c[i + l]), most[l]);
+            most[l] = mbs_stages_larger(real_abs(c[i + l]), most[l]);
     for (; i < n; ++i)
-        most[0] = larger(real_abs(c[i]), most[0]);
-    return larger(larger(most[0], most[1]), larger(most[2], most[3]));
+        most[0] = mbs_stages_larger(real_abs(c[i]), most[0]);
+    return mbs_stages_larger(mbs_stages_larger(most[0], most[1]), mbs_stages_larger(most[2], most[3]));
 }
 
 /* Violations, and the distance from the point where restoration began. */

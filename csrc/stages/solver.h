@@ -13,6 +13,11 @@ static inline int mbs_stages_has(real bound)
     return real_abs(bound) < MBS_STAGES_INFINITE;
 }
 
+static inline real mbs_stages_larger(real a, real b)
+{
+    return a > b ? a : b;
+}
+
 /* What a relative change of a bound refers to. */
 static inline real mbs_stages_bound_size(real bound)
 {

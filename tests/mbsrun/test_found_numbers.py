@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,7 @@ from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.recordings import read_recording
 from mbsrun.skeleton import place
 from tests.mbsrun.carousel import CAROUSEL
-
-Run = Callable[..., tuple[object, str, str]]
+from tests.mbsrun.running import Run, make_run
 
 BAR = """\
 name: bar
@@ -90,19 +88,6 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(turned: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run a command in that folder."""
     return make_run(turned, monkeypatch, capsys)
-
-
-def make_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run commands in a folder."""
-    monkeypatch.chdir(folder)
-
-    def call(*arguments: str) -> tuple[object, str, str]:
-        monkeypatch.setattr("sys.argv", ["mbsrun", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code, *capsys.readouterr()
-
-    return call
 
 
 def test_a_mechanism_is_drawn_with_the_lengths_found(turned: Path) -> None:

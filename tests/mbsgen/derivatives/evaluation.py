@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from mbsgen.derivatives.kernels import Derivatives
+from mbsgen.model.tree import Tree
+from mbsgen.procedure import procedure
+from mbsgen.procedure.procedure import Computation
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
+from tests.random_trees import Pinocchio
 
 
 def matrix(tape: Tape, name: str, values: dict[str, list]) -> np.ndarray:
@@ -63,3 +67,19 @@ def entries(tape: Tape, at: dict[str, list[float]]) -> dict[tuple[str, int, int]
         for o in tape.outputs
         for place, value in zip(o.sparsity.entries, values[o.name], strict=True)
     }
+
+
+def assert_pinocchios(tree: Tree, jac: Computation, seed: int) -> None:
+    """Compare a Jacobian of accelerations with computeABADerivatives, scaled by the condition of M."""
+    at = arguments(jac, seed)
+    values = procedure.evaluate(jac, at)
+    q, qd = np.array(at["q"]), np.array(at["qd"])
+    actuated = [k for k, body in enumerate(tree.bodies) if body.joint.actuated]
+    forces = np.zeros(len(tree.bodies))
+    forces[actuated] = at["u"]
+    peer = Pinocchio(tree)
+    by_q, by_qd, by_force = peer.acceleration_derivatives(q, qd, forces)
+    condition = np.linalg.cond(peer.mass_matrix(q))
+    for source, expected in (("q", by_q), ("qd", by_qd), ("u", by_force[:, actuated])):
+        error = np.abs(matrix(jac, f"jac_qdd_{source}", values) - expected).max()
+        assert error <= 1e-14 * condition * np.abs(expected).max()

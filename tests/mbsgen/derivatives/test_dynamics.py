@@ -20,8 +20,16 @@ from mbsgen.roles import Order
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.types import Tape
-from tests.mbsgen.derivatives.evaluation import EXACTLY, TO_ROUNDING, all_of, arguments, assert_same, matrix
-from tests.random_trees import Pinocchio, random_tree, with_laws, with_wrenches
+from tests.mbsgen.derivatives.evaluation import (
+    EXACTLY,
+    TO_ROUNDING,
+    all_of,
+    arguments,
+    assert_pinocchios,
+    assert_same,
+    matrix,
+)
+from tests.random_trees import random_tree, with_laws, with_wrenches
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -90,18 +98,7 @@ def test_derivatives_of_the_accelerations_equal_pinocchios(seed: int):
     """Against computeABADerivatives, scaled by the condition of M."""
     tree = random_tree(seed, (4, 6, 9)[seed])
     found = Dynamics(tree, ALL).differentiate(exp2.build(tree)).jac
-    at = arguments(found, seed)
-    values = evaluate(found, at)
-    q, qd = np.array(at["q"]), np.array(at["qd"])
-    actuated = [k for k, body in enumerate(tree.bodies) if body.joint.actuated]
-    forces = np.zeros(len(tree.bodies))
-    forces[actuated] = at["u"]
-    peer = Pinocchio(tree)
-    by_q, by_qd, by_force = peer.acceleration_derivatives(q, qd, forces)
-    condition = np.linalg.cond(peer.mass_matrix(q))
-    for source, expected in (("q", by_q), ("qd", by_qd), ("u", by_force[:, actuated])):
-        error = np.abs(matrix(found, f"jac_qdd_{source}", values) - expected).max()
-        assert error <= 1e-14 * condition * np.abs(expected).max()
+    assert_pinocchios(tree, found, seed)
 
 
 def second(found: Derivatives, at: dict[str, list[float]], row: str, column: str) -> np.ndarray:

@@ -17,8 +17,8 @@ from mbsgen.model.tree import Tree
 from mbsgen.pipeline import Options, generate
 from mbsgen.procedure.procedure import Computation, Procedure, evaluate
 from mbsgen.request import CodeSize, Request
-from tests.mbsgen.derivatives.evaluation import arguments, matrix
-from tests.random_trees import Pinocchio, floating, random_tree, with_laws, with_rotors, with_wrenches
+from tests.mbsgen.derivatives.evaluation import assert_pinocchios, matrix
+from tests.random_trees import floating, random_tree, with_laws, with_rotors, with_wrenches
 
 MODELS = Path(__file__).parents[3] / "models"
 LOOPED, STRAIGHT = CodeSize(looped=0, compared=0), CodeSize(compared=0)
@@ -61,18 +61,7 @@ def test_loops_give_pinocchios_derivatives() -> None:
     """Against computeABADerivatives, scaled by the condition of M."""
     tree = with_rotors(random_tree(3, 8), 3)
     found = write(tree, LOOPED)["jac_exp2"]
-    at = arguments(found, 3)
-    values = evaluate(found, at)
-    q, qd = np.array(at["q"]), np.array(at["qd"])
-    actuated = [k for k, body in enumerate(tree.bodies) if body.joint.actuated]
-    forces = np.zeros(len(tree.bodies))
-    forces[actuated] = at["u"]
-    peer = Pinocchio(tree)
-    by_q, by_qd, by_force = peer.acceleration_derivatives(q, qd, forces)
-    condition = np.linalg.cond(peer.mass_matrix(q))
-    for source, expected in (("q", by_q), ("qd", by_qd), ("u", by_force[:, actuated])):
-        error = np.abs(matrix(found, f"jac_qdd_{source}", values) - expected).max()
-        assert error <= 1e-14 * condition * np.abs(expected).max()
+    assert_pinocchios(tree, found, 3)
 
 
 @pytest.mark.parametrize("kind", ["vectors", "scalars"])
