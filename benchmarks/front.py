@@ -102,9 +102,9 @@ def write_front(bars: Sequence[Bar]) -> str:
     )
     return "\n".join(
         (
-            f"- **{write_times(arm.least)} times faster** than compiled, tuned CasADi with IPOPT on the paper's "
-            f"optimal motion ([figures]({arm.page})).",
-            f"- **{loops.label} faster** than the quickest peer at the accelerations of closed loops "
+            f"- **{write_times(arm.least)} times faster** than compiled, tuned CasADi with IPOPT on the arm's "
+            f"motion above, the task of a published study ([figures]({arm.page})).",
+            f"- **{loops.label} faster** than the quickest peer at accelerations of mechanisms with closed loops "
             f"([figures]({loops.page})).",
             f"- **{write_times(control.least)} times faster** than acados, and {write_times(control.most)} times "
             f"faster than fatrop, in a Panda's predictive control ([figures]({control.page})).",
