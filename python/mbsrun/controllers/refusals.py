@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from mbsgen.documents import Data, Document, Place
 from mbsgen.errors import Fault
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.problem.rewriting import INPUT
 from mbsrun.ocp.solving.fixing import list_numbers
@@ -70,6 +71,12 @@ _RULES = (
         "a controller moves its plan ahead by equal intervals, and these differ",
         "give their number",
         lambda problem: problem.mesh is not None,
+    ),
+    _rule(
+        ("scheme",),
+        "a controller keeps states at points, and lobatto has slopes beside them",
+        "take radau or legendre",
+        lambda problem: problem.family is Family.LOBATTO,
     ),
     _rule(
         ("inputs",),

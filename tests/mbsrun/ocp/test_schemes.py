@@ -10,12 +10,20 @@ from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.schemes import Family, Scheme
 
 EPS = np.finfo(float).eps
-ALL = [(family, degree) for family in Family for degree in schemes.DEGREES]
+ALL = [(family, degree) for family in Family for degree in schemes.list_degrees(family)]
 
 
 @pytest.fixture(params=ALL, ids=lambda p: f"{p[0].value}{p[1]}")
 def scheme(request: pytest.FixtureRequest) -> Scheme:
     return schemes.build(*request.param)
+
+
+def list_values(scheme: Scheme, p: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """List the numbers that determine t^p: its value at 0, then the ones at the points; of Lobatto, a slope first."""
+    nodes = np.concatenate(([0.0], scheme.points)) ** p
+    if scheme.begins_interval:
+        nodes[1] = float(p == 1)
+    return nodes
 
 
 def test_weights_sum_to_one(scheme: Scheme) -> None:
@@ -24,7 +32,7 @@ def test_weights_sum_to_one(scheme: Scheme) -> None:
 
 
 def test_quadrature_is_exact_up_to_its_degree_and_no_further(scheme: Scheme) -> None:
-    """Gauss points integrate degree 2d - 1, Radau points 2d - 2, and miss the next degree by more than rounding."""
+    """Gauss points integrate degree 2d - 1, Radau's 2d - 2, Lobatto's 2d - 3, and no higher one."""
     for p in range(scheme.exactness + 1):
         assert abs(scheme.weights @ scheme.points**p - 1 / (p + 1)) < 100 * EPS
     p = scheme.exactness + 1
@@ -33,17 +41,15 @@ def test_quadrature_is_exact_up_to_its_degree_and_no_further(scheme: Scheme) -> 
 
 def test_derivatives_of_monomials(scheme: Scheme) -> None:
     """D differentiates every polynomial of degree <= d, up to a few roundings of its entries."""
-    nodes = np.concatenate(([0.0], scheme.points))
     for p in range(scheme.degree + 1):
         exact = p * scheme.points ** max(p - 1, 0)
-        assert np.abs(scheme.D @ nodes**p - exact).max() < 8 * EPS * np.abs(scheme.D).sum(axis=1).max()
+        assert np.abs(scheme.D @ list_values(scheme, p) - exact).max() < 8 * EPS * np.abs(scheme.D).sum(axis=1).max()
 
 
 def test_end_rows_extrapolate_monomials(scheme: Scheme) -> None:
     """The end rows give the value at 1 of a state, of degree d, and of an acceleration, of degree d - 1."""
-    nodes = np.concatenate(([0.0], scheme.points))
     for p in range(scheme.degree + 1):
-        assert abs(scheme.end @ nodes**p - 1) < 8 * EPS * np.abs(scheme.end).sum()
+        assert abs(scheme.end @ list_values(scheme, p) - 1) < 8 * EPS * np.abs(scheme.end).sum()
     for p in range(scheme.degree):
         assert abs(scheme.end_of_points @ scheme.points**p - 1) < 8 * EPS * np.abs(scheme.end_of_points).sum()
 
@@ -64,15 +70,17 @@ def test_radau_ends_at_one(degree: int) -> None:
 
 
 def test_no_entry_of_the_differentiation_matrix_vanishes(scheme: Scheme) -> None:
-    """All of D is structural, so the pattern of a collocation equation is full in its nodes."""
-    assert np.abs(scheme.D).min() > 1e-3
+    """All of D is structural, so the pattern of a collocation equation is full in its nodes; a slope is a variable."""
+    assert np.abs(scheme.D[int(scheme.begins_interval) :]).min() > 1e-3
+    if scheme.begins_interval:
+        assert np.array_equal(scheme.D[0], np.eye(scheme.degree + 1)[1])
 
 
 @pytest.mark.parametrize("degree", schemes.DEGREES)
 def test_points_to_fifty_digits(degree: int) -> None:
     """Radau points are the roots of P_d - P_(d-1), Gauss points the roots of P_d, in 2 t - 1 (mpmath, 50 digits)."""
     with mpmath.workdps(50):
-        for family in Family:
+        for family in (Family.RADAU, Family.LEGENDRE):
             for t in schemes.build(family, degree).points:
                 x = 2 * mpmath.mpf(float(t)) - 1
 
@@ -88,6 +96,32 @@ def test_radau_two_is_butchers() -> None:
     scheme = schemes.build(Family.RADAU, 2)
     assert scheme.points == pytest.approx([1 / 3, 1], abs=2 * EPS)
     assert scheme.weights == pytest.approx([3 / 4, 1 / 4], abs=2 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("degree", "numerators", "denominator"),
+    [(2, [[0, 0], [1, 1]], 2), (3, [[0, 0, 0], [5, 8, -1], [4, 16, 4]], 24)],
+)
+def test_lobatto_has_its_matrix(degree: int, numerators: list[list[int]], denominator: int) -> None:
+    """Lobatto IIIA: Hairer, Wanner, table IV.5.7; the trapezoidal rule, and Hermite and Simpson's."""
+    scheme = schemes.build(Family.LOBATTO, degree)
+    assert scheme.integration == pytest.approx(np.array(numerators) / denominator, abs=4 * EPS)
+    assert scheme.order == 2 * degree - 2
+
+
+@pytest.mark.parametrize("degree", range(2, 10))
+def test_lobatto_points_to_fifty_digits(degree: int) -> None:
+    """The inner ones are the roots of the derivative of P_(d-1) (mpmath, 50 digits)."""
+    points = schemes.build(Family.LOBATTO, degree).points
+    assert (points[0], points[-1]) == (0.0, 1.0)
+    with mpmath.workdps(50):
+        for t in points[1:-1]:
+
+            def slope(x: mpmath.mpf) -> mpmath.mpf:
+                return mpmath.diff(lambda y: mpmath.legendre(degree - 1, y), x)
+
+            x = 2 * mpmath.mpf(float(t)) - 1
+            assert abs(slope(x) / mpmath.diff(slope, x)) < 16 * EPS
 
 
 @pytest.mark.parametrize("degree", [0, 10, -1])

@@ -292,7 +292,7 @@ BAD = {  # what is changed in the good file: path, finding, remedy
         "second-order collocation in the shooting form does not go with intervals of unequal length",
         "give their number, or take form: standard",
     ),
-    "unknown scheme": ("legendre", "gauss", "scheme", '"gauss"', "'radau' or 'legendre'"),
+    "unknown scheme": ("legendre", "gauss", "scheme", '"gauss"', "'radau', 'legendre' or 'lobatto'"),
     "degree": ("degree: 3", "degree: 10", "degree", "found 10", "9"),
     "representation": ("degree: 3", "degree: 3\nrepresentation: EXP3", "representation", '"EXP3"', "'IMPL'"),
     "negative weight": ("inputs: 1\n", "inputs: -1\n", "cost.inputs", "found -1", "not negative"),

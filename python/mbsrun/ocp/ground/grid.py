@@ -4,7 +4,7 @@ Interval k is as long as the fraction f_k of the horizon T, and the fractions su
 
     h_k = T f_k,    t_k = T (f_0 + ... + f_(k-1)),    t_kj = t_k + c_j h_k
 
-with collocation points c_j in (0, 1]. Equal intervals have f_k = 1 / N.
+with collocation points c_j in [0, 1]. Equal intervals have f_k = 1 / N.
 """
 
 from __future__ import annotations

@@ -103,9 +103,11 @@ class Step(Protocol):
 
 class _Collocation:
     def __init__(self, scheme: Scheme) -> None:
-        self.c, self.A = scheme.points, scheme.integration
+        self.c, self.A, self.begins_interval = scheme.points, scheme.integration, scheme.begins_interval
 
     def read(self, c: float) -> tuple[Array, Array]:
+        if self.begins_interval:
+            return integrate_basis(self.c, np.array([c]))[0], read_basis(self.c, c)
         with_start = read_basis(np.concatenate(([0.0], self.c)), c)
         return with_start[1:] @ self.A, read_basis(self.c, c)
 

@@ -1,7 +1,11 @@
 """Collocation on [0, 1]: (family, degree) -> points, differentiation matrix, end row, quadrature weights.
 
 A state is the polynomial of degree d through its values at 0 and at the d collocation points; an algebraic variable the
-one of degree d - 1 through its values at the points. Points are Gauss-Radau (the last is 1) or Gauss-Legendre points.
+one of degree d - 1 through its values at the points. Points are Gauss-Radau points (the last is 1), Gauss-Legendre
+points, or Gauss-Lobatto points (the first is 0, the last is 1). At Lobatto's first point the value is the one at 0, and
+the slope at 0 takes its place among the numbers that determine a state: Lobatto IIIA, of which degree 3 is Hermite
+and Simpson's rule, degree 2 the trapezoidal rule (Hairer, Wanner, "Solving ordinary differential equations II",
+section IV.5).
 Everything is computed from barycentric weights and Legendre polynomials, which keep their digits at every degree in
 DEGREES: Berrut, Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004), section 9.3.
 """
@@ -62,15 +66,19 @@ class Family(Enum):
 
     RADAU = "radau"
     LEGENDRE = "legendre"
+    LOBATTO = "lobatto"
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """Coefficients of one collocation scheme; nodes are 0 and the d points, in this order."""
+    """Coefficients of one collocation scheme; nodes are 0 and the d points, in this order.
+
+    Where the first point is 0, node 1 is no value: it is the slope at 0.
+    """
 
     family: Family
     degree: int
-    points: Array  # (d,), in (0, 1]
+    points: Array  # (d,), in [0, 1]
     D: Array  # (d, d + 1): derivative at point j of the basis polynomial of node r
     end: Array  # (d + 1,): value at 1 of the basis polynomial of node r
     end_of_points: Array  # (d,): the same for the basis on the points alone
@@ -83,14 +91,21 @@ class Scheme:
         return bool(self.points[-1] == 1.0)
 
     @property
+    def begins_interval(self) -> bool:
+        """Return whether the first point is the start."""
+        return bool(self.points[0] == 0.0)
+
+    @property
     def integration(self) -> Array:
         """Return A, (d, d): values at the points are the value at 0 plus A times the derivatives at the points."""
-        return np.asarray(np.linalg.inv(self.D[:, 1:]))
+        A = np.asarray(np.linalg.inv(self.D[:, 1:]))
+        A[: int(self.begins_interval)] = 0.0
+        return A
 
     @property
     def order(self) -> int:
         """Return the order of convergence at the ends of intervals."""
-        return 2 * self.degree - (1 if self.ends_interval else 0)
+        return 2 * self.degree - self.ends_interval - self.begins_interval
 
     def integrate(self, places: Array) -> Array:
         """Return (k, d + 1): the integrals from 0 to k places of the basis polynomials of all nodes."""
@@ -99,21 +114,31 @@ class Scheme:
     @property
     def exactness(self) -> int:
         """Return the highest degree of a polynomial that the quadrature integrates exactly."""
-        return 2 * self.degree - (2 if self.ends_interval else 1)
+        return 2 * self.degree - 1 - self.ends_interval - self.begins_interval
+
+    def read_slope(self) -> Array:
+        """Return (d,): the slope at 0 of the polynomial of degree d - 1 through values at 0 and at all later points."""
+        return np.asarray(_differentiation(np.concatenate(([0.0], self.points[self.points > 0])))[0])
+
+
+def list_degrees(family: Family) -> range:
+    """List the degrees of a family: two ends are two points at least."""
+    return DEGREES[1:] if family is Family.LOBATTO else DEGREES
 
 
 def build(family: Family, degree: int) -> Scheme:
-    """Compute the scheme of a family and a degree from 1 to 9."""
-    if degree not in DEGREES:
-        raise ValueError(f"degree {degree} is not in 1..9")
+    """Compute the scheme of a family and a degree from 1 to 9; of Lobatto points, from 2 on."""
+    degrees = list_degrees(family)
+    if degree not in degrees:
+        raise ValueError(f"degree {degree} is not in {degrees[0]}..{degrees[-1]}")
     points = POINTS[family](degree)
     nodes = np.concatenate(([0.0], points))
     return Scheme(
         family=family,
         degree=degree,
         points=points,
-        D=_differentiation(nodes)[1:],
-        end=read_basis(nodes, 1.0),
+        D=_differentiation_with_slope(points) if points[0] == 0.0 else _differentiation(nodes)[1:],
+        end=np.eye(degree + 1)[-1] if points[0] == 0.0 else read_basis(nodes, 1.0),
         end_of_points=read_basis(points, 1.0),
         start_of_points=read_basis(points, 0.0),
         weights=_weights(points),
@@ -128,9 +153,15 @@ def _find_radau_points(degree: int) -> Array:
     return np.array([*_RADAU[degree - 1], 1.0])
 
 
+def _find_lobatto_points(degree: int) -> Array:
+    inner: Array = np.asarray(legendre.Legendre.basis(degree - 1).deriv().roots(), dtype=np.float64)
+    return np.array([0.0, *((inner + 1) / 2), 1.0])
+
+
 POINTS: Mapping[Family, Callable[[int], Array]] = {
     Family.RADAU: _find_radau_points,
     Family.LEGENDRE: _find_legendre_points,
+    Family.LOBATTO: _find_lobatto_points,
 }
 
 
@@ -149,6 +180,28 @@ def _differentiation(nodes: Array) -> Array:
     np.fill_diagonal(D, 0.0)
     np.fill_diagonal(D, -D.sum(axis=1))
     return np.asarray(D)
+
+
+def _differentiation_with_slope(points: Array) -> Array:
+    """Differentiate, at points that begin with 0, by the value at 0, the slope there, and values at later points.
+
+    Polynomials p = a + s (b + s r), with r through its values at the later points c: r = ((p - a)/c - b)/c there.
+    """
+    later = points[1:]
+    values = np.concatenate([read_basis(later, float(c))[None] for c in points])  # of r
+    slopes = np.concatenate([_slope_basis(later, float(c))[None] for c in points])
+    by_r = 2 * points[:, None] * values + points[:, None] ** 2 * slopes  # p' = b + 2 s r + s^2 r'
+    weights = by_r / later**2
+    return np.column_stack((-weights.sum(axis=1), 1.0 - by_r @ (1.0 / later), weights))
+
+
+def _slope_basis(nodes: Array, s: float) -> Array:
+    """Return the slopes at s of the basis polynomials of some nodes."""
+    if s in nodes:
+        return np.asarray(_differentiation(nodes)[np.flatnonzero(nodes == s)[0]])
+    whole = np.concatenate(([s], nodes))
+    D = _differentiation(whole)[0]
+    return np.asarray(D[1:] + D[0] * read_basis(nodes, s))
 
 
 def read_basis(nodes: Array, s: float) -> Array:

@@ -30,6 +30,7 @@ OPTIONAL = (
     "point_controls",
     "point_u",
     "point_w",
+    "slopes",
 )  # parts of a trajectory that it may leave out
 NONE: NDArray[np.float64] = np.zeros(0)  # stands for arrays of no quantities
 
@@ -55,6 +56,7 @@ class Trajectory:
     point_controls: Array = field(default_factory=NONE.copy)  # (N, d, nc), or (N, d, 0) where they are constant
     point_u: Array = field(default_factory=NONE.copy)  # (N, d, m), or (N, d, 0) where all inputs are constant
     point_w: Array = field(default_factory=NONE.copy)  # (N, d, nw): components of open wrenches
+    slopes: Array = field(default_factory=NONE.copy)  # (N, nq + n + ns) or (N, 0): rates of states at t[:-1], if known
     unknowns: Array = field(default_factory=lambda: np.zeros(0))  # of the whole motion, as the problem orders them
 
     def __repr__(self) -> str:
@@ -77,6 +79,7 @@ class Trajectory:
             ("point_controls", (N, d)),
             ("point_u", (N, d)),
             ("point_w", (N, d)),
+            ("slopes", (N,)),
         ):
             array = getattr(self, name)
             if not array.size:
@@ -176,12 +179,13 @@ class _Reading:
         self.interval = np.clip(np.searchsorted(t, times, side="left") - 1, 0, len(t) - 2)
         place = (times - t[self.interval]) / np.diff(t)[self.interval]
         nodes = (trajectory.point_t[0] - t[0]) / (t[1] - t[0])  # the same in every interval
-        self.with_start = lagrange(np.concatenate(([0.0], nodes)), place)
+        self.first = int(nodes[0] == 0.0)  # of the points that are not the start
+        self.with_start = lagrange(np.concatenate(([0.0], nodes[self.first :])), place)
         self.without = lagrange(nodes, place)
 
     def states(self, mesh: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Read the polynomial through the values at the interval's start and at the points."""
-        nodes = np.concatenate((mesh[:-1, None], points), axis=1)[self.interval]
+        nodes = np.concatenate((mesh[:-1, None], points[:, self.first :]), axis=1)[self.interval]
         return np.asarray(np.einsum("...r,...rn->...n", self.with_start, nodes))
 
     def accelerations(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -123,7 +123,7 @@ def find_faults(problem: Problem, manifest: Manifest) -> Iterator[Line]:
                 yield (f"{place}.wrench", finding, "leave the expression out, or the axis")
     if len({contact.wrench for contact in problem.contacts}) < len(problem.contacts):
         yield ("contacts", "two contacts have the same wrench", "give each its own")
-    if problem.contacts and problem.family is not Family.RADAU:
+    if problem.contacts and problem.family is Family.LEGENDRE:
         finding = f"the points of {problem.family.value} are no mesh points, where a contact would slip"
         yield ("contacts", finding, "take scheme: radau")
     if problem.contacts and problem.form is not Form.STANDARD:

@@ -12,7 +12,7 @@ Where lengths of intervals differ, h of the second sum is the distance of the mi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated, Literal
@@ -25,7 +25,7 @@ from mbsrun.ocp.ground.grid import Grid
 from mbsrun.ocp.ground.integrators import INTEGRATORS, SECOND_ORDER, IntegratorName
 from mbsrun.ocp.ground.representations import Loops as Loops
 from mbsrun.ocp.ground.representations import Representation as Representation
-from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.schemes import Family, list_degrees
 from mbsrun.quantities import Added
 from mbsrun.recordings.references import Reference
 
@@ -475,6 +475,7 @@ def find_conflicts(problem: Problem) -> list[Finding]:
         found.append(Finding(("integrator",), finding, "take integrator: collocation"))
     found += _find_slopes(problem)
     found += _find_delays(problem)
+    found += _find_starts(problem)
     if problem.inputs != "constant" and _has_rates(problem):
         finding = "rates are differences of constant inputs over time, and these inputs change within an interval"
         found.append(Finding(("inputs",), finding, "let a control be the rate of a state, as `lift_inputs` does"))
@@ -486,6 +487,20 @@ def find_conflicts(problem: Problem) -> list[Finding]:
         finding = f"{problem.integrator} needs accelerations, and {representation.value} returns a residual"
         found.append(Finding(("integrator",), finding, "take representation: EXP2-O, or integrator: collocation"))
     return found
+
+
+def _find_starts(problem: Problem) -> Iterator[Finding]:
+    """Find parts of a problem that need points other than Lobatto's."""
+    if problem.family is not Family.LOBATTO:
+        return
+    if problem.degree not in list_degrees(problem.family):
+        yield Finding(("degree",), "lobatto has points at both ends of an interval", "take degree: 2 or more")
+    if problem.form is not Form.STANDARD or problem.integrator != "collocation":
+        finding = "the points of lobatto begin at the interval's start, where nothing is integrated"
+        yield Finding(("scheme",), finding, "take form: standard and integrator: collocation; or scheme: radau")
+    if problem.driven or problem.contacts or problem.touching:
+        finding = "driven joints and contacts have conditions at each point, and lobatto has each mesh point twice"
+        yield Finding(("scheme",), finding, "take scheme: radau")
 
 
 def _has_rates(problem: Problem) -> bool:

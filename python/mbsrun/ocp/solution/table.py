@@ -150,8 +150,9 @@ def _place_nodes(trajectory: Trajectory) -> Array:
 
 
 def _find_inner(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """Find the points of an interval that are not the next mesh point."""
-    return np.asarray(_place_nodes(trajectory) < 1 - SAME)
+    """Find the points of an interval that are no mesh points."""
+    nodes = _place_nodes(trajectory)
+    return np.asarray((nodes > SAME) & (nodes < 1 - SAME))
 
 
 def _place_sensors(trajectory: Trajectory, plant: Plant) -> Array:

@@ -126,7 +126,10 @@ def find_loop_conflicts(problem: Problem, manifest: Manifest) -> Iterator[Findin
         finding = f"the {form.value} form has no multipliers of loops, and no corrections, at its points"
         remedy = "take standard, or loops: reduced where independent coordinates determine the others along the motion"
         yield Finding(("form",), finding, remedy)
-    if loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
+    if problem.family is Family.LOBATTO:
+        finding = "loops are closed at the mesh points, and lobatto would close them there twice"
+        yield Finding(("scheme",), finding, "take scheme: radau")
+    elif loops is Loops.MULTIPLIERS and problem.family is not Family.RADAU:
         finding = f"the points of {problem.family.value} are no mesh points, where loops would be open"
         yield Finding(("loops",), finding, "take scheme: radau, or loops: reduced")
     if loops is Loops.MULTIPLIERS and problem.integrator == SECOND_ORDER:

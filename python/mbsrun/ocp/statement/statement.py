@@ -289,7 +289,7 @@ class _Reading(PartReading):
         if slips and section.degree > 1 and self.rewriting.course != "polynomial":
             finding = "friction along two axes has an unknown slip at each point, where controls have one an interval"
             self.fault(("degree",), finding, "take degree: 1, or inputs: polynomial")
-        if touching and section.scheme is not Family.RADAU:
+        if touching and section.scheme is Family.LEGENDRE:
             finding = "the points of legendre are no mesh points, where contacts would be open"
             self.fault(("scheme",), finding, "take scheme: radau")
         if section.relaxation is not None and not touching:

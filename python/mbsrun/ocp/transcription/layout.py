@@ -15,6 +15,9 @@ place of accelerations: derivatives of the state, times the length of the interv
 
     x = x_k + V s_k,    s_kj = h d/dt x
 
+Where the first point of an interval is its start, the state there is x_k, and the variables of this point are the slope
+of the state, times the length of the interval.
+
 The states that a problem adds lie behind the mechanism's, at mesh points and within intervals; its controls, behind the
 inputs.
 
@@ -95,6 +98,7 @@ class Extras:
 
     states: Indices  # (N + 1, ns): at the mesh points
     point_states: Indices  # (N, S, ns)
+    nodes: Indices  # (N, S, ns): the same, or slopes at the first points
     controls: Indices  # (N, nc); (N, 0) where they are polynomials
     point_controls: Indices  # (N, S, nc); (N, S, 0) where they are constant
     forces: Indices  # (N, S, ...): inputs u that expressions give
@@ -116,6 +120,7 @@ class Layout:
     grid: Grid
     mesh: Indices  # (N + 1, nq + n): states at the mesh points
     points: Indices  # (N, S, nq + n): states at the stages; (N, S, 0) in the integral form
+    nodes: Indices  # (N, S, nq + n): the same, or slopes at the first stages where these are the intervals' starts
     slopes: (
         Indices  # (N, S, ...): derivatives of carried states at the stages, times the interval's length; or (N, S, 0)
     )
@@ -241,10 +246,11 @@ def lay_out(
     unknowns: int = 0,
     has_constant_inputs: bool = True,
     closed: int = 0,
+    begins_interval: bool = False,
 ) -> Layout:
     """Number the variables; `has_states`, `has_slopes`, `has_accelerations` say which variables the stages have.
 
-    `closed` counts the places of an interval that have shifts.
+    `closed` counts the places of an interval that have shifts; `begins_interval`: the first stage is its start.
 
     Inputs and controls are constant over an
     interval, or have a value at each stage.
@@ -283,7 +289,8 @@ def lay_out(
         motions=motions,
         grid=grid,
         mesh=mesh[:, :width],
-        points=moved,
+        points=_begin(moved, mesh[:-1, :width], begins_interval),
+        nodes=moved,
         slopes=slopes,
         accelerations=accelerations,
         multipliers=multipliers,
@@ -298,9 +305,24 @@ def lay_out(
         design=np.zeros(0, dtype=np.int64),
         size=N * stride + width + states + horizon_is_free + unknowns,
         extras=Extras(
-            mesh[:, width:], further, inputs[:, free:], point_inputs[:, :, free:], forces, wrenches, added.given, m
+            mesh[:, width:],
+            _begin(further, mesh[:-1, width:], begins_interval),
+            further,
+            inputs[:, free:],
+            point_inputs[:, :, free:],
+            forces,
+            wrenches,
+            added.given,
+            m,
         ),
     )
+
+
+def _begin(nodes: Indices, starts: Indices, begins_interval: bool) -> Indices:
+    """Return states at the stages (N, S, ...), whose first ones may be the intervals' starts."""
+    if not begins_interval:
+        return nodes
+    return np.concatenate((starts[:, None], nodes[:, 1:]), axis=1)
 
 
 @dataclass(frozen=True)
@@ -321,6 +343,29 @@ class Places:
     w: Column  # size nw: components of open wrenches
     a: Column  # size d: accelerations of driven joints
     tau: Column  # size d: forces of driven joints
+
+    def restrict(self, chosen: Indices) -> Places:
+        """Keep some places."""
+
+        def pick(part: Column) -> Column:
+            return part[:, chosen] if isinstance(part, np.ndarray) else part.restrict(chosen)
+
+        return Places(
+            pick(self.q),
+            pick(self.qd),
+            pick(self.qdd),
+            pick(self.u),
+            self.s[chosen],
+            self.stage[chosen],
+            self.interval[chosen],
+            pick(self.yd),
+            self.lam[..., chosen],
+            self.states[:, chosen],
+            pick(self.controls),
+            pick(self.w),
+            pick(self.a),
+            pick(self.tau),
+        )
 
     @property
     def parts(self) -> Mapping[str, Column]:

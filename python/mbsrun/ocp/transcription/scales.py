@@ -51,7 +51,7 @@ def _list_groups(own: Transcription) -> Iterator[Indices]:
     """List the variables of each quantity that the problem adds."""
     layout, extras = own.layout, own.layout.extras
     for parts in (
-        (extras.states, extras.point_states),
+        (extras.states, extras.nodes),
         (extras.controls, extras.point_controls),
         (layout.unknowns,),
         (layout.horizons,),

@@ -271,6 +271,8 @@ class Transcription:
         x[layout.extras.states] = trajectory.states
         # shooting has other stages than points, and adds no states
         x[layout.extras.point_states] = trajectory.point_states.reshape(layout.extras.point_states.shape)
+        if self.scheme.begins_interval:
+            x[self._slopes] = self._find_slopes(trajectory)
         x[layout.horizons] = trajectory.t[-1]
         x[layout.unknowns] = trajectory.unknowns
         x[self._fixed] = self.fixed
@@ -327,14 +329,30 @@ class Transcription:
             point_u=point_u,
             point_controls=x[layout.extras.point_controls],
             point_w=x[layout.extras.wrenches].reshape(*point_t.shape, layout.extras.wrenches.shape[2]),
+            slopes=x[self._slopes] / h[:, None] if self.scheme.begins_interval else np.zeros(0),
         )
+
+    @property
+    def _slopes(self) -> Indices:
+        """The variables (N, ...) that are slopes at the starts of intervals, times their lengths."""
+        return np.concatenate((self.layout.nodes[:, 0], self.layout.extras.nodes[:, 0]), axis=1)
+
+    def _find_slopes(self, trajectory: Trajectory) -> Array:
+        """Return slopes times lengths of intervals: as the trajectory has them, or of polynomials of less degree."""
+        if trajectory.slopes.size:
+            return np.asarray(trajectory.slopes * np.diff(trajectory.t)[:, None])
+        velocities = list(self.layout.motions.velocities)
+        mesh = np.concatenate((trajectory.q, trajectory.qd[:, velocities], trajectory.states), axis=1)
+        parts = (trajectory.point_q, trajectory.point_qd[:, :, velocities], trajectory.point_states)
+        nodes = np.concatenate((mesh[:-1, None], np.concatenate(parts, axis=2)[:, 1:]), axis=1)
+        return np.asarray(np.einsum("r,krn->kn", self.scheme.read_slope(), nodes))
 
     def _read_accelerations(self, x: Array, mesh: Array, h: Array) -> Array:
         """Return the accelerations (N, d, moved) at the points, or the derivatives of velocities there."""
         layout, motions = self.layout, self.layout.motions
         if layout.every_acceleration.size:
             return np.asarray(x[layout.every_acceleration])
-        nodes = np.concatenate((mesh[:-1, None], x[layout.points]), axis=1)
+        nodes = np.concatenate((mesh[:-1, None], x[layout.nodes]), axis=1)
         rates = layout.split(nodes)[1][:, :, motions.moved_velocities]
         qdd = self.scheme.D @ rates / h[:, None, None]
         qdd[:, :, [motions.moved.index(i) for i in motions.driven]] = x[layout.drives]

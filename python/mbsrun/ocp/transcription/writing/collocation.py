@@ -48,8 +48,8 @@ def write_collocation(sheet: Sheet) -> tuple[Indices, Indices, Indices]:
     write_closure(sheet, places, closure.reshape(places.s.size, -1).T, places.interval)
     write_corrections(sheet, states)
     inner: tuple[Indices, ...] = (
-        layout.points,
-        layout.extras.point_states,
+        layout.nodes,
+        layout.extras.nodes,
         layout.slopes,
         layout.accelerations,
         layout.multipliers,
@@ -99,7 +99,7 @@ def split_equations(sheet: Sheet, equations: Indices) -> tuple[Indices, ...]:
 def write_states_at_points(sheet: Sheet, states: Indices, continuity: Indices) -> None:
     """Differentiate the states at the points, and read the states at the interval's end off them."""
     layout, scheme, carried = sheet.layout, sheet.scheme, sheet.motions.carried
-    nodes = [layout.mesh[:-1], *layout.points.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
+    nodes = [layout.mesh[:-1], *layout.nodes.transpose(1, 0, 2)]  # 0 and the points, each (N, nq + n)
     # what is not carried on is read off the last point, or found from the loops where that is not the end
     read = list(range(layout.mesh.shape[1])) if scheme.ends_interval else carried
     integrated = len(carried) - len(sheet.motions.independent) if sheet.shape.integrator == SECOND_ORDER else 0
@@ -227,7 +227,7 @@ def write_added_states(sheet: Sheet, rates: Indices, continuity: Indices) -> Non
         return
     extras, scheme, interval = sheet.layout.extras, sheet.scheme, sheet.points.interval
     sheet.A.put(continuity, extras.states[1:], 1.0)
-    for r, node in enumerate([extras.states[:-1], *extras.point_states.transpose(1, 0, 2)]):
+    for r, node in enumerate([extras.states[:-1], *extras.nodes.transpose(1, 0, 2)]):
         for j in range(scheme.degree):
             sheet.A.put(rates[:, j], node, scheme.D[j, r])
         sheet.A.put(continuity, node, -scheme.end[r])

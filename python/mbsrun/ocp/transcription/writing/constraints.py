@@ -10,7 +10,7 @@ from mbsrun.ocp.ground import formulas
 from mbsrun.ocp.ground.functions import Indices
 from mbsrun.ocp.ground.program import Block
 from mbsrun.ocp.problem.problem import list_names
-from mbsrun.ocp.transcription.layout import at_mesh
+from mbsrun.ocp.transcription.layout import Places, at_mesh
 from mbsrun.ocp.transcription.quantities import Quantity, list_quantities
 from mbsrun.ocp.transcription.writing.cost import find_steps
 from mbsrun.ocp.transcription.writing.sheet import Sheet
@@ -25,7 +25,7 @@ def write_constraints(sheet: Sheet) -> tuple[Indices, ...]:
     of_states = [i for i in on_path if not _reads_jumps(list_names(shape.constraints[i][0], shape.functions), kinds)]
     rows: list[list[Indices]] = [[] for _ in shape.constraints]
     for chosen, places in (
-        (on_path, sheet.points),
+        *_list_points(sheet, on_path, of_states),
         (of_states, at_mesh(sheet.layout, sheet.integrator, path_mesh)),
         ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], sheet.first),
         ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], sheet.last),
@@ -37,6 +37,15 @@ def write_constraints(sheet: Sheet) -> tuple[Indices, ...]:
             for i, row in zip(chosen, taken, strict=True):
                 rows[i].append(row)
     return tuple(np.concatenate(parts) for parts in rows)
+
+
+def _list_points(sheet: Sheet, on_path: list[int], of_states: list[int]) -> list[tuple[list[int], Places]]:
+    """List constraints with their points; constraints of states skip the first point of an interval, a mesh point."""
+    if not sheet.scheme.begins_interval:
+        return [(on_path, sheet.points)]
+    N, d = sheet.shape.intervals, sheet.scheme.degree
+    later = np.arange(N * d).reshape(N, d)[:, 1:].ravel()
+    return [([i for i in on_path if i not in of_states], sheet.points), (of_states, sheet.points.restrict(later))]
 
 
 def write_input_rates(sheet: Sheet) -> Indices:

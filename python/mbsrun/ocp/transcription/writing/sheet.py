@@ -61,6 +61,7 @@ class Sheet:
             unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
             has_constant_inputs=shape.inputs == "constant",
             closed=0 if shape.form is Form.STANDARD else len(integrator.closed.c),
+            begins_interval=scheme.begins_interval,
         )
         chosen, fixed = np.split(self.layout.unknowns, [len(shape.added.unknowns)])
         theta = design.order_design(shape.added.unknowns, chosen, fixed, plant.manifest)
