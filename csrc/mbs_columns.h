@@ -1,8 +1,10 @@
 /* Columns that one factorisation solves for, for the kernels that include this file.
  *
  * M = LT D L of n rows, where L has a unit diagonal. Row k of L has its other entries at starts[k] to starts[k + 1] - 1 of
- * `lower`, in the columns that `ancestors` gives; so a tree's elimination fills nothing. B is kept by rows of `width`
- * numbers, a multiple of MBS_LANES, so that a compiler that knows vectors computes several columns at once.
+ * `lower`, in the columns that `ancestors` gives; so a tree's elimination fills nothing. Column k of L has its other
+ * entries at the places below_starts[k] to below_starts[k + 1] - 1 of `below`: pairs of a row and a place in `lower`, from
+ * the last row on. B is kept by rows of `width` numbers, a multiple of MBS_LANES, so that a compiler that knows vectors
+ * computes several columns at once.
  *
  * C99, reentrant.
  */
@@ -36,36 +38,68 @@ typedef struct {
 #endif
 
 #ifndef MBS_DYNAMICS_H /* which solves by the bodies */
+#ifdef MBS_STATES /* a number is a vector already */
+typedef mbs_real mbs_piece;
+#undef MBS_SUBTRACT
+#undef MBS_SCALE
+#define MBS_SUBTRACT(a, x, b) ((a) -= (x) * (b))
+#define MBS_SCALE(a, x) ((a) *= (x))
+#define MBS_PIECES 8
+#else
+typedef mbs_lanes mbs_piece;
+#define MBS_PIECES 4
+#endif
+
+/* Both substitutions for as many pieces of each row as EACH names. They stay in registers while a row is computed, so
+ * that a product takes one number from memory, and puts none there. */
+#define MBS_PIECE_TAKE(i) mbs_piece x##i = row[i];
+#define MBS_PIECE_LESS(i) MBS_SUBTRACT(x##i, l, other[i]);
+#define MBS_PIECE_DIVIDE(i) MBS_SCALE(x##i, inverses[k]);
+#define MBS_PIECE_PUT(i) row[i] = x##i;
+#define MBS_SOLVE_PIECES(EACH) \
+    do { \
+        for (k = n - 1; k >= 0; --k) { \
+            mbs_piece *row = rows + k * step; \
+            EACH(MBS_PIECE_TAKE) \
+            for (e = below_starts[k]; e < below_starts[k + 1]; ++e) { \
+                const mbs_piece *other = rows + below[2 * e] * step; \
+                const mbs_real l = lower[below[2 * e + 1]]; \
+                EACH(MBS_PIECE_LESS) \
+            } \
+            EACH(MBS_PIECE_PUT) \
+        } \
+        for (k = 0; k < n; ++k) { \
+            mbs_piece *row = rows + k * step; \
+            EACH(MBS_PIECE_TAKE) \
+            EACH(MBS_PIECE_DIVIDE) \
+            for (e = starts[k]; e < starts[k + 1]; ++e) { \
+                const mbs_piece *other = rows + ancestors[e] * step; \
+                const mbs_real l = lower[e]; \
+                EACH(MBS_PIECE_LESS) \
+            } \
+            EACH(MBS_PIECE_PUT) \
+        } \
+    } while (0)
+#define MBS_PIECES_TWO(f) f(0) f(1)
+#define MBS_PIECES_FOUR(f) MBS_PIECES_TWO(f) f(2) f(3)
+#define MBS_PIECES_EIGHT(f) MBS_PIECES_FOUR(f) f(4) f(5) f(6) f(7)
+
 /* Replace B by M^-1 B. */
-static MBS_APART void mbs_solve_columns(int n, const int *starts, const int *ancestors,
-                                        const mbs_real *MBS_RESTRICT lower, const mbs_real *MBS_RESTRICT inverses,
-                                        int width, mbs_real *MBS_RESTRICT B)
+static MBS_APART void mbs_solve_columns(int n, const int *starts, const int *ancestors, const int *below_starts,
+                                        const int *below, const mbs_real *MBS_RESTRICT lower,
+                                        const mbs_real *MBS_RESTRICT inverses, int width, mbs_real *MBS_RESTRICT B)
 {
-    const int step = 2 * (width / MBS_LANES);
-    int first, k, e;
-    for (first = 0; first < step; first += 2) {
-        mbs_lanes *rows = (mbs_lanes *)B + first;
-        for (k = n - 1; k >= 0; --k) {
-            const mbs_lanes left = rows[k * step], right = rows[k * step + 1];
-            for (e = starts[k]; e < starts[k + 1]; ++e) {
-                mbs_lanes *above = rows + ancestors[e] * step;
-                MBS_SUBTRACT(above[0], lower[e], left);
-                MBS_SUBTRACT(above[1], lower[e], right);
-            }
-        }
-        for (k = 0; k < n; ++k) {
-            mbs_lanes left = rows[k * step], right = rows[k * step + 1];
-            MBS_SCALE(left, inverses[k]);
-            MBS_SCALE(right, inverses[k]);
-            for (e = starts[k]; e < starts[k + 1]; ++e) {
-                const mbs_lanes *above = rows + ancestors[e] * step;
-                MBS_SUBTRACT(left, lower[e], above[0]);
-                MBS_SUBTRACT(right, lower[e], above[1]);
-            }
-            rows[k * step] = left;
-            rows[k * step + 1] = right;
-        }
-    }
+    const int step = width / (int)(sizeof(mbs_piece) / sizeof(mbs_real));
+    mbs_piece *rows = (mbs_piece *)B, *end = rows + step;
+    int k, e;
+    for (; end - rows >= MBS_PIECES; rows += MBS_PIECES)
+#ifdef MBS_STATES
+        MBS_SOLVE_PIECES(MBS_PIECES_EIGHT);
+#else
+        MBS_SOLVE_PIECES(MBS_PIECES_FOUR);
+    if (rows < end)
+        MBS_SOLVE_PIECES(MBS_PIECES_TWO);
+#endif
 }
 #endif
 

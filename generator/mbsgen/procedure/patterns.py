@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 from mbsgen.errors import TapeError
@@ -101,6 +102,20 @@ class Tree(Pattern):
         for row in self.ancestors:
             starts.append(starts[-1] + len(row))
         return tuple(starts)
+
+    @property
+    def below(self) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """List the entries of each column of L, from the last row: the row, and its place among all entries."""
+        columns: list[list[tuple[int, int]]] = [[] for _ in self.ancestors]
+        for k in reversed(range(self.size)):
+            for place, i in enumerate(self.ancestors[k], self.starts[k]):
+                columns[i].append((k, place))
+        return tuple(map(tuple, columns))
+
+    @property
+    def below_starts(self) -> tuple[int, ...]:
+        """Number the first entry of each column of L, and the end."""
+        return (0, *accumulate(map(len, self.below)))
 
     def factors(self, name: str) -> tuple[Wire, ...]:
         """Name L's entries below the diagonal, row by row, and 1/D."""

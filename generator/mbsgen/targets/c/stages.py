@@ -146,6 +146,12 @@ class Writer:
         starts = self.tabulate(f"mbs_starts{suffix}", pattern.starts)
         return starts, self.tabulate(f"mbs_ancestors{suffix}", (i for row in pattern.ancestors for i in row))
 
+    def below(self, pattern: Tree) -> tuple[str, str]:
+        """Write the tables of the columns of a tree's factor."""
+        suffix = self._trees[pattern]
+        starts = self.tabulate(f"mbs_below_starts{suffix}", pattern.below_starts)
+        return starts, self.tabulate(f"mbs_below{suffix}", (i for row in pattern.below for pair in row for i in pair))
+
     def call(self, function: str, arguments: Iterable[str]) -> None:
         """Call a function that may fail."""
         self.has_status = True
@@ -396,7 +402,8 @@ def _call_solve(writer: Writer, stage: Solve, factors: Sequence[str], rows: str)
     wide, turned = is_wide(stage), stage.transposed and not stage.pattern.is_symmetric
     writer.headers |= {COLUMNS if wide else _HEADERS[type(stage.pattern)]: None}
     function = "columns" if wide else "transposed" if turned else system.kind
-    return f"mbs_solve_{function}", (stage.pattern.size, *system.tables, *system.factors, stage.width, rows)
+    below = writer.below(stage.pattern) if wide and isinstance(stage.pattern, Tree) else ()
+    return f"mbs_solve_{function}", (stage.pattern.size, *system.tables, *below, *system.factors, stage.width, rows)
 
 
 def _write_solve(writer: Writer, stage: Solve) -> None:
