@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,15 @@ from scipy.integrate import quad
 
 from mbsgen.manifest import Stops
 from mbsrun import Mechanism, load
+from mbsrun.limits import Allowance, Limits
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
-from mbsrun.simulation.drive import control, hold
+from mbsrun.simulation.drive import Piece, control, hold
 from mbsrun.simulation.integration import touching
+from mbsrun.simulation.integration.events import Course
+from mbsrun.simulation.motion import Chunk, HaltError
 from mbsrun.simulation.saltation import differentiate
+from tests.mbsrun.simulation.conftest import MODELS
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -211,6 +215,43 @@ def test_balls_in_a_row_pass_the_velocity_on(make: Make) -> None:
     assert times(motion, Kind.IMPACT) == pytest.approx([0.8, 1.6], abs=1e-13)
     motion = move(cradle, [0.5, 1.0, 1.2], [1, 0, 0], 1.0)
     assert motion.qd[-1] == pytest.approx([-1 / 3, 2 / 3, 2 / 3], abs=1e-13)
+
+
+def test_wheels_that_slip_in_a_plane_come_to_roll() -> None:
+    """A bicycle whose wheels start to slip sideways: the slip of a wheel turns round ever faster before it ends.
+
+    Steps of one length follow the same motion, with an error in proportion to the step.
+    """
+    bicycle = load(MODELS / "switching" / "bicycle.yaml", extent=NEEDED)
+    q, qd = np.zeros(9), np.zeros(9)
+    q[2], qd[0], qd[4], qd[6], qd[8] = 0.3, 5, 0.5, 5 / 0.3, 5 / 0.35
+    motion = simulate(bicycle, hold([]), q, qd, Settings(4e-3, output_step=4e-4))
+    assert [(event.joint, event.kind) for event in motion.events] == [("front", Kind.STICK), ("rear", Kind.STICK)]
+    slide = bicycle("touching", q=motion.q[-1:])["slide"][0]
+    assert np.abs(slide @ motion.qd[-1]).max() < 1e-14
+    assert motion.energy is not None
+    assert motion.energy.friction is not None
+    assert np.abs(motion.energy.drift).max() < 1e-3 * motion.energy.friction[-1]  # by quadrature over the turns
+    stepped = [simulate(bicycle, hold([]), q, qd, Settings(4e-3, "moreau", step=h)) for h in (4e-5, 1e-5)]
+    errors = [np.abs(one.qd[-1] - motion.qd[-1]).max() for one in stepped]
+    assert errors[1] < 0.4 * errors[0] < 4e-3
+
+
+def test_a_motion_that_switches_again_and_again_at_once_is_ended() -> None:
+    """A course whose mode ends as soon as it begins: after 200 switches within 1e-9 s there is a message."""
+
+    class Restless(Course):
+        switches, lost, remedy = "nothing", ArithmeticError, ""
+
+        def settle(self, _time: float, _piece: Piece, q: Array, qd: Array) -> tuple[Array, Array]:
+            return q, qd
+
+        def run(self, piece: Piece, q: Array, qd: Array, _allowance: Allowance) -> Iterator[Chunk]:
+            yield Chunk(np.array([piece.start, piece.start + 1e-10]), np.array([q, q]), np.array([qd, qd]))
+
+    piece = Piece(0.0, 1.0, lambda t: np.zeros((len(t), 0)), True)
+    with pytest.raises(HaltError, match="200 switches of nothing, each within 1e-09 s"):
+        list(Restless().follow(piece, np.zeros(1), np.zeros(1), Allowance(Limits())))
 
 
 def test_contacts_beside_stops_are_refused(make: Make) -> None:

@@ -20,7 +20,8 @@ from mbsrun.simulation.motion import Chunk, Halt, HaltError
 Array = NDArray[np.float64]
 
 MANY = 100  # impacts at one time: the rest of them is one without rebounds
-MOST = 1000  # switches at one time
+MOST = 1000  # impacts at one time
+SOON, CHATTER = 1e-9, 200  # switches, each within so many seconds of the one before: so many end a motion
 
 
 class Course(ABC):
@@ -65,8 +66,8 @@ class Course(ABC):
             raise HaltError(Halt(time, None, str(error), self.remedy)) from None
 
     def _count(self, time: float) -> None:
-        """Count the switches at one time."""
-        self.stalled, self.time = (self.stalled + 1 if time == self.time else 0), time
-        if self.stalled > MOST:
-            finding = f"{MOST} switches of {self.switches} at one time"
+        """Count the switches that follow each other at once."""
+        self.stalled, self.time = (self.stalled + 1 if time - self.time <= SOON else 0), time
+        if self.stalled > CHATTER:
+            finding = f"{CHATTER} switches of {self.switches}, each within {SOON:g} s of the one before"
             raise HaltError(Halt(time, None, finding, "change a restitution or a friction a little"))

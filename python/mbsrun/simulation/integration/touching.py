@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-11  # m: a point that is as near touches
 STILL = 1e-11  # of the fastest velocity of a point: a slower one is at rest
+CREEP = (
+    1e-9  # the same, of a point whose slip has just turned round: in a plane it seldom vanishes, and turns ever faster
+)
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
@@ -85,6 +88,7 @@ class _Course(Course):
         self.E = np.array(pair.E, dtype=np.float64)
         self.mode: Mode | None = None
         self.released: set[int] = set()
+        self.turned: set[int] = set()  # points whose slip has just turned round
         self.length = 0.0  # of the next step; 0: not known
         self.fastest = 0.0
         self.passed: tuple[Event, ...] = ()
@@ -115,7 +119,7 @@ class _Course(Course):
             told = {event.joint for event in events if event.kind is Kind.REST}
             events += [x for x in self.compare(time, touch, mode) if not (x.kind is Kind.REST and x.joint in told)]
         self.mode, self.passed = mode, (*self.passed, *events)
-        self.released = set()
+        self.released, self.turned = set(), set()
         return q, qd
 
     def place(self, q: Array, closed: list[int]) -> Array:
@@ -137,7 +141,7 @@ class _Course(Course):
             if abs(n @ v) > STILL * self.fastest:
                 continue
             rows.append(n @ S)
-            if self.contacts.coefficient[k] > 0 and np.linalg.norm(v - (n @ v) * n) <= STILL * self.fastest:
+            if self.contacts.coefficient[k] > 0 and self.is_still(k, v - (n @ v) * n):
                 rows += list(S - np.outer(n, n @ S))
         return qd - _lift(np.array(rows), M, np.array(rows) @ qd) if rows else qd
 
@@ -201,7 +205,11 @@ class _Course(Course):
 
     def find_slipping(self, touch: Touch, points: list[int]) -> list[int]:
         """List the points that slip."""
-        return [k for k in points if np.linalg.norm(touch.slip[0, k]) > STILL * self.fastest]
+        return [k for k in points if not self.is_still(k, touch.slip[0, k])]
+
+    def is_still(self, point: int, slip: Array) -> bool:
+        """Return whether a slip (3,) counts as none."""
+        return bool(np.linalg.norm(slip) <= (CREEP if point in self.turned else STILL) * self.fastest)
 
     def compare(self, time: float, touch: Touch, mode: Mode) -> Iterator[Event]:
         """List the changes of modes, impacts aside."""
@@ -383,6 +391,7 @@ class _Course(Course):
         at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
         near = [j for end, j in ends if end <= length * (1 + 1e-12) or at[j] <= 0]
         self.released = {guards[j].point for j in near}
+        self.turned = {guards[j].point for j in near if guards[j].bound is Bound.SLIP}
         return length, state
 
     def locate(self, piece: Piece, mode: Mode, guard: Guard, time: float, x: Array, low: float, high: float) -> float:
