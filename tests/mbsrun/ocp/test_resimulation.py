@@ -12,11 +12,14 @@ import pytest
 from scipy.special import ellipj
 
 from mbsgen.manifest import Coordinate
+from mbsrun.external import load_on_demand
 from mbsrun.limits import Limits
 from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.showing.summary import summarise
 from mbsrun.ocp.solution.solution import Solution
-from mbsrun.ocp.solving.resimulation import Constant, accelerations, integrate, resimulate
+from mbsrun.ocp.solving.resimulation import Constant, Course, Replay, accelerations, integrate, resimulate
 from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import FREE, Peer, double_integrator, residual_function
 
@@ -107,6 +110,72 @@ def test_a_plant_that_cannot_be_integrated_is_told() -> None:
     assert check.defect is None
     assert check.open_loop_error is None
     assert not check.is_accurate
+
+
+def test_a_motion_that_leaves_the_solution_is_put_back_on_it() -> None:
+    """A push of 100 N more in an interval of 1/8 s: 12.5 m/s too fast at its end, where the solution goes on."""
+    outcome = solve(push(8), double_integrator())
+    assert isinstance(outcome, Solution)
+    u = outcome.trajectory.u.copy()
+    u[3] += 100.0
+    pushed = replace(outcome, trajectory=replace(outcome.trajectory, u=u))
+    check = resimulate(pushed, double_integrator()).resimulation
+    assert check is not None
+    assert check.lost == (pushed.trajectory.t[4],)
+    assert check.defect_interval == 3
+    assert check.open_loop_error == pytest.approx(0, abs=1e-12)
+    lines = summarise(replace(pushed, resimulation=check))
+    assert lines["open loop"].endswith(f"put back on it, once at {check.lost[0]:.4g} s")
+    kept = resimulate(outcome, double_integrator()).resimulation
+    assert kept is not None
+    assert kept.lost == ()
+
+
+def test_added_states_ride_along_the_mechanism_as_in_one_system(tmp_path: Path) -> None:
+    """An oscillator and the work of a pendulum's damper: closed form and SciPy's DOP853 on all equations together."""
+    model = tmp_path / "rod.yaml"
+    model.write_text(ROD, encoding="utf-8")
+    file = tmp_path / "swing.ocp.yaml"
+    file.write_text(SWING, encoding="utf-8")
+    problem, plant = read_problem(file, load_on_demand)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome
+    trajectory = outcome.trajectory
+    states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
+    course = Course(outcome.problem, trajectory, plant)
+    alone, together = (Replay(plant, course, None, Limits()) for _ in range(2))
+    together.stepper = None
+    apart, whole = alone.go_apart(states[:-1]), together.go_apart(states[:-1])
+    assert alone.stepper is not None
+    assert apart is not None
+    assert whole is not None
+    assert apart.ends == pytest.approx(whole.ends, abs=1e-11)
+    k, x = np.repeat(np.arange(5), 3), np.tile([0.1, 0.5, 0.9], 5)
+    assert apart.read(k, x) == pytest.approx(whole.read(k, x), abs=1e-9)  # DOP853's interpolation is of order 7
+    c, s = np.cos(40 * course.lengths[0]), np.sin(40 * course.lengths[0])
+    assert apart.ends[:, 2:4] == pytest.approx(states[:-1, 2:4] @ np.array([[c, -40 * s], [s / 40, c]]), abs=1e-11)
+
+
+ROD = """
+name: rod
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rod, joint: {name: hinge, type: revolute, axis: y, damping: 0.2}, mass: 1, com: [0, 0, -0.5]}
+"""
+SWING = """
+model: rod.yaml
+horizon: 1
+intervals: 5
+degree: 3
+start: {pose: {}, velocity: {}}
+end: {pose: {hinge: 1}}
+scheme: radau
+states:
+  e: {rate: a, start: 0, end: null}
+  a: {rate: -1600*e, start: 1, end: null}
+  work: {rate: 0.2*qd_hinge**2 + 0*qdd_hinge, start: 0, end: null}
+cost: {inputs: 1}
+"""
 
 
 def test_a_swing_is_integrated_to_rounding() -> None:

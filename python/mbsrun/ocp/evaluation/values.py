@@ -84,6 +84,11 @@ class GivenValues:
         """Return whether no expression gives an input."""
         return not self._levels
 
+    @property
+    def kinds(self) -> frozenset[str]:
+        """Return the kinds of quantities that the expressions read."""
+        return frozenset[str]().union(*(values.kinds for values in self._values))
+
     def __call__(self, parts: Parts) -> dict[str, Array]:
         """Return the parts with given components put into u and w; unknown components keep w, or their guess."""
         found, B = dict(parts), len(parts["t"])

@@ -82,7 +82,10 @@ def _list_lines(solution: Solution) -> Iterator[tuple[str, str]]:
     if check is not None:
         accuracy = solution.problem.asked_accuracy
         yield "defect", f"{_number(check.defect, check)} in an interval, at most; {accuracy:.1e} asked for"
-        yield "open loop", f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone"
+        yield (
+            "open loop",
+            f"{_number(check.open_loop_error, check)} off at the end, under the inputs alone{_describe_lost(check)}",
+        )
         if check.margins is None or check.margins.each:
             yield "between", _describe_margins(check)
 
@@ -139,6 +142,14 @@ def list_shortcomings(solution: Solution) -> list[str]:
             "refine split them"
         )
     return found
+
+
+def _describe_lost(check: Resimulation) -> str:
+    """Describe where the motion under the inputs alone was put back on the solution."""
+    if not check.lost:
+        return ""
+    times = "once" if len(check.lost) == 1 else f"{len(check.lost)} times, first"
+    return f"; unstable: it left the solution, and was put back on it, {times} at {check.lost[0]:.4g} s"
 
 
 def _describe_margins(check: Resimulation) -> str:

@@ -186,7 +186,7 @@ class Resimulation:
 
     defect: float | None  # the largest difference at an interval's end, from its start; None: the integrator gave up
     defect_interval: int | None  # where it is, from 0
-    open_loop_error: float | None  # the largest difference at the end of the horizon, integrated from its start
+    open_loop_error: float | None  # the largest difference at the end, from the start or the last of `lost`
     is_accurate: bool  # whether the check finished, and the defect is within the accuracy that the problem asks for
     closure: float | None = None  # the largest gap of closed loops along the motion from its start [m, 1]
     slip: float | None = None  # the farthest that a contact moves, at the points of the solution [m]
@@ -194,6 +194,7 @@ class Resimulation:
     unfinished: str = ""  # the limit of time or steps that ended the check, if one did
     defects: tuple[float, ...] = ()  # of all intervals; empty where the integrator gave up
     margins: Margins | None = None  # from every interval's start; None where the integrator gave up
+    lost: tuple[float, ...] = ()  # times [s] at which the motion from the horizon's start was put back on the solution
 
 
 @dataclass(frozen=True)

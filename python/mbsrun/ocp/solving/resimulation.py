@@ -9,7 +9,11 @@ limited; a check that does not finish within the limits calls no solution accura
 
 Along the first of these motions, bounds and constraints are watched between the points of the grid: see `margins`.
 
-States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls.
+States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s), under its controls; where no input
+follows them, after the mechanism's motion (`riding`).
+
+The motion from the start of the horizon may leave the solution for good: where it is LOST, or the integrator gives up,
+it is put back on the solution at the next point of the grid, and the times of this are told.
 
 With closed loops, driven joints and contacts, accelerations and the forces of all follow together,
 
@@ -24,6 +28,7 @@ contact start at rest and do not accelerate; how far they creep is the slip.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
@@ -44,6 +49,7 @@ from mbsrun.ocp.problem.driving import Guide, choose_rows, give_nothing
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Resimulation, Solution
 from mbsrun.ocp.solving.margins import Watch
+from mbsrun.ocp.solving.riding import Riders, UnevenError
 from mbsrun.ocp.solving.stepping import Span, Stepper
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.course import Course as Motions
@@ -58,28 +64,27 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-13  # relative and absolute
-LIMITS = Limits(steps=20_000, seconds=60.0)  # of a whole check; the paper's task takes some 600 steps, 1 s
+SECONDS, FEW, EACH = 60.0, 20_000, 50  # limits of a check: time, steps, and steps of an interval on average
+LOST = 1.0  # rad, m, and these per s, or of a state's range, if that is larger: a motion farther off is elsewhere
 
 
-def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Solution:
+def resimulate(solution: Solution, plant: Plant, limits: Limits | None = None) -> Solution:
     """Return the solution with its re-simulation, of which `unfinished` states the limit that ended it, if one did."""
     trajectory = solution.trajectory
+    limits = limits or Limits(max(FEW, EACH * len(trajectory.u)), SECONDS)
     plant = equip(plant, solution.problem, trajectory.unknowns)
     states = np.concatenate((trajectory.q, trajectory.qd, trajectory.states), axis=1)
     course, held = Course(solution.problem, trajectory, plant), find_held(solution.problem, plant.manifest)
-    defects, last, unfinished, gap = None, None, "", 0.0
-    reached: Array | None = None
+    defects, unfinished = None, ""
+    through: _Through | None = None
     (N, d), nq = trajectory.point_t.shape, trajectory.q.shape[1]
     every = np.concatenate((trajectory.q, trajectory.point_q.reshape(N * d, nq)))
-    watch, margins, replay = Watch(solution.problem, plant), None, _Replay(plant, course, held, limits)
+    watch, margins, replay = Watch(solution.problem, plant), None, Replay(plant, course, held, limits)
     try:
         apart = replay.go_apart(states[:-1])
         margins = None if apart is None else watch.measure(Reader(plant, course, held, apart.read, watch.kinds))
         defects = None if apart is None else np.abs(apart.ends - states[1:]).max(axis=1)
-        through = replay.go_through(states[0])
-        if through is not None:
-            reached, gap = through
-            last = reached[-1:]
+        through = replay.go_through(states)
     except LimitError as error:
         unfinished = error.finding
     return replace(
@@ -87,17 +92,18 @@ def resimulate(solution: Solution, plant: Plant, limits: Limits = LIMITS) -> Sol
         resimulation=Resimulation(
             defect=None if defects is None else float(defects.max()),
             defect_interval=None if defects is None else int(defects.argmax()),
-            open_loop_error=None if last is None else float(np.abs(last[0] - states[-1]).max()),
+            open_loop_error=None if through is None else float(np.abs(through.reached[-1] - states[-1]).max()),
             is_accurate=not unfinished
             and defects is not None
             and bool(defects.max() <= solution.problem.asked_accuracy)
-            and gap <= CLOSED,
+            and (through is None or through.gap <= CLOSED),
             unfinished=unfinished,
             defects=() if defects is None else tuple(defects.tolist()),
             margins=margins,
-            closure=gap if reached is not None and has_loops(plant.manifest) else None,
+            closure=through.gap if through is not None and has_loops(plant.manifest) else None,
             slip=measure_slip(solution.problem, plant, every),
-            slip_along=None if reached is None else measure_slip(solution.problem, plant, reached[:, :nq]),
+            slip_along=None if through is None else measure_slip(solution.problem, plant, through.reached[:, :nq]),
+            lost=() if through is None else through.lost,
         ),
     )
 
@@ -196,6 +202,7 @@ class Course:
     def __init__(self, problem: Problem, trajectory: Trajectory, plant: Plant) -> None:
         """Prepare the expressions of the problem."""
         self.trajectory, self.given = trajectory, GivenValues(problem, plant)
+        self.problem, self.plant = problem, plant
         self.lengths = np.diff(trajectory.t)
         self.nodes = (trajectory.point_t[0] - trajectory.t[0]) / self.lengths[0]  # the same in every interval
         self.guide = Guide.of(problem, plant.manifest) if plant.manifest.driven else None
@@ -220,6 +227,25 @@ class Course:
         law = None if self.given.is_empty else follow
         return Piece(start, float(trajectory.t[k + 1]), evaluate, is_constant and law is None, law)
 
+    @property
+    def follows_states(self) -> bool:
+        """Return whether an input follows a state that the problem adds."""
+        return "states" in self.given.kinds
+
+    def gather(self, intervals: Indices, time: Array, states: Array) -> dict[str, Array]:
+        """Return the parts of motions of the mechanism (B, nq + n) in intervals (B,), at times (B,) in each.
+
+        The added states in them are 0. Accelerations and forces are there if rates of added states read them.
+        """
+        manifest = self.plant.manifest
+        q, qd = np.split(states, [len(manifest.positions)], axis=1)
+        none = np.zeros((len(q), len(self.problem.every_state)))
+        parts = self.inputs(*intervals.tolist()).read(time[:, None], q, qd, none)
+        if not self.rates.kinds & {"qdd", "tau", "w"}:
+            return parts
+        qdd, forces = _balance(self.plant, parts["q"], parts["qd"], parts, None)
+        return parts | {"qdd": qdd} | forces
+
     def motions(self) -> Motions:
         """Return the motions of driven joints."""
         guide, trajectory = self.guide, self.trajectory
@@ -240,26 +266,36 @@ class _Apart:
     read: Callable[[Indices, Array], Array]  # the states (B, size) at fractions (B,) of intervals (B,)
 
 
-class _Replay:
+@dataclass(frozen=True)
+class _Through:
+    """The motion from the start of the horizon, put back on the solution where it was lost."""
+
+    reached: Array  # (N + 1, size): the states at the ends of the intervals
+    gap: float  # of loops, the largest that a step left
+    lost: tuple[float, ...]  # the times at which it was put back
+
+
+class Replay:
     """The motions under the inputs of a solution: by C where it can follow them, else with the equations as a whole.
 
-    C factorises the mass matrix; contacts, further states and a singular matrix, of links without mass in a loop, are
-    left to `integrate`.
+    C factorises the mass matrix; contacts, inputs that follow added states, and a singular matrix, of links without
+    mass in a loop, are left to `integrate`.
     """
 
     def __init__(self, plant: Plant, course: Course, held: Held | None, limits: Limits) -> None:
         self._plant, self._course, self._held, self._allowance = plant, course, held, Allowance(limits)
-        self._lengths = course.lengths
-        is_plain = held is None and plant.manifest.coordinates and not course.trajectory.states.size
-        self._stepper = Stepper(plant, course.motions(), TOLERANCE) if is_plain and isinstance(plant, Source) else None
+        self._lengths, self._places = course.lengths, len(plant.manifest.positions) + len(plant.manifest.coordinates)
+        self._riders = Riders(course.gather, course.rates) if course.trajectory.states.size else None
+        is_plain = held is None and plant.manifest.coordinates and not course.follows_states
+        self.stepper = Stepper(plant, course.motions(), TOLERANCE) if is_plain and isinstance(plant, Source) else None
 
     def go_apart(self, states: Array) -> _Apart | None:
         """Integrate from the start of every interval, (N, size), to its end; None where that fails."""
-        if self._stepper is not None:
+        if self.stepper is not None:
             try:
-                return self._go_apart_in_c(self._stepper, states)
-            except HaltError:
-                self._stepper = None
+                return self._go_apart_in_c(self.stepper, states)
+            except (HaltError, UnevenError):
+                self.stepper = None
         taken, inputs = list[Step](), self._course.inputs()
         ends = integrate(self._plant, states, inputs, self._lengths, self._allowance, held=self._held, taken=taken)
         return None if ends is None else _Apart(ends, lambda intervals, x: _read_steps(taken, intervals, x))
@@ -267,22 +303,21 @@ class _Replay:
     def _go_apart_in_c(self, stepper: Stepper, states: Array) -> _Apart:
         """Count the steps of the interval with the most, as if all were integrated at once."""
         spans, most = list[Span](), 0
-        for k, state in enumerate(self._close(self._course.inputs(), states)):
+        for k, state in enumerate(self._close(self._course.inputs(), states[:, : self._places])):
             own = copy(self._allowance)
             spans.append(stepper.follow(self._course.piece(k), state, own))
             most = max(most, self._allowance.steps - own.steps)
         self._allowance.note(most)
-        return _Apart(
-            np.array([span.end for span in spans]), lambda intervals, x: self._read_spans(spans, intervals, x)
-        )
+        ends = np.array([span.end for span in spans])
+        if self._riders is None:
+            return _Apart(ends, lambda intervals, x: self._read_spans(spans, intervals, x))
+        ride = self._riders.ride(range(len(spans)), spans, states[:, self._places :])
 
-    def _go_through_in_c(self, stepper: Stepper, state: Array) -> tuple[Array, float]:
-        reached, gap = [self._close(self._course.inputs(0), state[None])[0]], 0.0
-        for k in range(len(self._lengths)):
-            span = stepper.follow(self._course.piece(k), reached[-1], self._allowance)
-            reached.append(span.end)
-            gap = max(gap, span.gap)
-        return np.array([state, *reached[1:]]), gap
+        def read(intervals: Indices, fractions: Array) -> Array:
+            times = self._course.trajectory.t[intervals] + fractions * self._lengths[intervals]
+            return np.hstack((self._read_spans(spans, intervals, fractions), ride.read(intervals, times)))
+
+        return _Apart(np.hstack((ends, ride.ends)), read)
 
     def _close(self, inputs: Inputs, states: Array) -> Array:
         """Return the nearest states (B, nq + n) with closed loops, and with driven joints where they start."""
@@ -300,24 +335,43 @@ class _Replay:
             found[chosen] = spans[k].read(times[chosen])
         return found
 
-    def go_through(self, state: Array) -> tuple[Array, float] | None:
-        """Integrate one motion, (size,), through all intervals; None where that fails.
+    def go_through(self, states: Array) -> _Through | None:
+        """Integrate from the first of the solution's states, (N + 1, size), through all intervals.
 
-        Returns its states at their ends, (N + 1, size), and the largest gap that a step left in a loop.
+        Returns None where that fails from a state of the solution.
         """
-        if self._stepper is not None:
-            try:
-                return self._go_through_in_c(self._stepper, state)
-            except HaltError:
-                self._stepper = None
-        reached, gaps = [state[None]], list[float]()
-        for k, length in enumerate(self._lengths.tolist()):
-            inputs = self._course.inputs(k)
-            last = integrate(self._plant, reached[-1], inputs, length, self._allowance, gaps, self._held)
-            if last is None:
+        N, scale = len(self._lengths), LOST * np.maximum(1.0, np.ptp(states, axis=0))
+        reached, gaps, lost, own = [states[0]], [0.0], list[float](), 0  # the interval that began at the solution
+        for k in range(N):
+            end = self._go_on(k, reached[-1], gaps)
+            if end is None and k != own:
+                own, reached[-1] = k, states[k]
+                lost.append(float(self._course.trajectory.t[k]))
+                end = self._go_on(k, reached[-1], gaps)
+            if end is None:
                 return None
-            reached.append(last)
-        return np.concatenate(reached), max(gaps, default=0.0)
+            reached.append(end)
+            if k < N - 1 and not (np.abs(end - states[k + 1]) <= scale).all():
+                own, reached[-1] = k + 1, states[k + 1]
+                lost.append(float(self._course.trajectory.t[k + 1]))
+        return _Through(np.array(reached), max(gaps), tuple(lost))
+
+    def _go_on(self, k: int, state: Array, gaps: list[float]) -> Array | None:
+        """Integrate through an interval; None where that fails. The largest gap of a step is added to `gaps`."""
+        if self.stepper is not None:
+            with suppress(HaltError, UnevenError):
+                return self._go_on_in_c(self.stepper, k, state, gaps)
+        inputs, length = self._course.inputs(k), float(self._lengths[k])
+        end = integrate(self._plant, state[None], inputs, length, self._allowance, gaps, self._held)
+        return None if end is None else end[0]
+
+    def _go_on_in_c(self, stepper: Stepper, k: int, state: Array, gaps: list[float]) -> Array:
+        begin = self._close(self._course.inputs(k), state[None, : self._places])[0]
+        span = stepper.follow(self._course.piece(k), begin, self._allowance)
+        gaps.append(span.gap)
+        if self._riders is None:
+            return span.end
+        return np.concatenate((span.end, self._riders.ride([k], [span], state[None, self._places :]).ends[0]))
 
 
 def integrate(
