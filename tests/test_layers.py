@@ -180,6 +180,7 @@ MBSRUN = Package(
         "ocp.solving.answers ocp.solving.assembly ocp.solving.branches ocp.solving.margins "
         "ocp.solving.optimality ocp.solving.placing ocp.solving.preparation ocp.solving.singularities "
         "ocp.solving.stepping",
+        "ocp.solving.riding",
         "ocp.solving.judging ocp.solving.polishing ocp.solving.resimulation",
         "ocp.solving.runs",
         "ocp.solving.phases",
