@@ -13,7 +13,7 @@ States that a problem adds are integrated along, s' = rate(t, q, qd, qdd, u, s),
 follows them, after the mechanism's motion (`riding`).
 
 The motion from the start of the horizon may leave the solution for good: where it is LOST, or the integrator gives up,
-it is put back on the solution at the next point of the grid, and the times of this are told.
+it is put back on the solution at the next point of the grid; `lost` holds the times.
 
 With closed loops, driven joints and contacts, accelerations and the forces of all follow together,
 

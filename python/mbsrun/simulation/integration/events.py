@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 MANY = 100  # impacts at one time: the rest of them is one without rebounds
 MOST = 1000  # impacts at one time
-SOON, CHATTER = 1e-9, 200  # switches, each within so many seconds of the one before: so many end a motion
+SOON = 1e-9  # s: a switch that follows another within this time is at once
+CHATTER = 200  # switches at once end a motion
 
 
 class Course(ABC):
