@@ -160,11 +160,12 @@ study: $(VENV)/installed-study
 # Plants faults, one at a time, and runs the tests that must notice them: half an hour to two hours,
 # by the machine. `python -m tests.mutants --only WORD` plants the faults alone whose name has this word.
 mutants: $(VENV)/installed-dev
-	$(BIN)/python -m tests.mutants
+	$(BIN)/python -m tests.mutants --workers $(WORKERS)
 
-# Plants a hundred faults that the machine draws, and runs the tests that should see them: hours. Exit code 0 if 95 % die.
+# Plants a hundred faults that the machine draws, and runs the tests that execute them: an hour. Exit code 0 if 95 % die.
+# Stopped, it goes on where it was. `python -m tests.mutants.sights` measures anew which tests execute what.
 drawn: $(VENV)/installed-dev
-	$(BIN)/python -m tests.mutants --drawn 100 --seed $(or $(SEED),40)
+	$(BIN)/python -m tests.mutants --drawn 100 --seed $(or $(SEED),40) --workers $(WORKERS)
 
 # The laboratory, whole: half an hour on one core. Verdicts, maps and their tables go into docs/laboratory.
 laboratory: $(VENV)/installed-study

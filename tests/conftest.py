@@ -87,14 +87,16 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory, request: pytest.Fixture
 def cache(run_folder: Path) -> Iterator[Path]:
     """Keep what is generated and compiled apart from the user's, for all processes of the run, with plain flags.
 
-    Zig keeps its C libraries, which take it half a minute to compile, in the user's cache.
+    Zig keeps its C libraries, which take it half a minute to compile, in the user's cache. Planted faults name one
+    cache for many runs.
     """
+    place = Path(os.environ.get("MBS_TESTS_CACHE") or run_folder / "cache")
     zig = os.environ.get("ZIG_GLOBAL_CACHE_DIR") or str(Path.home() / ".cache" / "zig")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ZIG_GLOBAL_CACHE_DIR", zig)
-        patch.setenv("XDG_CACHE_HOME", str(run_folder / "cache"))
+        patch.setenv("XDG_CACHE_HOME", str(place))
         patch.delenv("CFLAGS", raising=False)
-        yield run_folder / "cache" / "mbsgen"
+        yield place / "mbsgen"
 
 
 @pytest.fixture

@@ -1,139 +1,110 @@
-"""Plant every fault of the list, one at a time, and run the tests that must notice it: `python -m tests.mutants`.
+"""Plant faults, one at a time, and run the tests that must notice each: `python -m tests.mutants`.
 
-Golden files do not count. The tests first run without the fault: where they fail, the fault is not tried. A fault is
-killed if a test fails, and survives if all pass; a run that cannot collect its tests is an error of the list. Outcomes
-are kept in `build/mutants.json` until the tree changes. `--drawn N` plants N faults that a machine draws from a
-`--seed`, in the files whose paths have the text of `--only` in them.
+The list is `faults.toml`. `--drawn N` plants N faults that a machine draws from a `--seed`; those that compile to the
+same, or not at all, are replaced by others. A fault is killed if a test fails that passes without it, and survives if
+all pass; golden files do not count. Faults of `equivalent.toml` were judged by hand to change nothing, and are counted
+apart. Outcomes are kept in `build/mutants.json` until the tree changes: a stopped run goes on where it was.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import re
-import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
+from queue import SimpleQueue
 
 import click
 from rich.console import Console
-from rich.progress import track
 from rich.table import Column, Table
 
 from tests.mutants.drawn import draw
-from tests.mutants.faults import GOLDEN, ROOT, Fault, read_faults
+from tests.mutants.faults import ROOT, Fault, read_equivalent, read_faults
+from tests.mutants.trial import BROKEN, KILLED, REFUSED, SAME, SURVIVED, Outcome, Trial, copy_tree, fingerprint
 
-FOLDERS = ("benchmarks", "csrc", "docs", "generated", "generator", "models", "python", "studies", "templates", "tests")
-FILES = ("pyproject.toml", "Makefile", "README.md", "ARCHITECTURE.md", "CHANGELOG.md", "LICENSE", "LICENSE-GENERATED")
 RECORD = ROOT / "build" / "mutants.json"
-SECONDS = 600  # a fault may make a test hang; that is noticed too
-KILLED, SURVIVED, BROKEN = "killed", "survived", "not run"
-FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.+?)(?: - .*)?$", re.MULTILINE)  # of pytest's summary
+EQUIVALENT = "equivalent"
 ENOUGH = 0.95
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of the tests of a fault."""
-
-    verdict: str
-    test: str = ""  # the test that fails, or why there is none
-
-
-@dataclass
-class Trial:
-    """A copy of the tree in which faults are planted, and the outcomes of the tests without a fault."""
-
-    tree: Path
-    baselines: dict[tuple[str, ...], Outcome] = field(default_factory=dict)
-
-    def try_fault(self, fault: Fault) -> Outcome:
-        """Run the tests of a fault without it, once for each set of tests, and with it."""
-        if fault.tests not in self.baselines:
-            self.baselines[fault.tests] = self._run(fault.tests)
-        baseline = self.baselines[fault.tests]
-        if baseline.verdict != SURVIVED:
-            return Outcome(BROKEN, f"without the fault: {baseline.test}")
-        original = (self.tree / fault.file).read_bytes()
-        try:
-            fault.apply(self.tree)
-            return self._run(fault.tests)
-        finally:
-            (self.tree / fault.file).write_bytes(original)
-
-    def _run(self, tests: tuple[str, ...]) -> Outcome:
-        paths = os.pathsep.join(str(self.tree / name) for name in ("generator", "python"))
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", f"--ignore={GOLDEN}", *tests]
-        with tempfile.TemporaryDirectory() as cache:
-            own = {"PYTHONPATH": paths, "XDG_CACHE_HOME": cache, "PYTHONDONTWRITEBYTECODE": "1"}
-            environment = {**os.environ, **own, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # no test needs a plugin
-            try:
-                run = subprocess.run(
-                    command,
-                    cwd=self.tree,
-                    env=environment,
-                    capture_output=True,
-                    text=True,
-                    timeout=SECONDS,
-                    check=False,
-                )
-            except subprocess.TimeoutExpired:
-                return Outcome(KILLED, f"no end after {SECONDS} s")
-        if run.returncode == 1:
-            return Outcome(KILLED, ", ".join(FAILED.findall(run.stdout)))
-        if run.returncode < 0:
-            return Outcome(KILLED, f"ended by signal {-run.returncode}")  # such as a fault of memory
-        return Outcome(SURVIVED) if run.returncode == 0 else Outcome(BROKEN, f"pytest returns {run.returncode}")
 
 
 @click.command()
 @click.option("--only", default="", help="Plant the faults alone whose name, or file, has this in it.")
 @click.option("--drawn", type=click.IntRange(1), metavar="N", help="Plant N faults that a machine draws.")
 @click.option("--seed", type=int, default=0, help="Of the drawn ones.")
-def main(only: str, drawn: int | None, seed: int) -> None:
+@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Faults tried at once.")
+def main(only: str, drawn: int | None, seed: int, workers: int) -> None:
     """Print which faults are killed, and by which test; exit with 1 if fewer than 95 % are."""
-    faults = draw(drawn, only, seed) if drawn else [f for f in read_faults() if only in f.name or only in f.file]
-    known = _read_record()
-    with _copy_tree() as tree:
-        state, trial = _fingerprint(tree), Trial(tree)
-        for fault in track(faults, "faults", console=Console(stderr=True)):
-            key = f"{state} {fault}"
-            if key not in known:
+    with tempfile.TemporaryDirectory() as place:
+        trials = [Trial(Path(place) / f"tree{k}", Path(place) / "cache") for k in range(workers)]
+        (Path(place) / "cache").mkdir(mode=0o700)
+        for trial in trials:
+            copy_tree(trial.tree)
+        if drawn is None:
+            faults = [fault for fault in read_faults() if only in fault.name or only in fault.file]
+        else:
+            faults, left = choose_drawn(draw(only, seed), drawn, trials[0])
+            click.echo("Left out of the draw: " + "; ".join(f"{count} {why}" for why, count in sorted(left.items())))
+        outcomes = dict(zip(faults, run(faults, trials), strict=True))
+    show(outcomes)
+    counts = Counter(outcome.verdict for outcome in outcomes.values())
+    sys.exit(counts[KILLED] < ENOUGH * (len(outcomes) - counts[EQUIVALENT]))
+
+
+def choose_drawn(faults: Iterable[Fault], count: int, trial: Trial) -> tuple[list[Fault], Counter[str]]:
+    """Take the first faults that change what is compiled; return them by file, and how many others came between."""
+    chosen: list[Fault] = []
+    left = Counter({SAME: 0, REFUSED: 0})
+    for fault in faults:
+        why = trial.compare(fault)
+        if why:
+            left[why] += 1
+        else:
+            chosen.append(fault)
+        if len(chosen) == count:
+            break
+    return sorted(chosen, key=lambda fault: fault.file), left
+
+
+def run(faults: list[Fault], trials: list[Trial]) -> list[Outcome]:
+    """Try faults, one in each tree at a time, and keep each outcome at once."""
+    known, state, equivalent = _read_record(), fingerprint(trials[0].tree), read_equivalent()
+    free = SimpleQueue[Trial]()
+    for trial in trials:
+        free.put(trial)
+
+    def judge(fault: Fault) -> Outcome:
+        if (fault.file, fault.find, fault.replace) in equivalent:
+            return Outcome(EQUIVALENT, equivalent[fault.file, fault.find, fault.replace])
+        key = f"{state} {fault}"
+        if key not in known:
+            trial = free.get()
+            try:
                 known[key] = trial.try_fault(fault)
-                _write_record(known)
-    outcomes = {fault: known[f"{state} {fault}"] for fault in faults}
-    table = Table("fault", "file", "verdict", Column("test", overflow="fold"))
+            finally:
+                free.put(trial)
+            _write_record(dict(known))
+            click.echo(f"{fault.name}: {known[key].verdict} {known[key].test}", err=True)
+        return known[key]
+
+    with ThreadPoolExecutor(len(trials)) as pool:
+        return list(pool.map(judge, faults))
+
+
+def show(outcomes: dict[Fault, Outcome]) -> None:
+    """Print a table of all outcomes, and how many there are of each kind."""
+    table = Table("fault", "verdict", Column("test", overflow="fold"))
     for fault, outcome in outcomes.items():
-        table.add_row(fault.name, fault.file, outcome.verdict, outcome.test)
-    killed = sum(outcome.verdict == KILLED for outcome in outcomes.values())
+        table.add_row(fault.name, outcome.verdict, outcome.test)
+    counts = Counter(outcome.verdict for outcome in outcomes.values())
     console = Console()
     console.print(table)
-    console.print(f"{killed} of {len(outcomes)} faults are killed.")
-    sys.exit(killed < ENOUGH * len(outcomes))
-
-
-@contextmanager
-def _copy_tree() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder)
-        for name in FOLDERS:
-            shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in FILES:
-            shutil.copy2(ROOT / name, tree / name)
-        yield tree
-
-
-def _fingerprint(tree: Path) -> str:
-    digest = hashlib.sha256()
-    for path in sorted(p for p in tree.rglob("*") if p.is_file()):
-        digest.update(str(path.relative_to(tree)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
+    told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in (KILLED, SURVIVED, EQUIVALENT, BROKEN))
+    rest = len(outcomes) - counts[EQUIVALENT]
+    console.print(f"{len(outcomes)} faults: {told}. {counts[KILLED]} of {rest} that are not equivalent are killed.")
 
 
 def _read_record() -> dict[str, Outcome]:

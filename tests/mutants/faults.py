@@ -8,7 +8,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 LIST = Path(__file__).parent / "faults.toml"
+EQUIVALENT = Path(__file__).parent / "equivalent.toml"
 GOLDEN = "tests/test_golden.py"  # shows that something changed, not that it is wrong: it kills no fault
+
+FILES = (  # that faults are drawn in
+    "csrc/stages/*.c",
+    *(f"csrc/mbs_{name}.c" for name in ("cone", "explicit", "least", "radau", "stepping", "variational")),
+    "csrc/program/*.c",
+    *(f"python/mbsrun/{name}/*.py" for name in ("controllers", "linearisation", "recordings", "tracking")),
+    "python/mbsrun/simulation/**/*.py",
+    "python/mbsrun/ocp/*/**/*.py",
+)
 
 
 @dataclass(frozen=True)
@@ -34,3 +44,15 @@ def read_faults() -> list[Fault]:
     """Read the list."""
     found = tomllib.loads(LIST.read_text(encoding="utf-8"))["fault"]
     return [Fault(**{**entry, "tests": tuple(entry["tests"])}) for entry in found]
+
+
+def read_equivalent() -> dict[tuple[str, str, str], str]:
+    """Read the drawn faults that were judged to change nothing: the reasons by file, text and what takes its place."""
+    found = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8")).get("fault", [])
+    return {(entry["file"], entry["find"], entry["replace"]): entry["reason"] for entry in found}
+
+
+def list_files(only: str = "") -> list[str]:
+    """List the files that faults are drawn in."""
+    found = {path.relative_to(ROOT).as_posix() for pattern in FILES for path in ROOT.glob(pattern)}
+    return sorted(file for file in found if only in file)
