@@ -639,16 +639,27 @@ def test_another_compiler_warns_of_nothing(tmp_path: Path) -> None:
 
 
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    """A separate program, with a workspace of exactly the bytes asked for, with and without inner variables."""
-    place, program = sources()[0].parent, tmp_path / "program.c"
+    """A separate program, with a workspace of exactly the bytes asked for, with and without inner variables.
+
+    Nobody may touch what lies between two arrays of the workspace: each array has its full length.
+    """
+    place, program, layout = sources()[0].parent, tmp_path / "program.c", tmp_path / "layout.c"
     program.write_text(PROGRAM, "utf-8")
+    text = (place / layout.name).read_text("utf-8")
+    assert text.count(PADDED) == 1
+    layout.write_text(f"#include <sanitizer/asan_interface.h>\n{text.replace(PADDED, APART)}", "utf-8")
     compiler = find_compiler(os.environ).command
     flags = [*STRICT, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{place}"]
-    files = [str(program), *map(str, sources())]
+    files = [str(program), str(layout), *(str(path) for path in sources() if path.name != layout.name)]
     subprocess.run([*compiler, *flags, *files, "-lm", "-o", str(tmp_path / "program")], check=True)
     subprocess.run([str(tmp_path / "program")], check=True)
 
 
+PADDED = "    a->used += (count * bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;\n"
+APART = f"""{PADDED}    a->used += 8 * ALIGNMENT;
+    if (a->base)
+        ASAN_POISON_MEMORY_REGION((char *)p + count * bytes, (size_t)(a->base + a->used - (char *)p) - count * bytes);
+"""
 PROGRAM = r"""
 #include "mbs_stages.h"
 #include <stdlib.h>

@@ -1,9 +1,9 @@
 """Plant faults, one at a time, and run the tests that must notice each: `python -m tests.mutants`.
 
-The list is `faults.toml`. `--drawn N` plants N faults that a machine draws from a `--seed`; those that compile to the
-same, or not at all, are replaced by others. A fault is killed if a test fails that passes without it, and survives if
-all pass; golden files do not count. Faults of `equivalent.toml` were judged by hand to change nothing, and are counted
-apart. Outcomes are kept in `build/mutants.json` until the tree changes: a stopped run goes on where it was.
+The list is `faults.toml`. `--drawn N` plants N faults that a machine draws from a `--seed`; a fault that compiles to
+the same, or not at all, is replaced by another. A fault is killed if a test fails that passes without it, and survives
+if all pass; golden files do not count. Faults of `equivalent.toml` were judged by hand to change nothing, and are
+counted apart. Outcomes are kept in `build/mutants.json` until the tree changes: a stopped run goes on where it was.
 """
 
 from __future__ import annotations

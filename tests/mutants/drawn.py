@@ -1,8 +1,8 @@
 """Faults drawn by machine: operators, comparisons, constants and branches of a source file, changed one at a time.
 
 A seed decides which; `sights` says which tests execute the function of a change. Comments, strings, lines of imports
-and assertions of `zip` are left alone. A change that leaves the meaning as it is may survive: `equivalent.toml` lists
-those that were judged.
+and assertions of `zip` are left alone. A change that leaves the meaning as it is may survive: such faults, once judged,
+stand in `equivalent.toml`.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ Lines = Mapping[int, frozenset[int]]  # of a file: the tests that execute a line
 
 @dataclass(frozen=True)
 class Sight:
-    """What is known of a function."""
+    """The tests of a function, and its lines without one."""
 
     tests: tuple[str, ...]  # the shortest first
     missed: frozenset[str]  # the texts of lines that no test executes
@@ -59,7 +59,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Measured:
-    """What `watch` has found."""
+    """The findings of `watch`."""
 
     tests: tuple[tuple[str, float], ...]  # id, seconds of processor
     lines: Mapping[str, Lines]
@@ -248,7 +248,7 @@ def summarise(measured: Measured) -> Summary:
 
 
 def _keep(own: Lines, tests: Sequence[tuple[str, float]], stem: str) -> list[int]:
-    """Choose tests that execute lines which too few others do: those with the file's name, then the shortest."""
+    """Choose tests that execute lines which too few others do, by names like the file's, then by length."""
     of_test: dict[int, set[int]] = defaultdict(set)
     for number, each in own.items():
         for k in each:

@@ -25,7 +25,7 @@ from tests.mutants.faults import GOLDEN, ROOT, Fault, list_files
 FOLDERS = ("benchmarks", "csrc", "docs", "generated", "generator", "models", "python", "studies", "templates", "tests")
 FILES = ("pyproject.toml", "Makefile", "README.md", "ARCHITECTURE.md", "CHANGELOG.md", "LICENSE", "LICENSE-GENERATED")
 STRICT = ("-Wall", "-Wextra", "-Werror")
-SECONDS, TIMES = 60.0, 10.0  # of processor that a run may take: so many, and so many times what its tests take
+SECONDS, TIMES = 60.0, 10.0  # of processor that a run may take, and more: a multiple of its tests' own time
 WAIT = 4.0  # times that, by the clock: a fault may make a test wait for ever
 KILLED, SURVIVED, BROKEN = "killed", "survived", "not run"
 SAME, REFUSED = "compiles to the same", "does not compile"

@@ -7,13 +7,42 @@ static struct {
     const real *errors; /* of the first sweep, the second, ... */
     real most;
     int sweeps;
+    real needed; /* curvature that makes the second stage convex */
+    int tries;
+    int is_plain; /* whether all variables count alike when the matrix is factorised */
+    real unit;    /* a step's multiplier */
 } given;
+
+int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
+{
+    (void)careful;
+    ++given.tries;
+    given.is_plain = r->plain && r->diagonal && r->diagonal[0] == 1 && r->diagonal[1] == 1 && r->stage[0].curvature == 0;
+    return r->stage[1].curvature < given.needed ? 1 : -1;
+}
+
+int mbs_stages_mind_growth(mbs_stages_recursion *r, int stage)
+{
+    (void)r, (void)stage;
+    return 0;
+}
+
+void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+}
+
+void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
+{
+    (void)s, (void)p;
+    out[0] = barrier ? 5 : 3, out[1] = 4;
+}
 
 void mbs_stages_sweep(mbs_stages_recursion *r, const real *w, const real *c, real *dw, real *dy)
 {
     (void)r, (void)w, (void)c;
     ++given.sweeps;
-    dw[0] = given.sweeps, dy[0] = 10 * given.sweeps;
+    dw[0] = given.sweeps, dy[0] = given.unit * given.sweeps;
 }
 
 void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, void *data)
@@ -48,7 +77,7 @@ static void anew(mbs_stages *s)
     s->recursion.compliance = room[8];
     s->variables = s->rows = 1;
     s->rw[0] = s->rc[0] = 1;
-    given.sweeps = 0;
+    given.sweeps = 0, given.unit = 10;
 }
 
 static void refining(void)
@@ -120,8 +149,56 @@ static void stepping(void)
     LAW("nor of a fixed one", dzl[0] == 0 && dzu[0] == 0 && yield(s, p, 0) == 0);
 }
 
+static int curve(mbs_stages *s, real needed)
+{
+    given.needed = needed, given.tries = 0;
+    return mbs_stages_newton_factorise(s, &phase);
+}
+
+static void curving(void)
+{
+    mbs_stages *s = &solver;
+    mbs_stages_problem problem;
+    memset(&problem, 0, sizeof problem);
+    anew(s);
+    problem.stages = 2, s->problem = &problem, s->variables = s->rows = 0, s->softening = MBS_STAGES_HARD_FOR_GOOD;
+    LAW("what is convex gets no curvature", !curve(s, 0) && given.tries == 1 && phase.added == 0 && phase.regular == 0);
+    LAW("curvature grows by 100 from the first", !curve(s, (real)0.005) && given.tries == 3 && near(phase.added, 0.01));
+    LAW("and is remembered", near(phase.regular, 0.01));
+    LAW("the next begins at a third of it, and grows by 6", !curve(s, (real)0.005) && near(phase.added, 0.02));
+    LAW("none is tried first", given.tries == 3);
+    LAW("where none is needed, the last one is remembered", !curve(s, 0) && phase.added == 0 && near(phase.regular, 0.02));
+    s->options.max_hessian_perturbation = 1;
+    LAW("there is a largest one", curve(s, 2) == -1 && near(phase.regular, 0.02));
+}
+
+static void estimating(void)
+{
+    const real good[] = {0.1 * MBS_STAGES_REFINED};
+    mbs_stages *s = &solver;
+    mbs_stages_phase *p = &phase;
+    mbs_stages_problem problem;
+    real sigma[2] = {9, 9}, slope[2], trial_c[1] = {9}, y[1] = {9};
+    char fixed[2] = {0, 1}, softened[1] = {1};
+    memset(&problem, 0, sizeof problem);
+    anew(s);
+    problem.stages = 2, s->problem = &problem, s->variables = 2, s->fixed = fixed, s->softened = softened;
+    s->recursion.diagonal = room[9], room[9][0] = room[9][1] = 7, stages[0].curvature = stages[1].curvature = 7;
+    p->size = 2, p->sigma = sigma, p->slope = slope, p->trial_c = trial_c, p->y = y;
+    given.errors = good, given.needed = 0;
+    mbs_stages_estimate_multipliers(s, p);
+    LAW("least squares count all variables alike", given.is_plain && sigma[0] == 1 && sigma[1] == 0);
+    LAW("they make the cost's slope smallest", s->rw[0] == 3 && s->rw[1] == 4 && s->rc[0] == 0);
+    LAW("with multipliers of the rows", y[0] == 10 && !s->recursion.plain);
+    given.sweeps = 0, given.unit = 1001;
+    mbs_stages_estimate_multipliers(s, p);
+    LAW("larger ones than 1000 are none", y[0] == 0);
+}
+
 int main(void)
 {
+    estimating();
+    curving();
     refining();
     softening();
     stepping();

@@ -71,8 +71,38 @@ static real choose(int fails, real before, real after)
     return choose_barrier(&s, &p) ? -1 : p.mu;
 }
 
+/* A warm start of two variables without bounds, the second of them fixed, and a row with its slack. */
+static void take_multipliers(void)
+{
+    mbs_stages_problem problem;
+    mbs_stages s;
+    mbs_stages_phase p;
+    mbs_stages_stage stage;
+    real below[2] = {5, 7}, above[2] = {6, 8}, y[1] = {-3}, scale[2] = {(real)0.5, (real)0.5}, row_scale[1] = {4};
+    real x[3] = {0, 0, 0}, lower[3] = {-NONE, -NONE, -NONE}, upper[3] = {NONE, NONE, NONE};
+    real got[1], zl[3] = {1, 1, 1}, zu[3] = {1, 1, 1};
+    char fixed[3] = {0, 1, 0};
+    memset(&problem, 0, sizeof problem);
+    memset(&s, 0, sizeof s);
+    memset(&p, 0, sizeof p);
+    memset(&stage, 0, sizeof stage);
+    problem.stages = 1, stage.ng = 1, s.problem = &problem, s.recursion.stage = &stage;
+    s.variables = 2, s.rows = 1, s.cost_scale = 4, s.variable_scale = scale, s.row_scale = row_scale, s.fixed = fixed;
+    s.point.y = y, s.point.below = below, s.point.above = above;
+    p.size = 3, p.mu = 1, p.x = x, p.lower = lower, p.upper = upper, p.y = got, p.zl = zl, p.zu = zu;
+    start_warm(&s, &p);
+    LAW("a row's multiplier counts cost over the row's unit", near(got[0], -3));
+    LAW("a bound's multiplier counts cost over the variable's unit", near(zl[0], 10) && near(zu[0], 12));
+    LAW("a fixed variable has no multipliers of bounds", zl[1] == 0 && zu[1] == 0);
+    LAW("a slack's lower bound has the negative part", near(zl[2], 3) && zu[2] == 0);
+    y[0] = 6, row_scale[0] = 2;
+    start_warm(&s, &p);
+    LAW("a slack's upper bound has the positive part", zl[2] == 0 && near(zu[2], 12) && near(got[0], 12));
+}
+
 int main(void)
 {
+    take_multipliers();
     LAW("the cube of the ratio", near(choose(0, 2, 1), 0.25));
     LAW("of the mean before", near(choose(0, 8, 4), 1));
     LAW("100 at most", choose(0, 1e6, 1e6) == 100);

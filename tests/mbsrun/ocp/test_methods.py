@@ -99,11 +99,12 @@ def test_each_field_of_the_options_in_c_can_be_given() -> None:
 
 
 def test_what_later_solves_share_is_no_time_of_a_search() -> None:
-    """Such as the tables of stages."""
+    """Such as the tables of stages. An answer that names no time in functions took none there."""
     answer = Answer(np.zeros(1), SOLVED, 3, preparing=1000.0, cpu_preparing=500.0)
     run = call(lambda _: answer, Instance(np.zeros(1), *[np.zeros(0)] * 5)).run
     assert -1000.0 <= run.seconds < -900.0
     assert -500.0 <= run.cpu_seconds < -400.0
+    assert (run.seconds_evaluating, run.cpu_seconds_evaluating) == (0.0, 0.0)
 
 
 def test_solvers_agree_on_an_arm(arm: Peer, reach: Problem) -> None:
@@ -126,7 +127,7 @@ def test_every_option_is_one_of_the_solver(method: str, name: str, mass: OnDeman
     assert option.admits(value)
     plant = choose(method, mass)
     transcription = transcribe(push(4), plant)
-    order = Assignment(Prepared(transcription.program, plant), 1e-8, 100, 1.0, {name: value})
+    order = Assignment(Prepared(transcription.program, plant), 1e-8, 100, 1.0, {name: value}, 1)
     guess = interpolate(push(4), transcription.scheme, np.array([1.0]))
     lower, upper = transcription.variable_bounds(push(4))
     g_lower, g_upper = transcription.constraint_bounds(push(4))

@@ -230,7 +230,7 @@ def test_multipliers_of_both_methods_agree(mass: OnDemand) -> None:
         problem = replace(push(8), solver=SolverOptions(method=method))
         solver = Solver(problem, mass)
         own = solver.transcription
-        order = Assignment(solver.program, 1e-10, 100, 0.5, {})
+        order = Assignment(solver.program, 1e-10, 100, 0.5, {}, 1)
         limits = (*own.variable_bounds(problem), *own.constraint_bounds(problem))
         guess = np.random.default_rng(0).standard_normal(solver.program.data.variables)
         answer = METHODS[method].make(order)(Instance(guess, own.parameters(problem), *limits))

@@ -69,6 +69,18 @@ def test_trajectories_are_those_of_the_solution(arm: Peer, reached: Solution, fi
     assert np.array_equal(np.asarray(q)[::5], reached.trajectory.q[:-1, 2])
 
 
+def test_inputs_of_polynomials_are_drawn_one_by_one(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
+    """Each motor's values at all points, in order of time, although the array holds all motors of a point together."""
+    motion = reached.trajectory
+    values = np.arange(motion.point_t.size * 4.0).reshape(*motion.point_t.shape, 4)
+    plot(replace(reached, trajectory=replace(motion, point_u=values)), arm, Path("unwritten.png"))
+    lines = {line.get_label(): line.get_data() for line in figures[0].axes[2].lines}
+    for k in range(4):
+        t, u = lines[f"q{k + 1}"]
+        assert np.array_equal(np.asarray(t), motion.point_t.ravel())
+        assert np.array_equal(np.asarray(u), values[:, :, k].ravel())
+
+
 def test_the_mechanism_shows_path_and_target(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
     draw_mechanism(reached, arm, Path("unwritten.png"))
     legend = figures[0].axes[0].get_legend()

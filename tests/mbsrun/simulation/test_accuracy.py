@@ -20,6 +20,7 @@ from mbsgen.expressions import parse
 from mbsrun import Mechanism, load
 from mbsrun.simulation import METHODS, Formulation, Motion, Settings, simulate
 from mbsrun.simulation.drive import Drive, express, hold, hold_steps
+from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.integration.methods import Family
 from mbsrun.simulation.motion import Energy
 
@@ -409,3 +410,19 @@ def test_what_flies_keeps_its_momentum(flyer: Mechanism, method: str) -> None:
     assert np.abs(found["momentum"] - fall - found["momentum"][0]).max() < 2e-7
     assert np.abs(spin - spin[0]).max() < 1e-8
     assert np.abs(np.diff(motion.q[:, 6])).max() > 0, "the leg moves"
+
+
+def test_masses_of_many_states_are_judged_one_by_one(lock: Mechanism) -> None:
+    """A stack of 2, and one of 4, of three joints: each system is solved, and one that is lost names its joint."""
+    dynamics = Dynamics(lock, Formulation.SEMI)
+    q = np.array([[0.3, 0.4, 0.1], [0.1, -1.2, 2.0], [0.0, 0.5, 0.0], [1.0, 1.5, -0.4]])
+    M = np.asarray(lock("semi", q=q, qd=np.zeros_like(q))["M"])
+    right = np.arange(12.0).reshape(4, 3)
+    for count in (2, 4):
+        found = dynamics.solve(M[:count], right[:count])
+        expected = [np.linalg.solve(M[k], right[k]) for k in range(count)]
+        assert found == pytest.approx(np.array(expected), rel=1e-12)
+    lost = M.copy()
+    lost[2] = lock("semi", q=np.array([0.0, np.pi / 2, 0.0]), qd=np.zeros(3))["M"]
+    with pytest.raises(SingularError, match="third"):
+        dynamics.solve(lost, right)

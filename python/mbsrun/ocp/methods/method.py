@@ -21,7 +21,7 @@ class Assignment:
     max_iterations: int
     scaling: float  # of the objective, as the solver sees it
     options: Settings
-    threads: int = 1
+    threads: int
 
 
 @dataclass(frozen=True)

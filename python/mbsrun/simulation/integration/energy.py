@@ -80,16 +80,16 @@ def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
         if dynamics.kernels.manifest.configuration:
             by_q, by_qd = dynamics.rate_slopes(chunk.q, chunk.qd)
             second = np.einsum("kij,kj->ki", by_q, first) + np.einsum("kij,kj->ki", by_qd, qdd)
-        q, qd = _interpolate(length, chunk.q, first, second)
+        q, qd = interpolate(length, chunk.q, first, second)
         if dynamics.kernels.manifest.configuration:
-            qd = _connect(length, chunk.qd, qdd)
+            qd = connect(length, chunk.qd, qdd)
     else:
         q, qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
         q, qd = (x.reshape(*t.shape, -1) for x in (q, qd))
     return Stages(t, q, qd, WEIGHTS)
 
 
-def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+def interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
     """Evaluate the quintics at the nodes: q, qd of shape (k, NODES, n)."""
     h = length[:, None, None]
     data = {
@@ -105,7 +105,7 @@ def _interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array,
     return place, rate
 
 
-def _connect(length: Array, qd: Array, qdd: Array) -> Array:
+def connect(length: Array, qd: Array, qdd: Array) -> Array:
     """Evaluate at the nodes the cubics through velocities and accelerations at both ends: (k, NODES, n)."""
     s, h = NODES[:, None], length[:, None, None]
     ends = (1 - s) ** 2 * ((1 + 2 * s) * qd[:-1, None] + s * h * qdd[:-1, None])
