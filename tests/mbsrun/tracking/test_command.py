@@ -184,6 +184,22 @@ def test_a_recording_does_not_move_with_the_plans(folder: Path, pushed: Mechanis
         TrialStatement(None, {"duration": "1", "rate": "20"}).trial(problem, pushed.manifest, {"m": 2.0})
 
 
+@pytest.mark.parametrize(
+    ("duration", "rate", "is_long"), [("1", "1000000", False), ("2", "600000", True), ("1e9", "1e-3", False)]
+)
+def test_a_trial_has_a_million_samples_at_most(
+    folder: Path, pushed: Mechanism, duration: str, rate: str, is_long: bool
+) -> None:
+    """They are the product of duration and rate."""
+    (folder / "task.ocp.yaml").write_text(FOLLOW, encoding="utf-8")
+    problem, _ = read_problem(folder / "task.ocp.yaml", load_on_demand)
+    statement = TrialStatement(None, {"duration": duration, "rate": rate, "start": {"pose": {"y": "1"}}})
+    with pytest.raises(InputError) as error:
+        statement.trial(problem, pushed.manifest, {"m": 2.0})
+    found = [fault.finding for fault in error.value.faults if fault.path == "duration"]
+    assert found == (["1.2e+06 samples would be taken"] if is_long else [])
+
+
 def test_driven_joints_are_refused(tmp_path: Path) -> None:
     """Each plan would drive them from the start of the problem's motion, while the plant holds them."""
     file = tmp_path / "driven.yaml"

@@ -110,6 +110,15 @@ def test_a_ball_slides_where_a_contact_holds_its_normal_alone(drop: Callable[[st
     assert found.phases[1].trajectory.qd[0, 0] == pytest.approx(0.5, abs=1e-9)
 
 
+@pytest.mark.parametrize("way", ["0.5", "-0.5"])
+def test_friction_stops_a_ball_that_comes_from_either_side(drop: Callable[..., PhasedSolution], way: str) -> None:
+    """The impulse across is 0.25 / (0.9 sqrt(2 g)) = 0.0627 of the normal one: 0.064 is enough."""
+    found = drop(way, "{sensor: tip, friction: 0.064}")
+    assert isinstance(found, PhasedSolution), found.finding
+    across, _, normal = found.values[0].impulses[0].components
+    assert across / normal == pytest.approx(-float(way) * 0.5 / (0.9 * np.sqrt(2 * G)), rel=1e-7)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_friction_that_cannot_stop_a_ball_is_named(drop: Callable[..., Failure], method: str) -> None:
     """The impulse across, 0.25 N s, would be more than 0.01 times the normal one: no motion, and the link is named."""
