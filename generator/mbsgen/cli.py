@@ -14,7 +14,7 @@ from click.shell_completion import CompletionItem
 
 from mbsgen import __version__
 from mbsgen.errors import MbsError
-from mbsgen.help import COMMANDS, CommandsBySubject, CommandsOnDemand, Entry
+from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
 
 PACKAGES = ("sympy", "mpmath", "jinja2", "pydantic", "pyyaml", "click", "rich")  # that `--version` shows
 BAD_INPUT = 2  # exit code: an unacceptable file or argument; 0 is success
@@ -25,26 +25,33 @@ HELP = """Turn the description of a multibody system into C kernels for its dyna
   mbsgen models/pendulum.yaml -o pendulum    write C to the folder pendulum
   mbsgen show models/pendulum.yaml           print the tree of its bodies
 
-MODEL is a YAML file (models/ holds examples), or a file of URDF, MJCF, SDF or OpenSim. Without COMMAND,
-`generate` is meant. Write ./NAME for a file with the name of a command. `mbsgen COMMAND --help` describes a command.
+MODEL is a YAML file (the folder models/ contains examples), or a file of URDF, MJCF, SDF or OpenSim. The default
+COMMAND is `generate`. `mbsgen COMMAND --help` describes a command. If MODEL has the name of a command, write ./MODEL.
 
 \b
 Exit codes
   0   done
-  1   with --check, the folder differs; or compared equations differ
+  1   the folder differs (--check), or compared equations differ
   2   the model or an argument cannot be accepted; nothing written
 """
 
-ENTRIES = (
-    Entry("generate", "MODEL", "Write a folder of C from MODEL; the default command."),
-    Entry("show", "MODEL", "Print the tree of MODEL; with -o, draw it."),
-    Entry("report", "MODEL", "Count the cost of MODEL: flops and equations."),
-    Entry("equations", "MODEL", "Print the equations of motion of MODEL."),
-    Entry("scaling", "", "Count the formulations for chains of growing length."),
-    Entry("check", "MODEL", "Print every fault of MODEL, and write nothing."),
-    Entry("compare", "MODEL", "Compare MODEL, a file of URDF or OpenSim, with another program."),
-    Entry("import", "MODEL", "Make a model file of MODEL, a file of URDF, MJCF, SDF or OpenSim."),
-)
+SUBJECTS = {
+    "Generate": (
+        Entry("generate", "MODEL", "Write a folder of C from MODEL; the default command."),
+        Entry("import", "MODEL", "Make a model file of MODEL, a file of URDF, MJCF, SDF or OpenSim."),
+    ),
+    "Look at a model": (
+        Entry("show", "MODEL", "Print the tree of MODEL; with -o, draw it."),
+        Entry("equations", "MODEL", "Print the equations of motion of MODEL."),
+        Entry("report", "MODEL", "Count the operations of MODEL's functions."),
+        Entry("scaling", "", "Count the operations of chains of growing length."),
+    ),
+    "Check a model": (
+        Entry("check", "MODEL", "Print every fault of MODEL, and write nothing."),
+        Entry("compare", "MODEL", "Compare MODEL, a file of URDF or OpenSim, with another program."),
+    ),
+}
+ENTRIES = tuple(entry for entries in SUBJECTS.values() for entry in entries)
 
 
 class ModelFirst(CommandsBySubject):
@@ -81,7 +88,7 @@ def _show_versions(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 @click.group(
     cls=ModelFirst,
     help=HELP,
-    subjects={COMMANDS: ENTRIES},
+    subjects=SUBJECTS,
     commands=CommandsOnDemand("mbsgen.commands", ENTRIES),
     subcommand_metavar="[COMMAND] MODEL ...",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},

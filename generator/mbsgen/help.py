@@ -11,7 +11,9 @@ from typing import Any
 
 import click
 
+OPTIONS = "Options"
 ROBOTS = "Options for robots in URDF, MJCF, SDF and OpenSim"
+WHOLE = "mbsgen import --help"  # describes all options for robots
 COMMANDS = "Commands"  # the subject of commands without one
 _WHOLE = 1000  # characters, more than any summary has
 
@@ -21,15 +23,39 @@ class RobotOption(click.Option):
 
 
 class ModelCommand(click.Command):
-    """A command on a model, which may be a robot's file."""
+    """A command on a model, which may be a robot's file.
+
+    `sections` names groups of its options, by parameters; all other options come before them. Options for robots are
+    last, by their names alone unless `describes_robots`.
+    """
+
+    def __init__(
+        self,
+        *arguments: Any,
+        sections: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        describes_robots: bool = False,
+        **own: Any,
+    ):
+        super().__init__(*arguments, **own)
+        self.titles = {name: title for title, names in sections.items() for name in names}
+        self._describes_robots = describes_robots
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options of robots' files under their own title."""
-        rows: dict[str, list[tuple[str, str]]] = {"Options": [], ROBOTS: []}
+        """Write the options under the titles of their sections, and the options of robots' files last."""
+        rows: dict[str, list[tuple[str, str]]] = {title: [] for title in (OPTIONS, *self.titles.values(), ROBOTS)}
+        names: list[str] = []
         for parameter in self.get_params(ctx):
-            if isinstance(parameter, click.Option) and (row := parameter.get_help_record(ctx)) is not None:
-                rows[ROBOTS if isinstance(parameter, RobotOption) else "Options"].append(row)
+            if not isinstance(parameter, click.Option) or (row := parameter.get_help_record(ctx)) is None:
+                continue
+            if isinstance(parameter, RobotOption) and not self._describes_robots:
+                names += parameter.opts
+            else:
+                title = ROBOTS if isinstance(parameter, RobotOption) else self.titles.get(parameter.name or "", OPTIONS)
+                rows[title].append(row)
         _write_sections(formatter, rows)
+        if names:
+            with formatter.section(ROBOTS):
+                formatter.write_text(f"{', '.join(names)}: see `{WHOLE}`")
 
 
 @dataclass(frozen=True)

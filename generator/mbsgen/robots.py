@@ -21,9 +21,7 @@ OPTIONS = (
         help="Fix URDF's root link, or let it float.",
     ),
     option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
-    option(
-        "--open", "opened", multiple=True, metavar="NAME", help="A body with a sensor and a wrench that a use gives."
-    ),
+    option("--open", "opened", multiple=True, metavar="NAME", help="A body to get a sensor and an open wrench."),
     option("--rigid-tendons", is_flag=True, help="Give muscles rigid tendons, whatever the file says."),
     option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
     option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
@@ -32,12 +30,12 @@ OPTIONS = (
         type=click.Choice(["couple", "lock", "free"]),
         default="couple",
         show_default=True,
-        help="Couple joints that follow others, lock them where the other is at 0, or free them.",
+        help="Couple joints that follow others, lock them where the others are at 0, or make them independent.",
     ),
     option(
         "--loop-tolerance",
         type=click.FloatRange(0, 0.005),
-        help="Leave out equations of loops that follow from others within this; by default, by the file's digits.",
+        help="The violation up to which an equation of a loop counts as redundant; by default, by the file's digits.",
     ),
 )
 

@@ -18,9 +18,9 @@ HELP = """Simulate multibody systems, and solve their optimal control problems.
   mbsrun simulate models/cart_pole.yaml --duration 5 --pose pole=2 -o moves
   mbsrun solve models/cart_pole_swing_up.ocp.yaml -o swing_up
 
-MODEL is a YAML file, a file of URDF, MJCF, SDF or OpenSim, or a folder that mbsgen wrote; PROBLEM is a YAML file.
-models/ holds examples. `mbsrun COMMAND --help` describes a command. Summaries go to stdout, progress and messages to
-stderr.
+MODEL is a YAML file, a file of URDF, MJCF, SDF or OpenSim, or a folder that mbsgen wrote; PROBLEM is a YAML file. The
+folder models/ contains examples. `mbsrun COMMAND --help` describes a command. Results are printed to stdout, progress
+and messages to stderr.
 """
 
 COMMANDS = {
@@ -33,30 +33,30 @@ COMMANDS = {
     ),
     "Optimal control": (
         Entry("solve", "PROBLEM", "Find an optimal motion; write it with an animation."),
-        Entry("continue", "PROBLEM", "Go from a solution to a harder problem."),
-        Entry("sweep", "PROBLEM", "Solve for many targets, in several representations."),
+        Entry("continue", "PROBLEM", "Go from an easy problem to a hard one, in steps."),
+        Entry("sweep", "PROBLEM", "Solve for many targets, or many values of numbers."),
     ),
     "Controllers": (
-        Entry("controller", "PROBLEM", "Write the problem as a controller in C."),
-        Entry("track", "PROBLEM", "Control a simulated mechanism; solve at each sample."),
+        Entry("controller", "PROBLEM", "Write a model predictive controller in C."),
+        Entry("track", "PROBLEM", "Test predictive control on a simulated mechanism."),
     ),
     "Recorded motions": (
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers (ik)."),
         Entry("inverse-dynamics", "MODEL", "Compute the forces of a recorded motion (id)."),
-        Entry("so", "MODEL", "Share a recorded motion among muscles."),
+        Entry("so", "MODEL", "Find the muscles' activations of a recorded motion."),
         Entry("excite", "MODEL", "Design motions that determine inertias."),
         Entry("identify", "MODEL", "Find inertias and frictions from recorded torques."),
     ),
     "Other programs": (
         Entry("cuda", "MODEL", "Compile kernels for a GPU; print their registers."),
         Entry("fmu", "MODEL", "Write a functional mock-up unit of FMI 2.0 or 3.0."),
-        Entry("playground", "MODEL", "Write a page that simulates the mechanism by its C."),
+        Entry("playground", "MODEL", "Write a page on which the mechanism moves."),
     ),
     "Speed and accuracy": (
-        Entry("advise", "MODEL", "Find the fastest choices, for errors up to a limit."),
+        Entry("advise", "MODEL", "Recommend the fastest choice for an accuracy."),
         Entry("chart", "", "Measure speed against accuracy, and draw it."),
-        Entry("lab", "[CASES]...", "Run the cases in which methods fail, and judge them."),
-        Entry("study", "PROBLEM", "Carry out the study of a paper, and report."),
+        Entry("lab", "[CASES]...", "Run cases in which methods fail, or map a model."),
+        Entry("study", "PROBLEM", "Repeat the study of a paper, and write a report."),
     ),
     "Files": (Entry("cache", "", "List generated and compiled files, or remove them."),),
 }

@@ -19,7 +19,7 @@ from mbsgen import __version__
 from mbsgen.cli import BAD_INPUT, ENTRIES, cli, main
 from mbsgen.commands.console import DIFFERENT
 from mbsgen.commands.generate import SWITCHES
-from mbsgen.help import describe
+from mbsgen.help import ModelCommand, describe
 from mbsgen.report import DIFFERENTIATION
 from tests.shipped import FOLDER
 
@@ -193,12 +193,23 @@ def test_help_and_version_go_to_stdout(mbsgen: Command) -> None:
         done = mbsgen(*arguments)
         assert (done.code, done.err) == (0, "")
         assert done.out.startswith("Usage: mbsgen")
-        assert "..." not in done.out.partition("Commands:")[2], "no summary is cut short"
+        assert "..." not in done.out.partition("Generate:")[2], "no summary is cut short"
         assert max(map(len, done.out.splitlines())) <= 80
     context = click.Context(cli)
     assert list(ENTRIES) == [describe(command, context) for command in cli.commands.values()]
     for name in cli.commands:
-        assert (name == "scaling") == ("Options for robots" not in mbsgen(name, "--help").out)
+        shown_robots = mbsgen(name, "--help").out.partition("Options for robots")[2]
+        assert (name == "scaling") == (shown_robots == "")
+        assert (name == "import") == ("Hold a joint at a coordinate." in shown_robots), "the others name this page"
+
+
+def test_sections_of_help_name_options() -> None:
+    """A section with a name of no option would leave that option among all others."""
+    sections = {"Functions", "Numbers and operations", "Further languages and forms"}
+    command = cli.commands["generate"]
+    assert isinstance(command, ModelCommand)
+    assert set(command.titles.values()) == sections
+    assert command.titles.keys() <= {parameter.name for parameter in command.params}
 
 
 @pytest.mark.parametrize("columns", ["40", "80", "200"])

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rich import filesize
 
+from mbsgen.help import ModelCommand
 from mbsrun import cli, load
 from mbsrun.cache import cache_folder
 from mbsrun.commands import simulate, sweep
@@ -390,6 +391,17 @@ def test_help_lists_commands_by_subject_and_options_of_robots_apart(run: Run) ->
     assert "--apart" in own
     assert "--mimic" not in own
     assert "--mimic" in robots
+
+
+@pytest.mark.parametrize("name", ["simulate", "solve", "sweep", "track"])
+def test_sections_of_help_name_options(name: str, run: Run) -> None:
+    """A section with a name of no option would leave that option among all others."""
+    command = cli.cli.commands[name]
+    assert isinstance(command, ModelCommand)
+    assert command.titles
+    assert command.titles.keys() <= {parameter.name for parameter in command.params}
+    lines = run(name, "--help").stdout.splitlines()
+    assert all(f"{title}:" in lines for title in command.titles.values())
 
 
 def test_the_version_lists_what_was_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,23 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-@click.command("generate", cls=ModelCommand)
+HELP = """Write a folder of C from MODEL; the default command.
+
+\b
+  mbsgen models/pendulum.yaml -o pendulum
+  mbsgen robot.urdf --functions impl,exp2 --derivatives 1 -o robot
+
+The folder contains the kernels, their header, manifest.json, report.md and report.json. It appears as a whole, and
+replaces a folder that mbsgen wrote before. The numbers of operations are printed.
+"""
+SECTIONS = {
+    "Functions": ("functions", "derivatives", "scene", "tolerance"),
+    "Numbers and operations": ("runtime", "zeros", "lump", "without"),
+    "Further languages and forms": tuple(target.name.replace("-", "_") for target in TARGETS),
+}
+
+
+@click.command("generate", cls=ModelCommand, help=HELP, sections=SECTIONS)
 @MODEL
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True, help="The folder to write.")
 @click.option(
@@ -65,15 +81,15 @@ def _targets(command: Callable[..., None]) -> Callable[..., None]:
     multiple=True,
     type=click.Choice(list(SWITCHES)),
     metavar="NAME",
-    help=f"Switch a reduction off; repeatable: {', '.join(SWITCHES)}. Without share-frames, each angle also has its "
-    "own sine.",
+    help=f"Switch off a reduction of operations; repeatable: {', '.join(SWITCHES)}. Without share-frames, each angle "
+    "also has its own sine.",
 )
 @_targets
 @click.option(
     "--functions",
     metavar="NAME,...",
-    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all. {QUICKEST}: of "
-    f"{' and '.join(sorted(ACCELERATING))}, the one with fewer operations.",
+    help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all. {QUICKEST} means "
+    f"{' or '.join(sorted(ACCELERATING))}, whichever has fewer operations.",
 )
 @click.option(
     "--derivatives",
@@ -111,11 +127,7 @@ def generate_command(
     check: bool,
     choices: Choices,
 ) -> None:
-    """Write a folder of C from MODEL; the default command.
-
-    It holds the kernels, their header, manifest.json, report.md and report.json. The cost of the kernels is printed.
-    The folder appears as a whole, and replaces one that mbsgen wrote before.
-    """
+    """Generate, verify, and write the folder."""
     if lump and "lump" in without:
         raise click.BadParameter("it contradicts --without lump; give one of the two", param_hint="--lump")
     reductions = replace(ALL, lump_runtime=lump, **{SWITCHES[name]: False for name in without})

@@ -18,6 +18,7 @@ _OWN = (".yaml", ".yml")  # suffixes of model files
 @click.command(
     "import",
     cls=ModelCommand,
+    describes_robots=True,
     help=f"""Make a model file of MODEL, a file of {list_formats()}.
 
     Changes and omissions are printed on stderr, and written as comments into the model file.

@@ -38,7 +38,7 @@ from mbsgen.report import (
 @click.option("--compare", is_flag=True, help="Also count without each reduction, and all derivatives.")
 @importing
 def report_command(model: Path, form: str | None, compare: bool, choices: Choices) -> None:
-    """Count the cost of MODEL: flops and equations."""
+    """Count the operations of MODEL's functions."""
     source = read_model(model, choices)
     with show_progress() as tell:
         report = make(source, Options(compare=compare), tell).report

@@ -15,7 +15,7 @@ from mbsgen.scaling import PERIOD, find_crossing, grow
     "--to", "largest", type=click.IntRange(12, 1000), default=24, show_default=True, help="The longest chain."
 )
 def scaling_command(largest: int) -> None:
-    """Count the formulations for chains of growing length.
+    """Count the operations of chains of growing length.
 
     Uniform serial chains, axes z, y, x in turn, full inertias, numbers folded. SEMI and EXP1 are counted to 50 bodies.
     """

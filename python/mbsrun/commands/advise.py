@@ -22,6 +22,10 @@ from mbsrun.measuring.surveys import survey_control, survey_optimisation, survey
 
 ADVISE_HELP = """Find the fastest way to compute with MODEL, with errors of at most --accuracy.
 
+\b
+  mbsrun advise models/pendulum.yaml --accuracy 1e-5 --quick
+  mbsrun advise models/arm_pendulum.yaml --task control
+
 The command measures MODEL itself on this machine. It prints the measurements with the advice, and lists the things that
 it did not measure. The output folder keeps the measurements, so the next question about MODEL takes less time.
 
@@ -33,8 +37,8 @@ Tasks
 
 \b
 Exit codes
-  0   an option exists for every need
-  1   for some need, no measured option is so accurate
+  0   for every task, some measured choice is accurate enough
+  1   for some task, no measured choice is accurate enough
   2   the model, a file or an argument cannot be accepted
 """
 
@@ -43,12 +47,30 @@ NOTHING_GOOD = 1  # exit code
 
 @click.command("advise", cls=ModelCommand, help=ADVISE_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
-@click.option("--task", type=click.Choice(["simulate", "optimise", "control"]), default="simulate", help="simulate.")
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.advice.")
-@click.option("--settings", "settings", type=click.Path(path_type=Path), help="simulate: the motion to be measured on.")
-@click.option("--problem", type=click.Path(path_type=Path), help="optimise: the problem to be measured on.")
-@click.option("--quick", is_flag=True, help="Measure little.")
+@click.option(
+    "--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; by default 1e-6."
+)
+@click.option(
+    "--task",
+    type=click.Choice(["simulate", "optimise", "control"]),
+    default="simulate",
+    help="See above; by default simulate.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.advice.",
+)
+@click.option(
+    "--settings",
+    "settings",
+    type=click.Path(path_type=Path),
+    help="With --task simulate: a file with the motion to measure.",
+)
+@click.option("--problem", type=click.Path(path_type=Path), help="With --task optimise: the problem to measure.")
+@click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @accept_robots
 @click.pass_context
 def advise_command(

@@ -93,7 +93,9 @@ class SizeType(click.ParamType[Size]):
 @click.option("--mesh", "meshes", multiple=True, metavar="BODY=FILE", help="A mesh of a body: STL, OBJ, PLY or glTF.")
 @click.option("--apart", "is_apart", is_flag=True, help="Show several motions side by side.")
 @click.option("--title", help="The title; by default the model's name.")
-@click.option("--size", type=SizeType(), default="640x480", metavar="WxH", help="Of the pictures; 640x480.")
+@click.option(
+    "--size", type=SizeType(), default="640x480", metavar="WxH", help="The size of the pictures; by default 640x480."
+)
 @click.option("--rate", type=NumberType(), default=25.0, metavar="N", help="Pictures in a second; 25.")
 @click.option("--at", multiple=True, type=NumberType(), metavar="T", help="The time of a picture in a PNG [s].")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")

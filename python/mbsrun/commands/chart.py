@@ -109,7 +109,13 @@ def chart_command() -> None:
 
 @chart_command.command("kernels", help=KERNELS_HELP, short_help="Time of a call against lost digits.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.chart.",
+)
 @click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
 @click.option("--rounds", type=click.IntRange(1), help="Rounds of timing; 40.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
@@ -130,7 +136,13 @@ def chart_kernels_command(
 
 @chart_command.command("simulation", help=SIMULATION_HELP, short_help="Processor time of a motion against its error.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.chart.",
+)
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="Without a settings file [s]; 2.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
@@ -158,22 +170,36 @@ def chart_simulation_command(
     "optimisation", help=OPTIMISATION_HELP, short_help="Time of a solve against the error of its optimum."
 )
 @click.argument("problem", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
-@click.option("--intervals", type=click.IntRange(1, 10_000), multiple=True, help="By default 5 10 20 40.")
-@click.option("--degree", "degrees", type=click.IntRange(1, 8), multiple=True, help="By default 1 2 3 4 5.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.chart.",
+)
+@click.option(
+    "--intervals", type=click.IntRange(1, 10_000), multiple=True, help="A number of intervals; by default 5 10 20 40."
+)
+@click.option(
+    "--degree",
+    "degrees",
+    type=click.IntRange(1, 8),
+    multiple=True,
+    help="A number of points in an interval; by default 1 2 3 4 5.",
+)
 @click.option(
     "--representation",
     "names",
     type=click.Choice([r.value for r in Representation], case_sensitive=False),
     multiple=True,
-    help="By default all.",
+    help="A form of the equations of motion; by default all.",
 )
 @click.option(
     "--tolerance",
     "tolerances",
     type=click.FloatRange(LEAST_TOLERANCE),
     multiple=True,
-    help="Of the solver, beside PROBLEM's own; by default 1e-2 1e-3 1e-4 1e-6.",
+    help="A tolerance of the solver, in addition to PROBLEM's own; by default 1e-2 1e-3 1e-4 1e-6.",
 )
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @choose_format
@@ -208,7 +234,13 @@ def chart_optimisation_command(
 
 @chart_command.command("fidelity", help=FIDELITY_HELP, short_help="Time that simpler models save, against their error.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.chart.",
+)
 @click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="A scene to measure.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @choose_format
@@ -228,7 +260,13 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
 
 @chart_command.command("fronts", help=FRONTS_HELP, short_help="All layers of a model, with the advised choices.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="By default NAME.chart.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder to write to; by default NAME.chart.",
+)
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
 @click.option("--problem", type=click.Path(path_type=Path), help="The problem to be solved; by default see above.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")

@@ -21,9 +21,12 @@ WAY = "way.csv"
 
 HELP = """Solve PROBLEM, and go on to another value of one of its numbers.
 
-A problem that no solver solves from its guess is often the end of a way: solve it with a weaker motor or a nearer
-target, and let the number go to its value. Each solve starts from a prediction of the solution, with the active set of
-its limits. The error of the prediction gives the length of the next step. Every motion is integrated again.
+A problem that cannot be solved from its guess can often be reached from an easier one: solve it with a stronger motor
+or a nearer target, and let this number move to its value step by step. Each solve starts from a prediction of the
+solution, whose error determines the length of the next step. Every motion is integrated again:
+
+\b
+  mbsrun continue models/cart_pole_swing_up.ocp.yaml --number end.pose.cart --to 1.6
 
 \b
 The output folder gets the files of `mbsrun solve` for the last motion, and
@@ -32,7 +35,7 @@ The output folder gets the files of `mbsrun solve` for the last motion, and
 \b
 Exit codes
   0   the value is reached
-  1   not reached, or the first solve failed; the last motion found is written
+  1   the value is not reached, or the first solve failed; the last motion found is written
   2   the problem or an argument cannot be accepted; nothing written
 """
 
@@ -42,8 +45,13 @@ Exit codes
 @click.option(
     "--number", required=True, metavar="NUMBER", help="The number, by its place in the file, such as constants.kerb."
 )
-@click.option("--to", "value", required=True, type=NumberType(), help="Its value at the end.")
-@click.option("--guess", type=click.Path(path_type=Path), metavar="SOLUTION", help="Of the first solve.")
+@click.option("--to", "value", required=True, type=NumberType(), help="The final value of the number.")
+@click.option(
+    "--guess",
+    type=click.Path(path_type=Path),
+    metavar="SOLUTION",
+    help="A solution.json from which the first solve starts.",
+)
 @output_folder("continued")
 @click.pass_context
 def continue_command(

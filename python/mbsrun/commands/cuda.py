@@ -18,7 +18,7 @@ from mbsrun.external import load
 from mbsrun.library import count_cores
 from mbsrun.models import Extent
 
-CUDA_HELP = """Compile the kernels of MODEL for a GPU, which need not be here; print what they take.
+CUDA_HELP = """Compile the kernels of MODEL for a GPU, which this machine need not have; print their registers.
 
 \b
   mbsrun cuda models/arm_pendulum.yaml --functions impl,exp1 --derivatives 1

@@ -54,13 +54,41 @@ Exit codes
 @click.option("--unknown", "unknown", multiple=True, metavar="KINDS", help="Unknown numbers, as of mbsrun identify.")
 @click.option("--body", "bodies", multiple=True, metavar="NAME", help="A body of unknown inertia; by default all.")
 @click.option("--joint", "joints", multiple=True, metavar="NAME", help="A joint of unknown numbers; by default all.")
-@click.option("--criterion", type=click.Choice(CRITERIA), default=MODEST.criterion, help="Of the information; D.")
-@click.option("--duration", type=NumberType(), default=MODEST.duration, metavar="T", help="Of the motion [s]; 10.")
-@click.option("--harmonics", type=click.IntRange(2, 50), default=MODEST.harmonics, help="Of the series; 5.")
+@click.option(
+    "--criterion",
+    type=click.Choice(CRITERIA),
+    default=MODEST.criterion,
+    help="The measure of the information matrix; by default D.",
+)
+@click.option(
+    "--duration",
+    type=NumberType(),
+    default=MODEST.duration,
+    metavar="T",
+    help="The length of the motion [s]; by default 10.",
+)
+@click.option(
+    "--harmonics",
+    type=click.IntRange(2, 50),
+    default=MODEST.harmonics,
+    help="The number of harmonics of the series; by default 5.",
+)
 @click.option("--starts", type=click.IntRange(1, 1000), default=MODEST.starts, help="Random starts; 4.")
-@click.option("--seed", type=click.IntRange(0), default=MODEST.seed, help="Of the random starts; 0.")
-@click.option("--max-speed", "quick", type=NumberType(), default=MODEST.speed, help="Of joints without a limit; 2.")
-@click.option("--speed", type=NumberType(), default=SPEED, metavar="V", help="Of dry friction [rad/s]; 0.02.")
+@click.option("--seed", type=click.IntRange(0), default=MODEST.seed, help="The seed of random starts; by default 0.")
+@click.option(
+    "--max-speed",
+    "quick",
+    type=NumberType(),
+    default=MODEST.speed,
+    help="The largest speed of joints without max_speed; by default 2.",
+)
+@click.option(
+    "--speed",
+    type=NumberType(),
+    default=SPEED,
+    metavar="V",
+    help="The speed that smooths dry friction [rad/s]; by default 0.02.",
+)
 @click.option("--output-step", "step", type=NumberType(), default=MODEST.step, metavar="H", help="Between rows [s].")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A parameter of the model.")
 @choose_format

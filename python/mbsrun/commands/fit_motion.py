@@ -73,7 +73,11 @@ Exit codes
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")
 @click.option("--marker", "markers", multiple=True, metavar="MARKER=SENSOR", help="The sensor of a marker, by name.")
 @click.option(
-    "--weight", "weights", multiple=True, metavar="MARKER=W", help="Of a squared distance; 1. 0 leaves it out."
+    "--weight",
+    "weights",
+    multiple=True,
+    metavar="MARKER=W",
+    help="The weight of a squared distance; by default 1; 0 leaves it out.",
 )
 @click.option(
     "--coordinate",

@@ -84,13 +84,29 @@ Exit codes
 @click.option("--motor", "motors", multiple=True, metavar="NAME=K", help="The torque of a unit of current [N m/A].")
 @click.option("--unmeasured", multiple=True, metavar="NAME", help="An actuated joint whose torque is not recorded.")
 @click.option("--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="A wrench's columns.")
-@click.option("--torque-noise", "deviations", multiple=True, metavar="NAME=S", help="Of a torque [N m]; by residuals.")
+@click.option(
+    "--torque-noise",
+    "deviations",
+    multiple=True,
+    metavar="NAME=S",
+    help="The standard deviation of a torque [N m]; by default from the residuals.",
+)
 @click.option("--loss", type=click.Choice(LOSSES), default=LOSSES[0], help="huber limits the weight of outliers.")
-@click.option("--speed", type=NumberType(), default=SPEED, metavar="V", help="Of dry friction [rad/s]; 0.02.")
+@click.option(
+    "--speed",
+    type=NumberType(),
+    default=SPEED,
+    metavar="V",
+    help="The speed that smooths dry friction [rad/s]; by default 0.02.",
+)
 @click.option("--prior", type=NumberType(), metavar="W", help="Relative deviation of the model's inertias.")
 @click.option("--unphysical", is_flag=True, help="Admit bodies that nobody can build.")
-@click.option("--noise", type=NumberType(), metavar="S", help="Of recorded coordinates, for splines [rad, m].")
-@click.option("--cutoff", type=NumberType(), metavar="F", help="Of a low-pass filter, forward and backward [Hz].")
+@click.option(
+    "--noise", type=NumberType(), metavar="S", help="The standard deviation of recorded coordinates [rad, m]."
+)
+@click.option(
+    "--cutoff", type=NumberType(), metavar="F", help="The frequency of a low-pass filter, forward and backward [Hz]."
+)
 @click.option(
     "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
 )

@@ -23,13 +23,13 @@ from mbsrun.smoothness import demand_smooth
 
 INVERSE_HELP = """Compute the forces that a given motion of MODEL takes, and write them as a table.
 
---motion gives joints over the time t, as many as there are freedoms; loops determine the others. Driven joints
-without a motion stand where the model's closed pose has them:
+--motion gives the motions of joints over the time t, as many as there are degrees of freedom; loops determine the
+others. Driven joints without a motion stand where the model's closed pose has them:
 
 \b
   mbsrun inverse models/four_bar.yaml --motion 'motor=60 deg + 0.5*sin(2*t)' --duration 3
 
-Where there are more forces than freedoms, the ones of least norm are taken. Where there are too few, the column
+If more actuators act than necessary, their forces have the least norm. If too few act, the column
 `unbalanced` holds the largest generalised force that is missing.
 
 \b

@@ -25,8 +25,13 @@ MODELS = (".yaml", ".yml", ".json", ".urdf", ".xml", ".sdf", ".osim")
 
 LAB_HELP = """Run the laboratory: CASES in which methods lose digits, diverge or mislead, each with its criterion.
 
-Given a model file in place of CASES, it maps the stability of this model: near its worst pose, at ratios of masses, and
-at steps of a motion, each formulation has some right digits, or a status.
+\b
+  mbsrun lab --list
+  mbsrun lab F07 F13 --quick
+  mbsrun lab models/double_pendulum.yaml --quick
+
+Given a model file in place of CASES, it maps the stability of this model: the correct digits of each formulation near
+the worst pose, for ratios of masses, and for steps of a motion, or the status that it returns.
 
 Without CASES it runs all of them; `--list` prints them. The output folder keeps every finding at once, so an
 interrupted run continues; another version of the program, or another compiler, measures anew.
@@ -39,6 +44,7 @@ The output folder gets
   laboratory.section.json       captions, with which `mbsrun study --with FOLDER` includes all of it
   findings.jsonl, losses.jsonl  all findings
 
+\b
 For a model file it gets
   stability.png, .svg           the map; stability_narrow.png is for a phone
   stability.csv, .json          every number
@@ -46,7 +52,7 @@ For a model file it gets
 
 \b
 Exit codes
-  0   all criteria are met; of a model, no kernel loses all but two digits without a status
+  0   all criteria are met; for a model, no kernel returns fewer than three correct digits without a status
   1   some criteria are not met, a case did not end, or a kernel loses digits without a status
   2   a case does not exist, or the model cannot be accepted
 """
@@ -54,7 +60,14 @@ Exit codes
 
 @click.command("lab", help=LAB_HELP)
 @click.argument("names", metavar="[CASES | MODEL]...", nargs=-1)
-@click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), default="laboratory")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default="laboratory",
+    help="The folder to write to; by default laboratory.",
+)
 @click.option("--list", "listed", is_flag=True, help="Print the cases and their criteria, and run nothing.")
 @click.option("--quick", is_flag=True, help="Leave long trials out: chains of 20 and more, swing-ups.")
 @click.option("--maps/--no-maps", default=None, help="Draw the maps; by default where all cases are run.")

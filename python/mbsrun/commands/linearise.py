@@ -27,15 +27,15 @@ from mbsrun.smoothness import demand_smooth
 
 LINEARISE_HELP = """Linearise the equations of motion of MODEL about a pose at rest.
 
-The pose is the model's own, or the one of --pose; loops give the other coordinates. Driven joints stand still. By
-default the inputs keep the pose at rest, beside the ones of --input. With --settle the inputs stay, and the pose moves
-to an equilibrium near it.
+--pose gives the pose; other coordinates are the model's, or follow from loops. Driven joints stand still. By default,
+inputs that --input does not give are chosen such that the pose is an equilibrium. With --settle the pose moves instead,
+to an equilibrium under the given inputs.
 
 \b
   mbsrun linearise models/cart_pole.yaml --pose pole=pi --regulate 0.1 --weigh pole=10
 
-The table has a row for each pole, or pair of poles: frequency, damping ratio, and whether the inputs reach it and the
-frames show it. Names in its last column move the most.
+The table has a row for each pole, or pair of poles: frequency, damping ratio, and whether it is controllable by the
+inputs and observable from coordinates and frames. Its last column names the coordinates that move the most.
 
 \b
 The output folder gets

@@ -24,9 +24,9 @@ MOVED = Extent(("frames",), 1, optional=("loops", "loop_rates", "loop_jacobian",
 
 RANGE_HELP = """Find how far the joints of MODEL can move, as its loops and the limits of joints allow.
 
-Each joint leads in turn, from the model's pose, while further independent joints stay. It ends at a limit of some
-joint, or where the loops cannot be closed any farther: at a dead centre. With --joint, one joint leads, and a table of
-all coordinates and sensors on its way is written.
+Each joint moves in turn, from the model's pose; other independent joints stand still. A motion ends at a limit of some
+joint, or at a dead centre, where the loops cannot be closed any farther. With --joint, one joint moves, and a table of
+all coordinates and sensors along the motion is written.
 
 \b
   mbsrun range models/four_bar.yaml
@@ -41,8 +41,10 @@ Exit codes
 
 @click.command("range", cls=ModelCommand, help=RANGE_HELP)
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("--joint", metavar="NAME", help="The joint that leads; by default each in turn.")
-@click.option("--pose", multiple=True, metavar="NAME=NUMBER", help="Where a joint starts [rad, m]; others follow.")
+@click.option("--joint", metavar="NAME", help="The joint that moves; by default each in turn.")
+@click.option(
+    "--pose", multiple=True, metavar="NAME=NUMBER", help="The first value of a coordinate [rad, m]; others follow."
+)
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
 @click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="The table; by default NAME.range.csv.")
 @accept_robots

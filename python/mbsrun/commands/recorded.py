@@ -54,8 +54,15 @@ _MOTION = (
         "--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="The columns of a wrench."
     ),
     click.option("--noise", type=NumberType(), metavar="S", help="The standard deviation of the samples [rad, m]."),
-    click.option("--cutoff", type=NumberType(), metavar="F", help="Of a low-pass filter, forward and backward [Hz]."),
-    click.option("--degree", type=click.Choice(["3", "5"]), default="5", help="Of the splines; 5."),
+    click.option(
+        "--cutoff",
+        type=NumberType(),
+        metavar="F",
+        help="The frequency of a low-pass filter, forward and backward [Hz].",
+    ),
+    click.option(
+        "--degree", type=click.Choice(["3", "5"]), default="5", help="The degree of the splines; by default 5."
+    ),
     click.option(
         "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
     ),

@@ -51,9 +51,15 @@ INPUT_COLUMNS = ("u[{}]", "input[{}]", "acting[{}]", "w[{}]", "{}")  # names tha
 
 SIMULATE_HELP = """Integrate the motion of MODEL, and write it with its energy, plots and an animation.
 
-MODEL is a model file, or a folder that mbsgen wrote. The motion starts at time 0 where --pose and --velocity put it (0
-where they do not, or where loops put it), under the inputs of --input. A file can hold all of these, and the wrenches
-that a model leaves open; an option wins over the file:
+MODEL is a model file, a robot's file, or a folder that mbsgen wrote:
+
+\b
+  mbsrun simulate models/pendulum.yaml --duration 10 --pose q1=pi/2
+  mbsrun simulate models/four_bar.yaml --duration 2 --velocity motor=3 -o four_bar
+
+--pose and --velocity give the state at time 0; other coordinates and velocities are 0, or follow from loops. --input
+gives inputs, which are 0 by default. A file (--settings) can hold all of these, and open wrenches; options have
+priority:
 
 \b
   duration: 5
@@ -78,25 +84,24 @@ Formulations
 
 \b
 The output folder gets
-  simulation.json   settings, effort, energies, warnings, where the motion ends
-  trajectory.csv    every number kept, with its unit: coordinates, velocities, inputs, energies, and what
-                    --columns names
-  plots.png         the same over time
+  simulation.json   settings, number of steps, energies, warnings, the last state
+  trajectory.csv    coordinates, velocities, inputs, energies over time, with units, and the columns of --columns
+  plots.png         the same as curves
   animation.html    plays the motion in any browser
 
---starts makes many motions: one for each row of a table with columns q_NAME, qd_NAME or a parameter's name, or for each
-of N draws from the ranges of --vary. The folder gets simulation.json, starts.csv (the numbers of each start, its status
-and its last state) and motions.npz (t, q, qd of all motions).
+--starts makes many motions: one for each row of a table with columns q_NAME, qd_NAME or a parameter's name, or N random
+ones from the ranges of --vary. The folder gets simulation.json, starts.csv (the numbers of each start, its status and
+its last state) and motions.npz (t, q, qd of all motions).
 
-Energies are a check. The drift is kinetic and potential energy, minus their start and the work of inputs, springs,
-dampers and wrenches: it is the error of the integration.
+The summary shows the drift of the energy: kinetic and potential energy, minus their initial values and the work of
+inputs, springs, dampers and wrenches. Exact integration would give 0.
 
 \b
 Exit codes
   0   the end was reached
-  1   it was not: a kernel, a step or the motion failed, or a limit of steps or seconds is
-      used up; the message gives time, joint and reason; the motion until there is written,
-      and marked as incomplete
+  1   the end was not reached: a kernel or a step failed, or the limit of steps or seconds
+      was reached; the message gives time, joint and reason; the motion up to this time is
+      written, and marked as incomplete
   2   the model, a file or an argument cannot be accepted; nothing written
 """
 
@@ -119,9 +124,24 @@ def list_keeping() -> str:
     return "\n".join(lines)
 
 
+SECTIONS = {
+    "The motion": (
+        *("duration", "pose", "velocity", "inputs", "driven", "input_period", "parameters"),
+        *("solution", "table"),
+    ),
+    "The method": (
+        *("method", "formulation", "step", "rtol", "atol", "stages", "rho", "loops", "alpha", "beta"),
+        *("max_steps", "max_seconds"),
+    ),
+    "Many motions": ("starts", "vary", "seed", "threads"),
+    "Results": ("output_step", "columns", "format"),
+}
+
+
 @click.command(
     "simulate",
     cls=ModelCommand,
+    sections=SECTIONS,
     help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()),
 )
 @click.argument("model", type=click.Path(path_type=Path))
@@ -138,7 +158,7 @@ def list_keeping() -> str:
 @click.option(
     "--formulation",
     type=click.Choice([f.value for f in Formulation]),
-    help="Of the equations of motion; by default exp2.",
+    help="The form of the equations of motion; by default exp2.",
 )
 @click.option("--step", metavar="H", help="The longest step of a method with fixed steps [s]; by default 1e-3.")
 @click.option("--rtol", metavar="R", help="The relative tolerance of an adaptive method; by default 1e-9.")
@@ -152,15 +172,19 @@ def list_keeping() -> str:
 @click.option(
     "--loops",
     type=click.Choice([keeping.value for keeping in Keeping]),
-    help="How loops are kept closed; see above. By default the method's first.",
+    help="How loops are kept closed; by default the first way above that has the method.",
 )
 @click.option("--alpha", metavar="A", help="Baumgarte's gain of the rate at which loops open [1/s]; by default 5.")
 @click.option("--beta", metavar="B", help="Baumgarte's gain of the gap [1/s]; by default 5.")
-@click.option("--output-step", metavar="H", help="The time between states that are kept [s]; by default T/1000.")
+@click.option("--output-step", metavar="H", help="The time between stored states [s]; by default T/1000.")
 @click.option("--max-steps", type=int, metavar="N", help="The largest number of steps; by default 10 million.")
 @click.option("--max-seconds", metavar="S", help="The largest processor time; by default 60 s.")
-@click.option("--pose", multiple=True, metavar="NAME=NUMBER", help="Where a coordinate starts [rad, m]: --pose q1=pi/2")
-@click.option("--velocity", multiple=True, metavar="NAME=NUMBER", help="How fast it starts [rad/s, m/s].")
+@click.option(
+    "--pose", multiple=True, metavar="NAME=NUMBER", help="The initial value of a coordinate [rad, m]: --pose q1=pi/2"
+)
+@click.option(
+    "--velocity", multiple=True, metavar="NAME=NUMBER", help="The initial velocity of a coordinate [rad/s, m/s]."
+)
 @click.option(
     "--input",
     "inputs",
@@ -172,7 +196,7 @@ def list_keeping() -> str:
     "--driven",
     multiple=True,
     metavar="NAME=EXPRESSION",
-    help="The motion of a driven joint over the time t: --driven 'q1=0.2*sin(3*t)'; by default it stands.",
+    help="The motion of a driven joint over the time t: --driven 'q1=0.2*sin(3*t)'; by default it stands still.",
 )
 @click.option("--input-period", metavar="H", help="Compute inputs every H seconds, and hold them in between.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter.")
@@ -194,8 +218,16 @@ def list_keeping() -> str:
     "--starts", metavar="TABLE|N", help="Make many motions, from the starts of a table, or from N random ones."
 )
 @click.option("--vary", multiple=True, metavar="NAME=LOW:HIGH", help="Draw a number of each random start from a range.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="S", help="Of random starts; by default 0.")
-@click.option("--threads", type=click.IntRange(min=1), default=1, metavar="K", help="That make many motions; 1.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, metavar="S", help="The seed of random starts; by default 0."
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    default=1,
+    metavar="K",
+    help="With --starts: the number of threads; by default 1.",
+)
 @more_columns
 @choose_format
 @accept_robots

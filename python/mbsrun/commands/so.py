@@ -48,7 +48,13 @@ Exit codes
 
 @click.command("so", cls=ModelCommand, help=HELP)
 @accept_motion
-@click.option("--reserve", type=NumberType(), default=1.0, metavar="F", help="That costs as an activation of 1; 1 N m.")
+@click.option(
+    "--reserve",
+    type=NumberType(),
+    default=1.0,
+    metavar="F",
+    help="The reserve that costs as much as a full activation; by default 1 N m.",
+)
 @click.option("--least", type=NumberType(), default=0.0, metavar="A", help="The least activation; 0.")
 @click.option("--most", type=NumberType(), default=1.0, metavar="A", help="The largest activation; 1.")
 @click.option("--no-passive", is_flag=True, help="Leave passive fibres and damping out, as OpenSim's tool does.")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbsgen.help import ModelCommand
 from mbsrun.commands.columns import check_columns, more_columns
 from mbsrun.commands.console import (
     NOT_SOLVED,
@@ -53,9 +54,15 @@ MAX_STARTS = 100_000
 
 SOLVE_HELP = """Solve the optimal control problem of the file PROBLEM.
 
-It is put on a grid by direct collocation or multiple shooting, and solved with the exact derivatives of the generated
-kernels, from the guess that the problem describes, or from another solution: by the project's own interior-point
-method, or by IPOPT. Another method then integrates the motion under the inputs found, and the two are compared.
+The problem is discretised by direct collocation or multiple shooting, and solved with the exact derivatives of the
+generated kernels, from the guess that the problem describes, or from another solution: by the project's own
+interior-point method, or by IPOPT. Another method then integrates the motion under the inputs found, and the two are
+compared.
+
+\b
+  mbsrun solve models/cart_pole_swing_up.ocp.yaml -o swing_up
+  mbsrun solve models/acrobot_swing_up.ocp.yaml --starts 20
+
 
 \b
 The output folder gets
@@ -68,26 +75,35 @@ The output folder gets
   animation.html      plays the motion in any browser
   mesh.png            with --refine: the defect of every interval, grid by grid
   starts.png          with --starts: the cost that each start found
-  starts.sqlite       with --starts: every start, so that the command can go on later
+  starts.sqlite       with --starts: every start, so that the command can continue later
   derivatives.json    with --by: the derivatives of cost and motion
 
 A solver finds a local minimum near its guess. --starts 20 solves from 20 starts: the guess, and random ones (bumps and
-noise on the guess, other end poses, whole turns of joints without limits). The best solution is written, and how often
-its cost was found; lower ones may exist. Ctrl-C ends the search, and the best so far is written.
+noise on the guess, other end poses, whole turns of joints without limits). The best solution is written; the summary
+shows how often its cost was found. Lower ones may exist. Ctrl-C ends the search, and the best so far is written.
 
-For a problem with `phases` or `links`, an option holds for every phase, and --target for the one phase that has a
-target; there is no --hops and --workers, and a search keeps no starts.sqlite. Each phase has a table NAME.csv.
+For a problem with `phases` or `links`, an option applies to every phase, and --target to the one phase that has a
+target; --hops and --workers are refused, and there is no starts.sqlite. Each phase has a table NAME.csv.
 
 \b
 Exit codes
-  0   solved, and as accurate as the problem asks for; nothing is said of lower minima
-  1   not solved, and nothing written; or solved, but short of the tolerance or
-      the accuracy asked for: then the solution is written, and says so
+  0   solved to a local minimum, and as accurate as the problem requires
+  1   not solved, and nothing written; or solved, but not to the required tolerance or
+      accuracy: then the solution is written, with the reasons
   2   the problem, its model or an argument cannot be accepted; nothing written
 """
 
 
-@click.command("solve", help=SOLVE_HELP)
+SECTIONS = {
+    "The problem": ("target", "other", "guess_inputs"),
+    "The grid": ("representation", "form", "loops", "integrator", "steps", "refine"),
+    "The solver": ("solver", "fallback", "threads"),
+    "Many starts": ("starts", "hops", "seed", "minutes", "workers"),
+    "Results": ("sensitivities", "by", "columns", "format"),
+}
+
+
+@click.command("solve", cls=ModelCommand, help=SOLVE_HELP, sections=SECTIONS)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @output_folder("solution")
 @click.option(
@@ -96,7 +112,7 @@ Exit codes
     nargs=3,
     metavar="R PHI Z",
     help="Another target for the sensor with a target: radius [m], azimuth [rad] and height [m] "
-    "about the base's z axis. Expressions will do: --target 0.63 pi/2 -0.1",
+    "about the base's z axis. For example --target 0.63 pi/2 -0.1",
 )
 @click.option(
     "--guess",
@@ -126,8 +142,16 @@ Exit codes
     type=click.Choice([loops.value for loops in Loops]),
     help="How closed loops become variables; by default as the problem says, or reduced where the guess permits it.",
 )
-@click.option("--integrator", type=NameType(INTEGRATORS), help="Of shooting: the method of the scheme, or another.")
-@click.option("--steps", type=click.IntRange(1, MAX_STEPS), help="Of the integrator in an interval; by default 1.")
+@click.option(
+    "--integrator",
+    type=NameType(INTEGRATORS),
+    help="How the motion follows from accelerations; rk4 is for shooting alone.",
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(1, MAX_STEPS),
+    help="With --form shooting: the number of steps in an interval; by default 1.",
+)
 @click.option("--solver", type=NameType(SOLVERS), help="The NLP method; by default mbs, the project's own.")
 @click.option(
     "--fallback/--no-fallback",
@@ -151,7 +175,7 @@ Exit codes
     type=click.IntRange(0, 1000),
     help="With --starts: the number of hops, from the best motion with waves added; repeated while the cost falls.",
 )
-@click.option("--seed", type=click.IntRange(0), help="Of the random starts; by default 0.")
+@click.option("--seed", type=click.IntRange(0), help="With --starts: the seed of random starts; by default 0.")
 @click.option("--minutes", type=click.FloatRange(min=0), help="With --starts: the time after which no start begins.")
 @click.option(
     "--workers", type=click.IntRange(0), help="With --starts: the number of processes; by default this one alone."

@@ -14,6 +14,7 @@ from click.core import ParameterSource
 from rich import box
 from rich.table import Table
 
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.console import (
     NOT_SOLVED,
@@ -42,9 +43,12 @@ from mbsrun.ocp.statement.statement import name_problem, read_problem
 
 SWEEP_HELP = """Solve PROBLEM for a grid of targets, in several representations, and sum up.
 
-Targets are places for the one sensor that has a target, on a cylinder about the base's z axis; the usual grid is the 21
-times 11 of Docquier, Bruls, Fisette. Every attempt goes into the file -o as it ends: the command can be stopped, and
-given again to go on, with more targets, costs, representations, or the other protocol.
+Targets are positions of the one sensor that has a target, on a cylinder about the base's z axis; the default grid is
+the 21 times 11 of Docquier, Bruls, Fisette. Every attempt is stored in the file -o when it ends. So the command can be
+stopped; given again, it continues, also with more targets, costs, representations, or the other protocol.
+
+\b
+  mbsrun sweep models/planar_arm_reach.ocp.yaml --radius 0.55 --azimuths 0.8 1.2 3 --heights 0 0 1
 
 \b
 Protocols
@@ -56,27 +60,31 @@ Protocols
            and solutions of other representations, until nothing is new
 
 \b
-With --over or --cases, the values of any keys take the place of targets:
+With --over or --cases, the command solves for values of any keys instead of targets:
   mbsrun sweep swing.ocp.yaml --over end.pose.cart 0.5:1.5:11 --over horizon 1.5,2
-solves all combinations, each from its own guess, and re-simulates every motion. The record -o keeps each
-outcome, so that the command can go on later; beside it are a table (.csv) and, over one key or two, a picture
-(.png). --solutions writes each solution.
+solves all combinations, each from the problem's guess, and re-simulates every motion. Beside the record -o are a
+table (.csv) and, over one key or two, a picture (.png). --solutions writes each solution.
 
-A search cannot show that no minimum is lower: the summary shows how many independent starts found the lowest
-cost known. Motions with whole turns are compared among themselves, and listed on their own.
+A search cannot show that no lower minimum exists: the summary shows how many independent starts found the lowest
+known cost. Motions with whole turns are compared among themselves, and listed separately.
 
 \b
 Exit codes
-  0   all cases are solved as the problem asks; or the protocol is through: if it is the
-      robust one, every task was solved, in the lowest minimum that was found for its
-      target, though lower ones may exist
-  1   some tasks are not solved, or are in a higher minimum than one that was found;
+  0   all cases are solved; or the protocol is complete. After the robust protocol, every
+      task has the lowest minimum that was found for its target; lower ones may exist
+  1   some tasks are not solved, or have a higher minimum than one that was found;
       or the time is over
   2   the problem, its model or an argument cannot be accepted
 """
 
 
-@click.command("sweep", help=SWEEP_HELP)
+SECTIONS = {
+    "Targets": ("protocol", "radius", "azimuths", "heights", "every", "costs", "names", "bumped"),
+    "Values of keys": ("over", "cases", "threads", "workers", "scheduler", "solutions"),
+}
+
+
+@click.command("sweep", cls=ModelCommand, help=SWEEP_HELP, sections=SECTIONS)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -85,21 +93,23 @@ Exit codes
     type=click.Path(dir_okay=False, path_type=Path),
     help="The file to keep the attempts in; by default NAME.sweep here, for a problem file NAME.ocp.yaml.",
 )
-@click.option("--protocol", type=click.Choice(["paper", "robust"]), default="robust", help="By default robust.")
-@click.option("--radius", type=NumberType(), default=0.63, help="Of the cylinder [m]; by default 0.63.")
+@click.option(
+    "--protocol", type=click.Choice(["paper", "robust"]), default="robust", help="See above; by default robust."
+)
+@click.option("--radius", type=NumberType(), default=0.63, help="The radius of the cylinder [m]; by default 0.63.")
 @click.option(
     "--azimuths",
     type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
     default=(-math.pi / 2, math.pi / 2, 21),
     metavar="FROM TO COUNT",
-    help="By default -pi/2 pi/2 21.",
+    help="The azimuths of targets [rad]; by default -pi/2 pi/2 21.",
 )
 @click.option(
     "--heights",
     type=(NumberType(), NumberType(), click.IntRange(1, 1000)),
     default=(-0.1, 0.1, 11),
     metavar="FROM TO COUNT",
-    help="By default -0.1 0.1 11.",
+    help="The heights of targets [m]; by default -0.1 0.1 11.",
 )
 @click.option(
     "--every",
@@ -121,7 +131,7 @@ Exit codes
     "names",
     type=click.Choice([r.value for r in Representation], case_sensitive=False),
     multiple=True,
-    help="By default all; the first given is the one that looks for better minima.",
+    help="A form of the equations of motion; by default all. The first one searches for lower minima.",
 )
 @click.option(
     "--bump",
@@ -145,14 +155,26 @@ Exit codes
     metavar="TABLE",
     help="A table in CSV with a key on top of each column, and a row for each case.",
 )
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), default=1, help="Of cases at once; by default 1.")
-@click.option("--workers", type=click.IntRange(0), default=0, help="Of cases: processes; by default this one alone.")
-@click.option("--scheduler", metavar="tcp://…", help="Of cases: the address of a Dask cluster, which solves them.")
+@click.option(
+    "--threads",
+    type=click.IntRange(1, MAX_THREADS),
+    default=1,
+    help="With --over or --cases: the number of threads; by default 1.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(0),
+    default=0,
+    help="With --over or --cases: the number of processes; by default this one alone.",
+)
+@click.option(
+    "--scheduler", metavar="tcp://…", help="With --over or --cases: the address of a Dask cluster that solves."
+)
 @click.option(
     "--solutions",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Of cases: write each solution there, as NUMBER.json.",
+    help="With --over or --cases: write each solution to this folder, as NUMBER.json.",
 )
 @click.pass_context
 @name_lines

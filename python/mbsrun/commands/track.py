@@ -13,6 +13,7 @@ from rich.progress import Progress as ProgressBar
 
 from mbsgen.documents import Data, refuse
 from mbsgen.errors import Fault
+from mbsgen.help import ModelCommand
 from mbsgen.manifest import FILE_NAME
 from mbsrun.commands.console import (
     NOT_SOLVED,
@@ -49,12 +50,15 @@ from mbsrun.tracking.solving import SolvingController
 from mbsrun.tracking.statement import TrialStatement
 from mbsrun.tracking.trial import Fallback, Trial
 
-TRACK_HELP = """Control a simulated mechanism by solving PROBLEM again from every measured state.
+TRACK_HELP = """Test predictive control of a simulated mechanism: solve PROBLEM again from every measured state.
 
-PROBLEM is a problem file of optimal control. At a given rate, the state is measured, the problem is solved from there,
-and the first inputs of the plan act until the next sample: model predictive control. The plant is simulated with an
-adaptive integrator. It may have other masses than the controller's model, its measurements have noise, inputs may come
-late, and it may be pushed. A file describes all of this; an option wins over the file:
+\b
+  mbsrun track models/track/cart_pole.ocp.yaml --settings models/track/cart_pole.track.yaml
+
+At a given rate, the state is measured, the problem is solved from there, and the first inputs of this plan act until
+the next sample. The simulated mechanism, the plant, may have other masses than the controller's model; its measurements
+may have noise, inputs may act late, and it may be pushed. A file (--settings) describes all of this; options have
+priority:
 
 \b
   duration: 5                       # s
@@ -67,8 +71,8 @@ late, and it may be pushed. A file describes all of this; an option wins over th
   measures:
     - {name: lean, expression: abs(q_pole - pi), from: 4, most: 0.02}
 
-The plant waits for the controller: computing times are recorded, and do not change the motion. Take a delay of one
-period or more in their place. The page docs/track.md lists all keys.
+The simulation waits for the controller: computing times are recorded, but do not change the motion. To simulate a slow
+controller, give a delay of one period or more. The page docs/track.md lists all keys.
 
 \b
 The output folder gets
@@ -82,9 +86,9 @@ Ctrl-C ends the loop; the part so far is written, and marked as incomplete.
 
 \b
 Exit codes
-  0   the end was reached, every measure stayed below its limit, and no range was left
-  1   it was not reached, a measure exceeded its limit, or the motion left its ranges; what there is
-      is written; or the controller found no plan from the start: then nothing is written
+  0   the end was reached, every measure stayed below its limit, and no range was violated
+  1   the end was not reached, a measure exceeded its limit, or a range was violated: the motion so far
+      is written; or the controller found no plan from the start: nothing is written
   2   a file or an argument cannot be accepted; nothing written
 """
 
@@ -93,7 +97,13 @@ LISTED = 8  # margins and statuses that are printed
 MAX_STEPS = 100  # of Newton's method in a sample
 
 
-@click.command("track", help=TRACK_HELP)
+SECTIONS = {
+    "The loop": ("duration", "rate", "delay", "predict", "fallback", "seed", "method"),
+    "The controller": ("solver", "threads", "folder", "steps", "rescue", "barrier"),
+}
+
+
+@click.command("track", cls=ModelCommand, help=TRACK_HELP, sections=SECTIONS)
 @click.argument("file", metavar="PROBLEM", type=click.Path(path_type=Path))
 @output_folder("track")
 @click.option("--settings", type=click.Path(path_type=Path), help="A file with settings; see above.")
@@ -106,7 +116,7 @@ MAX_STEPS = 100  # of Newton's method in a sample
     type=click.Choice([x.value for x in Fallback]),
     help="The inputs of a sample without a plan; by default the last plan's.",
 )
-@click.option("--seed", type=int, metavar="N", help="Of the noise; by default 0.")
+@click.option("--seed", type=int, metavar="N", help="The seed of the noise; by default 0.")
 @click.option("--method", type=NameType(METHODS), help="How the plant is integrated; by default dop853.")
 @click.option("--solver", type=NameType(SOLVERS), help="The controller's NLP method; by default the problem's.")
 @click.option(
