@@ -73,7 +73,7 @@ def write_file(content: bytes, out: Path) -> None:
 def _refuse(out: Path, error: OSError) -> InputError:
     """Return the error for a place that cannot be written."""
     finding = f"it cannot be written: {error.strerror}"
-    return InputError([Fault(str(out), 0, "", finding, "name a place with -o that can be")])
+    return InputError([Fault(str(out), 0, "", finding, "give another path with -o")])
 
 
 def _replace(fresh: Path, out: Path) -> None:

@@ -45,9 +45,9 @@ class Allowance:
     def spend(self, steps: int = 1) -> None:
         """Count steps that are about to be taken. Raises LimitError if a limit is exceeded."""
         if steps > self.steps:
-            raise LimitError(f"the limit of {self._limits.steps} steps is used up", "raise max_steps")
+            raise LimitError(f"the limit of {self._limits.steps} steps is reached", "raise max_steps")
         if time.thread_time() - self._start >= self._limits.seconds:
-            finding = f"the limit of {self._limits.seconds:g} s of processor time is used up"
+            finding = f"the limit of {self._limits.seconds:g} s of processor time is reached"
             raise LimitError(finding, "raise max_seconds, take longer steps, or loosen the tolerance")
         self._steps += steps
 

@@ -250,7 +250,7 @@ def study_command(
         (out / PAGE).write_text(page, encoding="utf-8")
     click.echo(f"wrote {out / PAGE}, {out / DATA}", err=True)
     if not is_through:
-        click.echo("the time is over; give the command again to go on", err=True)
+        click.echo("the time is over; repeat the command to continue", err=True)
     context.exit(0 if is_through else NOT_THROUGH)
 
 

@@ -347,7 +347,7 @@ def test_a_folder_can_be_checked_against_what_would_be_written(mbsgen: Command) 
     Path("out/pendulum.h").write_text("/* edited */\n")
     answer = mbsgen("pendulum.yaml", "-o", "out", "--check")
     assert (answer.code, answer.out) == (DIFFERENT, "")
-    assert "pendulum.h: not as generated now" in answer.err
+    assert "pendulum.h: differs from the code that is generated now" in answer.err
     assert Path("out/manifest.json").read_bytes() == before
     assert mbsgen("pendulum.yaml", "-o", "nowhere", "--check").code == DIFFERENT
     assert not Path("nowhere").exists()

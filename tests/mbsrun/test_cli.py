@@ -180,7 +180,7 @@ def test_hops_go_on_from_the_best(quick: Run) -> None:
 def test_a_search_without_time_makes_no_start(quick: Run) -> None:
     result = quick("solve", "task.ocp.yaml", "-o", "out", "--starts", "3", "--minutes", "0")
     assert result.exit_code == 1
-    assert "0 of 3 starts were made; give the command again to go on" in result.stdout
+    assert "0 of 3 starts were made; repeat the command to continue" in result.stdout
     assert "the time was over before the first start ended" in result.stderr
     assert not Path("out/solution.json").exists()
 
@@ -206,7 +206,7 @@ def test_a_check_that_does_not_finish_is_told(quick: Run, monkeypatch: pytest.Mo
     result = quick("solve", "task.ocp.yaml", "-o", "out")
     assert result.exit_code == 1
     assert (
-        "the re-simulation did not finish, the limit of 3 steps is used up, so the accuracy is unknown" in result.stderr
+        "the re-simulation did not finish, the limit of 3 steps is reached, so the accuracy is unknown" in result.stderr
     )
     assert "unknown (the re-simulation did not finish)" in result.stdout
     check = read_solution(Path("out/solution.json")).resimulation

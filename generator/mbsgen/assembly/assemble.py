@@ -102,7 +102,7 @@ def _read_exactly(mechanism: Mechanism, rough: Array) -> tuple[Reading | None, S
     kept = choose_rows([J for J, r in zip(poses, ranks, strict=True) if r == max(ranks)], max(ranks))
     if len(kept) == mechanism.n:
         finding = "the loops leave no joint free to move"
-        return None, [Finding(_find_key(mechanism.tree), finding, "take a loop away, or one with fewer equations")]
+        return None, [Finding(_find_key(mechanism.tree), finding, "remove a loop, or give one with fewer equations")]
     return Reading(tuple(places), tuple(poses), kept, 0.0), ()
 
 

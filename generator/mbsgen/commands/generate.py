@@ -166,7 +166,7 @@ def _check_folder(files: Mapping[str, str | bytes], out: Path) -> None:
     """Print the files of a folder that differ from the generated ones; exit if there are any."""
     different = find_differences(files, out)
     for name in different:
-        click.echo(f"{out / name}: not as generated now", err=True)
+        click.echo(f"{out / name}: differs from the code that is generated now", err=True)
     if different:
         sys.exit(DIFFERENT)
     click.echo(f"{out}: as generated now", err=True)

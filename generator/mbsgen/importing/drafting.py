@@ -543,7 +543,9 @@ class Draft:
                 first, second, third = (spelled["bodies", i, "joint", k + n] for n in range(3))
                 assert isinstance(body.joint, tuple), "a ball is three turns"
                 if first is None or second is None or third is None:
-                    self.findings.warn(self._sources[body.name], "its damping is left out: no name of it is its own")
+                    self.findings.warn(
+                        self._sources[body.name], "its damping is left out: expressions cannot name its coordinates"
+                    )
                     continue
                 joints = [*body.joint]
                 for n, other in ((k, third), (k + 2, first)):

@@ -66,7 +66,7 @@ def sweep_cases(file: Path, record: Path, wish: Wish) -> bool:
     say(f"wrote {', '.join(written)}")
     missing = len(values) - len(found)
     if missing:
-        say(f"{missing} cases are not solved yet; give the command again to go on")
+        say(f"{missing} cases are not solved yet; repeat the command to continue")
     return not missing and all(told.is_good for told in found.values())
 
 

@@ -127,7 +127,7 @@ def check_conflicts(problem: Problem) -> None:
 def keep_grid(problem: Problem) -> Problem:
     """Return a problem without its refinement, and say so if it asks for one."""
     if problem.refine is not None:
-        say("note: `mbsrun solve` alone refines grids; here the grid stays as the file gives it")
+        say("note: only `mbsrun solve` refines grids; this command keeps the grid of the file")
     return replace(problem, refine=None)
 
 

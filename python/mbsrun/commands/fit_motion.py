@@ -148,7 +148,7 @@ def _pair_markers(recording: Recording, manifest: Manifest, named: Mapping[str, 
         raise InputError([Fault(recording.file, 0, "", finding, "name pairs by --marker MARKER=SENSOR")])
     left = [name for name in recording.markers if name not in wanted]
     if left:
-        say(f"left out, for want of a sensor: {', '.join(left[:8])}{', ...' if left[8:] else ''}")
+        say(f"left out, since no sensor has their names: {', '.join(left[:8])}{', ...' if left[8:] else ''}")
     return {marker: sensors.index(sensor) for marker, sensor in wanted.items()}
 
 
@@ -271,7 +271,7 @@ def _print_summary(fit: Fit, shown: Array, markers: Sequence[str], manifest: Man
         if fit.at_limits[:, i].any():
             say(f"warning: {name} is at a limit in {int(fit.at_limits[:, i].sum())} of {K} frames")
         if np.isnan(shown[:, i]).any():
-            say(f"warning: in {int(np.isnan(shown[:, i]).sum())} of {K} frames, the markers leave {name} open")
+            say(f"warning: in {int(np.isnan(shown[:, i]).sum())} of {K} frames, the markers do not determine {name}")
     if not fit.converged.all():
         times = ", ".join(f"{t:g}" for t in fit.times[~fit.converged][:5])
         say(f"warning: {int((~fit.converged).sum())} of {K} frames did not converge, such as t = {times} s")

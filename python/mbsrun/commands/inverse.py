@@ -91,7 +91,7 @@ def inverse_command(
             click.echo(f"{name:<24}{column.min():.6g} to {column.max():.6g}")
     click.echo(f"{'unbalanced':<24}{forces.unbalanced.max():.2g} at most")
     if forces.spare:
-        click.echo(f"{forces.spare} forces more than freedoms: the ones of least norm")
+        click.echo(f"{forces.spare} more forces than degrees of freedom: the ones of least norm are shown")
     say(f"wrote {out}")
     if jump := forces.find_jump(manifest):
         say(

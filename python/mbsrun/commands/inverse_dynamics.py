@@ -151,4 +151,4 @@ def _print_summary(found: Recalled, forces: dict[str, Array]) -> None:
         rms = np.sqrt(np.mean(column**2))
         click.echo(f"{name:<24}{column.min():.6g} to {column.max():.6g}, root mean square {rms:.6g}")
     if found.forces.spare:
-        click.echo(f"{found.forces.spare} forces more than freedoms: the ones of least norm")
+        click.echo(f"{found.forces.spare} more forces than degrees of freedom: the ones of least norm are shown")

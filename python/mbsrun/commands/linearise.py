@@ -174,7 +174,7 @@ def _show(found: Linearisation, at: Equilibrium, positions: Sequence[str], gains
         for line in feedback:
             click.echo(f"--input '{line}'")
         if not feedback:
-            say("the gains are in linearisation.json alone: an expression cannot name all joints that they read")
+            say("the gains are only in linearisation.json: an expression cannot name all of their joints")
 
 
 def _write_feedback(

@@ -53,7 +53,7 @@ def range_command(
 ) -> None:
     """Read, move, write, print."""
     if out is not None and joint is None:
-        raise click.UsageError("a table is of one joint that leads; give --joint, too")
+        raise click.UsageError("-o writes a table of one joint; give --joint, too")
     mechanism = load(model, extent=MOVED)
     mechanism = mechanism.with_parameters(**set_parameters(mechanism, parameters))
     manifest = mechanism.manifest
@@ -68,7 +68,7 @@ def range_command(
         return
     stroke = find_stroke(mechanism, start, joint)
     if stroke is None:
-        raise click.BadParameter(f"the loops keep {joint} where it is", param_hint="--joint")
+        raise click.BadParameter(f"the loops do not let {joint} move", param_hint="--joint")
     out = out or Path(f"{model.stem}.range.csv")
     write_table(out, *tabulate(stroke, mechanism))
     for label, end in (("from", stroke.lower), ("to", stroke.upper)):
@@ -91,4 +91,4 @@ def _print_all(strokes: Sequence[Stroke], units: dict[str, str]) -> None:
     print_table(table)
     held = dict.fromkeys(name for x in strokes for name in x.held)
     if held:
-        click.echo(f"while one joint leads, others that are independent stay: {', '.join(held)}")
+        click.echo(f"while one joint moves, other independent joints stand still: {', '.join(held)}")

@@ -222,7 +222,9 @@ def solve_command(
     is_phased = has_phases(file)
     given = [name for name, value in (("hops", hops), ("workers", workers)) if value is not None]
     if is_phased and given:
-        raise click.UsageError(f"{', '.join(f'--{name}' for name in given)}: for problems of one phase")
+        raise click.UsageError(
+            f"{', '.join(f'--{name}' for name in given)}: only for problems of one phase; leave it out"
+        )
     models: list[Path] = []
 
     def load_model(model: Path) -> Plant:
@@ -325,7 +327,9 @@ def _retarget(problem: PhasedProblem, target: tuple[float, float, float]) -> Pha
     aimed = [own.problem for own in problem.phases if own.problem.end.sensors] or [problem.phases[0].problem]
     if len(aimed) > 1:
         named = ", ".join(own.name for own in problem.phases if own.problem.end.sensors)
-        raise click.BadParameter(f"the phases {named} have targets; one must have one", param_hint="--target")
+        raise click.BadParameter(
+            f"the phases {named} have targets; --target needs exactly one phase with a target", param_hint="--target"
+        )
     moved = aimed[0].with_target(find_sensor(aimed[0], "--target"), cylindrical(*target))
     return problem.change(lambda own: moved if own is aimed[0] else own)
 
@@ -411,5 +415,5 @@ def _search(
             own, model = problem.phases[0].problem, models[-1] if models else None
             starts, found = solve_from_many(own, plants.phases[0], model, wish, out / STARTS, watch)
             outcome = list_solution(found) if isinstance(found, Solution) else found
-    print_starts(starts, "; give the command again to go on" if problem.is_single else "")
+    print_starts(starts, "; repeat the command to continue" if problem.is_single else "")
     return outcome

@@ -204,7 +204,7 @@ def sweep_command(
         wish = Wish(over, cases, threads, workers, minutes, solutions, scheduler)
         context.exit(0 if sweep_cases(file, out or Path(f"{name_problem(file)}.sweep"), wish) else NOT_SOLVED)
     if given := [f"--{name}" for name in OF_CASES if _is_given(context, name)]:
-        raise click.UsageError(f"{', '.join(given)}: of cases; give --over or --cases too")
+        raise click.UsageError(f"{', '.join(given)} needs --over or --cases; give one of them too")
     problem, plant = read_problem(file, load_on_demand)
     problem = keep_grid(problem)
     sensor = find_sensor(problem, "PROBLEM")
@@ -243,7 +243,7 @@ def sweep_command(
     for line in describe_search(attempts):
         click.echo(line)
     if not is_through:
-        say("the time is over; give the command again to go on")
+        say("the time is over; repeat the command to continue")
     context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
 
 
@@ -260,7 +260,7 @@ def _check_options(context: click.Context, over: Sequence[object], cases: Path |
     if "scheduler" in given and {"threads", "workers"} & set(given):
         raise click.UsageError("a cluster has its own workers; give --scheduler alone, without --threads and --workers")
     if strange:
-        raise click.UsageError(f"{', '.join(strange)}: of targets; --over and --cases take their place")
+        raise click.UsageError(f"{', '.join(strange)}: for a grid of targets; leave it out with --over or --cases")
 
 
 def _is_given(context: click.Context, name: str) -> bool:

@@ -194,7 +194,7 @@ def track_command(
         numbers = None if folder is None else load_controller(folder).manifest.numbers
         fixed = fix_numbers(problem, model, given=numbers)
         if isinstance(fixed, Failure):
-            say(f"{file}: no numbers of the mechanism are found: {fixed.finding}; {fixed.remedy}")
+            say(f"{file}: the unknown numbers of the mechanism are not found: {fixed.finding}; {fixed.remedy}")
             context.exit(NOT_SOLVED)
         asked, problem, model = problem, fixed.problem, fixed.plant
         true = build_plant(true, problem, fixed.numbers, is_other=changes.model is not None)
@@ -252,7 +252,10 @@ def _load_controller(
     if faults:
         raise refuse(faults)
     if manifest.problem_hash != hash_problem(problem):
-        say(f"warning: {folder} was written for another version of the problem; its own weights, bounds and ends count")
+        say(
+            f"warning: {folder} was written for another version of the problem; the controller keeps its own weights, "
+            "bounds and targets"
+        )
     return CompiledController(loaded, problem, trial.period, stepping)
 
 

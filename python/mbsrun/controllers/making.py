@@ -95,7 +95,7 @@ def make(
     problem_hash = hash_problem(problem)
     fixed = fix_numbers(problem, plant, guess)
     if isinstance(fixed, Failure):
-        raise UnsolvedError(f"no numbers of the mechanism are found: {fixed.finding}; {fixed.remedy}")
+        raise UnsolvedError(f"the unknown numbers of the mechanism are not found: {fixed.finding}; {fixed.remedy}")
     problem, plant, guess = fixed.problem, fixed.plant, fixed.guess
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)

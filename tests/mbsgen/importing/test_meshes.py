@@ -264,8 +264,8 @@ def test_a_prism_has_its_volume_and_moments() -> None:
         ('file="bad.stl"', "bad.stl cannot be read as a mesh"),
         ('file="star.obj"', "a face of 5 corners is not convex"),
         ('file="cut.obj"', "a face has a corner that does not exist"),
-        ('file="odd.obj"', "line 2 is no line of OBJ"),
-        ('file="long.obj"', "line 1 goes on in the next one"),
+        ('file="odd.obj"', "line 2 is not a line of an OBJ file"),
+        ('file="long.obj"', "line 1 continues in the next line"),
         ('file="../m.stl"', "is not in the folder of the model"),
     ],
 )

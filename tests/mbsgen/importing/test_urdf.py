@@ -226,7 +226,7 @@ def test_rotors_of_no_single_joint_are_told(parts: str, tmp_path: Path) -> None:
     imported = import_model(write(tmp_path, TREE + parts))
     warned = [line for line in told(imported) if "warning: rotor inertia" in line]
     assert len(warned) == parts.count("Inertia>") // 2
-    assert all("of no single rotor, gear and joint" in line for line in warned)
+    assert all("it does not belong to exactly one gear and one joint" in line for line in warned)
 
 
 def follow(tmp_path: Path, mimic: str) -> Path:

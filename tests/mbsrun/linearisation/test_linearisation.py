@@ -396,7 +396,7 @@ def test_gains_of_quaternions_are_said_to_be_in_the_file(tmp_path: Path, monkeyp
     run = CliRunner().invoke(cli, ["linearise", str(FOLDER / "satellite.yaml"), "--regulate", "1", "-o", "out"])
     assert run.exit_code == 0, run.output
     assert "--input" not in run.stdout
-    assert "the gains are in linearisation.json alone" in run.stderr
+    assert "the gains are only in linearisation.json" in run.stderr
     assert json.loads(Path("out/linearisation.json").read_text(encoding="utf-8"))["gains"]
 
 

@@ -87,7 +87,7 @@ def test_a_sweep_goes_on_where_its_time_was_over(sweep: Sweep) -> None:
     given = ("--over", "end.pose.cart", "0.9,1.0,1.1", "-o", "some.record")
     short = sweep(*given, "--minutes", "0")
     assert short.exit_code == 1
-    assert "2 cases are not solved yet; give the command again" in short.stderr
+    assert "2 cases are not solved yet; repeat the command" in short.stderr
     rest = sweep(*given, "--workers", "2")
     assert rest.exit_code == 0, rest.stderr
     alone = sweep(*given[:2], "0.9,1.0,1.1", "-o", "other.record", "--threads", "2")
@@ -139,7 +139,7 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
             ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"],
             "a cluster has its own workers",
         ),
-        "options of cases": (["--workers", "2"], "--workers: of cases; give --over or --cases"),
+        "options of cases": (["--workers", "2"], "--workers needs --over or --cases; give one of them"),
         "no table": (["--cases", "nowhere.csv"], "nowhere.csv: cannot be read"),
         "an empty table": (["--cases", "swing.ocp.yaml.csv"], "found 0 cases"),
         "ragged rows": (["--cases", "ragged.csv"], "ragged.csv:3: found 1 cells; give 2"),

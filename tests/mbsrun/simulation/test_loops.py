@@ -574,7 +574,7 @@ def test_the_inverse_command_writes_a_table(
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert not end.value.code
-    assert "2 forces more than freedoms: the ones of least norm" in capsys.readouterr().out
+    assert "2 more forces than degrees of freedom: the ones of least norm are shown" in capsys.readouterr().out
     header, *rows = out.read_text().splitlines()
     assert header.endswith("u[q1],u[q2],u[q3],lam[pin.x],lam[pin.z],unbalanced")
     assert len(rows) == 3

@@ -133,7 +133,7 @@ def test_an_adaptive_method_takes_no_more_steps_than_it_may(bench: Mechanism, me
     assert simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(1.0, method, max_steps=steps)).is_complete
     short = simulate(bench, REST, [1, 0, 0], [0, 0, 0], Settings(1.0, method, max_steps=steps - 1))
     assert short.halt is not None
-    assert f"limit of {steps - 1} steps is used up; raise max_steps" in str(short.halt)
+    assert f"limit of {steps - 1} steps is reached; raise max_steps" in str(short.halt)
     assert short.effort.steps == steps - 1
     assert 0.5 < short.t[-1] == short.halt.time < 1.0
 
@@ -379,7 +379,7 @@ def test_a_motion_that_ends_early_is_written_as_incomplete(run: Run) -> None:
 def test_a_limit_ends_the_command_with_what_was_reached(run: Run) -> None:
     result = run("--duration", "1e4", "--max-steps", "20", "--pose", "bob=1", "-o", "out")
     assert result.exit_code == 1
-    assert "the limit of 20 steps is used up; raise max_steps; what was written is incomplete" in result.stderr
+    assert "the limit of 20 steps is reached; raise max_steps; what was written is incomplete" in result.stderr
     summary = json.loads(Path("out/simulation.json").read_text("utf-8"))
     assert (summary["complete"], summary["effort"]["steps"]) == (False, 20)
     assert run("--duration", "1e4", "--max-seconds", "-1").exit_code == 2

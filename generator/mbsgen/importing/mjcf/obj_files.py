@@ -51,7 +51,7 @@ def read_obj(content: bytes) -> ObjFile:
     for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
         word, *rest = line.partition("#")[0].split() or [""]
         if line.endswith("\\"):
-            raise ObjError(f"line {number} goes on in the next one, which MuJoCo does not read")
+            raise ObjError(f"line {number} continues in the next line, which MuJoCo does not read")
         try:
             if word == "v":
                 x, y, z = map(float, rest[:3])
@@ -66,7 +66,7 @@ def read_obj(content: bytes) -> ObjFile:
                 else:
                     found.left_out += word == "f"
         except ValueError:
-            raise ObjError(f"line {number} is no line of OBJ") from None
+            raise ObjError(f"line {number} is not a line of an OBJ file") from None
     return found
 
 

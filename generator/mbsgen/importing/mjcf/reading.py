@@ -505,7 +505,7 @@ class _Scene:
             "range": what == "a ball" and self._limits_ball(element, attributes),
         }
         for key in (key for key, is_there in left_out.items() if is_there):
-            findings.warn(element, f"{key} of {what} is left out: it is about no single coordinate")
+            findings.warn(element, f"{key} of {what} is left out: it does not act on a single coordinate")
         if attributes.get("name") in self._drives.efforts:
             inputs = "has no inputs" if what == "a free joint" else "has an input for each of its turns"
             findings.warn(element, f"the actuator of {what} is left out: it {inputs} in a model")

@@ -420,7 +420,9 @@ class _Robot:
             else:
                 for element in rotors:
                     text = f"rotor inertia {abbreviate(element.attributes.get('value', element.text))} is left out"
-                    self._findings.warn(element, f"{text}: of no single rotor, gear and joint of the file")
+                    self._findings.warn(
+                        element, f"{text}: it does not belong to exactly one gear and one joint of the file"
+                    )
 
     def _read_value(self, element: Element) -> float | None:
         """Read the number of an element, as its text or its value; None for any other text."""

@@ -94,7 +94,11 @@ def _check_element(place: Place, element: ForceElement, valuation: Valuation, st
         yield from _check_point((*place, *keys), point, valuation, state)
     for key, end in (("from", element.first), ("to", element.second)):
         if end.presence is not None:
-            yield Finding((*place, key, "while"), "an end that is not always there", "give such a point under via")
+            yield Finding(
+                (*place, key, "while"),
+                "an end with a range, outside of which the line would have no end",
+                "give such a point under via",
+            )
     for k, wrap in enumerate(element.wraps):
         yield from _check_wrap((*place, "wraps", k), wrap, element.wraps[:k], len(element.path), valuation)
     own: State = {LENGTH: Symbol(LENGTH, real=True), LENGTH_RATE: Symbol(LENGTH_RATE, real=True)}

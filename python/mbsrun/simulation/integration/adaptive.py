@@ -51,7 +51,7 @@ def integrate(
             allowance.spend()
             _step(solver, dynamics)
             if solver.t == times[-1]:
-                raise _give_up(dynamics, solver, "the step has become too short to advance the time")
+                raise _give_up(dynamics, solver, "the step became too short to advance the time")
             effort.steps += 1
             times.append(float(solver.t))
             states.append(solver.y.copy())

@@ -136,7 +136,7 @@ def test_the_command_solves_phases(requires: Callable[[str], str], tmp_path: Pat
     (tmp_path / "split.ocp.yaml").write_text(TEXT)
     refused = CliRunner().invoke(cli, [*command, "--starts", "3", "--hops", "2", "--workers", "2"])
     assert refused.exit_code == 2
-    assert "--hops, --workers: for problems of one phase" in refused.output
+    assert "--hops, --workers: only for problems of one phase; leave it out" in refused.output
     aimless = CliRunner().invoke(cli, [*command, "--target", "1", "0", "0"])
     assert aimless.exit_code == 2
     assert "the problem has targets for no sensor" in aimless.output
