@@ -376,6 +376,19 @@ def test_constraints_are_independent_at_a_solution(loops: Loops, representation:
     assert values[-1] > 1e-5
 
 
+@pytest.mark.parametrize(
+    ("free", "places", "rates"), [((0, 1, 3), 0.0, np.inf), ((4, 5, 7), np.inf, 0.0), ((0, 1, 3, 4, 5, 7), 0.0, 0.0)]
+)
+def test_a_start_closes_where_it_is_not_given_whole(free: tuple[int, ...], places: float, rates: float) -> None:
+    """Two rows close the coordinates and two the velocities; given ones need none, as they are closed."""
+    problem = replace(reach(Loops.MULTIPLIERS), free_start=free)
+    transcription = transcribe(problem, arms())
+    lower, upper = transcription.constraint_bounds(problem)
+    rows = transcription.rows.start_closure
+    assert upper[rows].tolist() == [places] * 2 + [rates] * 2
+    assert (lower[rows] == -upper[rows]).all()
+
+
 @pytest.mark.parametrize("loops", Loops)
 def test_a_free_start_is_closed(loops: Loops) -> None:
     """The right shoulder is given; the left one and all else are found, at the least cost."""
