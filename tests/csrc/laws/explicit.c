@@ -52,8 +52,40 @@ static void choose_joints(void)
     LAW("where equations repeat each other, there is one pivot", fabs(find_best(&r) - log(5)) < 1e-14 && best[0] == 1);
 }
 
+static casadi_real force[1], pull[1];
+
+static int fall(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int memory)
+{
+    (void)arg, (void)res, (void)iw, (void)w, (void)memory;
+    pull[0] = force[0];
+    return 0;
+}
+
+/* Three parts of a motion by Euler's method, each with two rows of inputs: of its stage, and of its end. */
+static void read_parts(void)
+{
+    static const casadi_real A[1] = {0}, b[1] = {1}, c[1] = {0}, times[3] = {0, 1, 2}, lengths[3] = {0.5, 0.25, 1};
+    static const casadi_real inputs[6] = {1, -7, 20, -7, 300, -7}, starts[6] = {0, 1, 0, 2, 0, 3};
+    casadi_real ends[6], reals[64];
+    casadi_int integers[16], k;
+    mbs_explicit plant;
+    mbs_manner manner;
+    mbs_outcome outcome;
+    memset(&plant, 0, sizeof plant), memset(&manner, 0, sizeof manner);
+    plant.n = plant.nq = plant.m = 1, plant.q = q, plant.qd = qd, plant.v = force, plant.qdd = pull, plant.direct.f = fall;
+    manner.stages = 1, manner.order = 1, manner.A = A, manner.b = b, manner.c = c;
+    LAW("there is room", mbs_explicit_reals(&plant, 1) <= 64 && mbs_explicit_integers(&plant) <= 16);
+    mbs_explicit_read(&plant, &manner, 3, times, lengths, inputs, NULL, starts, ends, reals, integers, &outcome);
+    LAW("all parts are read", outcome.status == 0 && outcome.steps == 3);
+    for (k = 0; k < 3; ++k) {
+        LAW("each from its own start", ends[2 * k] == lengths[k] * starts[2 * k + 1]);
+        LAW("with its own inputs", ends[2 * k + 1] == starts[2 * k + 1] + lengths[k] * inputs[2 * k]);
+    }
+}
+
 int main(void)
 {
+    read_parts();
     choose_joints();
     LAW("one step is enough with the J of the place", close_off(0, 0, 5, 3) < 1e-14 && calls == 1);
     LAW("with another one, steps go on until they are rounding", close_off(1e-3, 1e-3, 5, 3) < 1e-14 && calls > 3);
