@@ -47,6 +47,18 @@
 /* Pasting the name of the type chooses the function, and the suffix of a literal. */
 #define MBS_PASTE_(a, b) a##b
 #define MBS_PASTE(a, b) MBS_PASTE_(a, b)
+
+/* A name in object files. Those of single precision have a part that doubles lack, so that both can be in one program, and
+ * a caller in the other precision does not link. */
+#define MBS_IS_SINGLE_double 0
+#define MBS_IS_SINGLE_float 1
+#if MBS_PASTE(MBS_IS_SINGLE_, MBS_REAL)
+#define MBS_SINGLE
+#define MBS_OWN(head, tail) head##_float##tail
+#else
+#define MBS_OWN(head, tail) head##tail
+#endif
+
 #define MBS_C_double(x) x
 #define MBS_C_float(x) x##f
 #define MBS_C(x) MBS_PASTE(MBS_C_, MBS_REAL)(x)
@@ -121,7 +133,8 @@ typedef MBS_REAL mbs_real;
 
 /* The same function by a second name, under which programs find it in a library that they load. A folder's own C has
  * tagged names, which no other folder's library can replace. */
-#define MBS_NAME_CASADI(name, own, integer) \
+#define MBS_NAME_CASADI(name, own, integer) MBS_NAME_CASADI_(name, own, integer)
+#define MBS_NAME_CASADI_(name, own, integer) \
     MBS_DECLARE_WITH(own, integer); \
     MBS_DECLARE_WITH(name, integer); \
     int name(const casadi_real **arg, casadi_real **res, integer *iw, casadi_real *w, int mem) \

@@ -19,6 +19,12 @@
 
 #include "mbs_abi.h"
 
+#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#define mbs_cone_reals mbs_cone_reals_float
+#define mbs_cone_integers mbs_cone_integers_float
+#define mbs_cone_solve mbs_cone_solve_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

@@ -19,6 +19,14 @@
 
 #include "mbs_many.h"
 
+#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#define mbs_explicit_reals mbs_explicit_reals_float
+#define mbs_explicit_integers mbs_explicit_integers_float
+#define mbs_explicit_run mbs_explicit_run_float
+#define mbs_explicit_read mbs_explicit_read_float
+#define mbs_explicit_series mbs_explicit_series_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

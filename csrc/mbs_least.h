@@ -11,6 +11,17 @@
 
 #include "mbs_abi.h"
 
+#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#define mbs_least_factorise mbs_least_factorise_float
+#define mbs_least_solve mbs_least_solve_float
+#define mbs_least_weigh mbs_least_weigh_float
+#define mbs_lu_factorise mbs_lu_factorise_float
+#define mbs_lu_solve mbs_lu_solve_float
+#define mbs_cholesky mbs_cholesky_float
+#define mbs_cholesky_forward mbs_cholesky_forward_float
+#define mbs_cholesky_backward mbs_cholesky_backward_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

@@ -18,6 +18,20 @@ extern "C" {
 #define mbs_compute_many MBS_STATES_NAME(mbs_compute_many)
 #define mbs_room_of_many MBS_STATES_NAME(mbs_room_of_many)
 #endif
+#if defined(MBS_SINGLE) && !defined(MBS_MANY_NAMES) /* other names in object files than those of doubles; a folder has its own */
+#ifndef MBS_STATES
+#define mbs_room_of_many mbs_room_of_many_float
+#define mbs_compute_many mbs_compute_many_float
+#endif
+#define mbs_room_of_many_at_2 mbs_room_of_many_float_at_2
+#define mbs_compute_many_at_2 mbs_compute_many_float_at_2
+#define mbs_room_of_many_at_4 mbs_room_of_many_float_at_4
+#define mbs_compute_many_at_4 mbs_compute_many_float_at_4
+#define mbs_room_of_many_at_8 mbs_room_of_many_float_at_8
+#define mbs_compute_many_at_8 mbs_compute_many_float_at_8
+#define mbs_room_of_many_at_16 mbs_room_of_many_float_at_16
+#define mbs_compute_many_at_16 mbs_compute_many_float_at_16
+#endif
 
 /* Where an input lies: the numbers of state s begin at first + s * step, and stand there one after the other, or each at
  * its place. */
@@ -59,7 +73,8 @@ casadi_int mbs_compute_many(mbs_kernel one, mbs_kernel_of_several several, casad
     casadi_int mbs_compute_many_at_##width( \
         mbs_kernel one, mbs_kernel_of_several several, casadi_int states, casadi_int begin, casadi_int end, \
         casadi_int n_in, const mbs_given *in, casadi_int n_out, const mbs_found *out, void *room, int *status)
-#define MBS_DECLARE_SEVERAL(f, width) \
+#define MBS_DECLARE_SEVERAL(f, width) MBS_DECLARE_SEVERAL_(f, width)
+#define MBS_DECLARE_SEVERAL_(f, width) \
     int f##_at_##width(const mbs_real **arg, mbs_real **res, casadi_int *iw, mbs_real *w, int mem)
 #endif
 

@@ -17,6 +17,20 @@ extern "C" {
 #define mbs_rollout MBS_STATES_NAME(mbs_rollout)
 #define mbs_room_of_rollout MBS_STATES_NAME(mbs_room_of_rollout)
 #endif
+#if defined(MBS_SINGLE) /* other names in object files than those of doubles */
+#ifndef MBS_STATES
+#define mbs_rollout mbs_rollout_float
+#define mbs_room_of_rollout mbs_room_of_rollout_float
+#endif
+#define mbs_rollout_at_2 mbs_rollout_float_at_2
+#define mbs_room_of_rollout_at_2 mbs_room_of_rollout_float_at_2
+#define mbs_rollout_at_4 mbs_rollout_float_at_4
+#define mbs_room_of_rollout_at_4 mbs_room_of_rollout_float_at_4
+#define mbs_rollout_at_8 mbs_rollout_float_at_8
+#define mbs_room_of_rollout_at_8 mbs_room_of_rollout_float_at_8
+#define mbs_rollout_at_16 mbs_rollout_float_at_16
+#define mbs_room_of_rollout_at_16 mbs_room_of_rollout_float_at_16
+#endif
 
 #define MBS_GROUP_FAILED (-1) /* the status of states that lie beside one that fails */
 

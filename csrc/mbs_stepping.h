@@ -25,6 +25,13 @@
 #include "mbs_explicit.h"
 #include "mbs_group.h"
 
+#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#define mbs_stepping_reals mbs_stepping_reals_float
+#define mbs_stepping_integers mbs_stepping_integers_float
+#define mbs_stepping_width mbs_stepping_width_float
+#define mbs_stepping_run mbs_stepping_run_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

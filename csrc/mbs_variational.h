@@ -21,6 +21,12 @@
 #include "mbs_explicit.h"
 #include "mbs_group.h"
 
+#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#define mbs_variational_reals mbs_variational_reals_float
+#define mbs_variational_integers mbs_variational_integers_float
+#define mbs_variational_run mbs_variational_run_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

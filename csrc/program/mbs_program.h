@@ -9,6 +9,14 @@
 
 #include "mbs_stages.h"
 
+#if defined(MBS_STAGES_FLOAT) && !defined(MBS_PRIVATE_H) /* as in mbs_stages.h */
+#define mbs_program_bytes mbs_program_bytes_float
+#define mbs_program_create mbs_program_create_float
+#define mbs_program_values mbs_program_values_float
+#define mbs_program_jacobians mbs_program_jacobians_float
+#define mbs_program_hessian mbs_program_hessian_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

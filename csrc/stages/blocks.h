@@ -3,6 +3,7 @@
 #define MBS_STAGES_BLOCKS_H
 
 #include "mbs_stages.h"
+#include "names.h"
 
 #include <math.h>
 

@@ -14,6 +14,37 @@
 
 #include <stddef.h>
 
+/* Names in object files: those of single precision are other ones, so that both precisions can be in one program, and a
+ * caller in the other precision does not link. Generated folders have names of their own: MBS_STAGES_OWN for what single
+ * precision computes, MBS_STAGES_NAME for what also depends on whether there are solves. */
+#ifdef MBS_STAGES_FLOAT
+#define MBS_STAGES_OWN(head, tail) head##_float##tail
+#else
+#define MBS_STAGES_OWN(head, tail) head##tail
+#endif
+#if defined(MBS_STAGES_FLOAT) && defined(MBS_STAGES_REALTIME)
+#define MBS_STAGES_NAME(head, tail) head##_float_realtime##tail
+#elif defined(MBS_STAGES_REALTIME)
+#define MBS_STAGES_NAME(head, tail) head##_realtime##tail
+#else
+#define MBS_STAGES_NAME(head, tail) MBS_STAGES_OWN(head, tail)
+#endif
+
+#if defined(MBS_STAGES_FLOAT) && !defined(MBS_PRIVATE_H)
+#define mbs_stages_begin_anew mbs_stages_begin_anew_float
+#define mbs_stages_bytes mbs_stages_bytes_float
+#define mbs_stages_create mbs_stages_create_float
+#define mbs_stages_default_options mbs_stages_default_options_float
+#define mbs_stages_explain mbs_stages_explain_float
+#define mbs_stages_feedback mbs_stages_feedback_float
+#define mbs_stages_gain mbs_stages_gain_float
+#define mbs_stages_iterate mbs_stages_iterate_float
+#define mbs_stages_places mbs_stages_places_float
+#define mbs_stages_prepare mbs_stages_prepare_float
+#define mbs_stages_shift mbs_stages_shift_float
+#define mbs_stages_solve mbs_stages_solve_float
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

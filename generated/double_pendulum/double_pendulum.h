@@ -9,12 +9,12 @@
  * C files alike, makes mbs_real a float.
  */
 #ifdef double_pendulum_H
-#if double_pendulum_TAG != 0xb1c5fbf7
+#if double_pendulum_TAG != 0xc7f2a1ed
 #error "two models are called double_pendulum: generate one of them with --prefix NAME"
 #endif
 #else
 #define double_pendulum_H
-#define double_pendulum_TAG 0xb1c5fbf7
+#define double_pendulum_TAG 0xc7f2a1ed
 
 #include "mbs_abi.h"
 #include "double_pendulum_symbols.h"

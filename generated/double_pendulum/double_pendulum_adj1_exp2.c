@@ -6,29 +6,29 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_exp2, adj1_double_pendulum_b1c5fbf7_exp2, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(adj1_double_pendulum, _exp2), MBS_OWN(adj1_double_pendulum_c7f2a1ed, _exp2), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_adj1_exp2(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_exp2)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd);
-int double_pendulum_compute_adj1_exp2(
+int MBS_OWN(double_pendulum, _compute_adj1_exp2)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd);
 
-int double_pendulum_compute_adj1_exp2(
+int MBS_OWN(double_pendulum, _compute_adj1_exp2)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_b1c5fbf7_compute_adj1_exp2(q, qd, adj_qdd, adj_q, adj_qd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_exp2)(q, qd, adj_qdd, adj_q, adj_qd);
 }
 #endif
 
@@ -39,8 +39,8 @@ int double_pendulum_compute_adj1_exp2(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_exp2
 #undef adj1_double_pendulum_exp2
-#define double_pendulum_compute_adj1_exp2 MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_exp2)
-#define adj1_double_pendulum_exp2 MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_exp2)
+#define double_pendulum_compute_adj1_exp2 MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_exp2))
+#define adj1_double_pendulum_exp2 MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _exp2))
 #endif
 
 int double_pendulum_compute_adj1_exp2(
@@ -115,9 +115,9 @@ int adj1_double_pendulum_exp2(const casadi_real **arg, casadi_real **res, casadi
 #ifdef MBS_STATES
 #undef adj1_double_pendulum_exp2
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(adj1_double_pendulum_exp2)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum, _exp2))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_exp2)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _exp2))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_impl, adj1_double_pendulum_b1c5fbf7_impl, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(adj1_double_pendulum, _impl), MBS_OWN(adj1_double_pendulum_c7f2a1ed, _impl), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_adj1_impl(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -16,7 +16,7 @@ int double_pendulum_b1c5fbf7_compute_adj1_impl(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd);
-int double_pendulum_compute_adj1_impl(
+int MBS_OWN(double_pendulum, _compute_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_adj1_impl(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd);
 
-int double_pendulum_compute_adj1_impl(
+int MBS_OWN(double_pendulum, _compute_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_adj1_impl(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd)
 {
-    return double_pendulum_b1c5fbf7_compute_adj1_impl(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_impl)(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_adj1_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_impl
 #undef adj1_double_pendulum_impl
-#define double_pendulum_compute_adj1_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_impl)
-#define adj1_double_pendulum_impl MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_impl)
+#define double_pendulum_compute_adj1_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_impl))
+#define adj1_double_pendulum_impl MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _impl))
 #endif
 
 int double_pendulum_compute_adj1_impl(
@@ -118,9 +118,9 @@ int adj1_double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi
 #ifdef MBS_STATES
 #undef adj1_double_pendulum_impl
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(adj1_double_pendulum_impl)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum, _impl))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_impl)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _impl))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,16 +6,16 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_motion, adj1_double_pendulum_b1c5fbf7_motion, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(adj1_double_pendulum, _motion), MBS_OWN(adj1_double_pendulum_c7f2a1ed, _motion), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_adj1_motion(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
     const mbs_real *MBS_RESTRICT adj_omega,
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd);
-int double_pendulum_compute_adj1_motion(
+int MBS_OWN(double_pendulum, _compute_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -23,7 +23,7 @@ int double_pendulum_compute_adj1_motion(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd);
 
-int double_pendulum_compute_adj1_motion(
+int MBS_OWN(double_pendulum, _compute_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -31,7 +31,7 @@ int double_pendulum_compute_adj1_motion(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd)
 {
-    return double_pendulum_b1c5fbf7_compute_adj1_motion(q, qd, adj_v, adj_omega, adj_q, adj_qd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_motion)(q, qd, adj_v, adj_omega, adj_q, adj_qd);
 }
 #endif
 
@@ -42,8 +42,8 @@ int double_pendulum_compute_adj1_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_motion
 #undef adj1_double_pendulum_motion
-#define double_pendulum_compute_adj1_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_motion)
-#define adj1_double_pendulum_motion MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_motion)
+#define double_pendulum_compute_adj1_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_motion))
+#define adj1_double_pendulum_motion MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _motion))
 #endif
 
 int double_pendulum_compute_adj1_motion(
@@ -104,9 +104,9 @@ int adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casa
 #ifdef MBS_STATES
 #undef adj1_double_pendulum_motion
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(adj1_double_pendulum_motion)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum, _motion))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_motion)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _motion))(arg, res, iw, w, mem);
 }
 #endif
 #else

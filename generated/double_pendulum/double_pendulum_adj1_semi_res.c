@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_semi_res, adj1_double_pendulum_b1c5fbf7_semi_res, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(adj1_double_pendulum, _semi_res), MBS_OWN(adj1_double_pendulum_c7f2a1ed, _semi_res), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_adj1_semi_res(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -16,7 +16,7 @@ int double_pendulum_b1c5fbf7_compute_adj1_semi_res(
     mbs_real *MBS_RESTRICT adj_q,
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd);
-int double_pendulum_compute_adj1_semi_res(
+int MBS_OWN(double_pendulum, _compute_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_adj1_semi_res(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd);
 
-int double_pendulum_compute_adj1_semi_res(
+int MBS_OWN(double_pendulum, _compute_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_adj1_semi_res(
     mbs_real *MBS_RESTRICT adj_qd,
     mbs_real *MBS_RESTRICT adj_qdd)
 {
-    return double_pendulum_b1c5fbf7_compute_adj1_semi_res(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_semi_res)(q, qd, qdd, adj_Phi, adj_q, adj_qd, adj_qdd);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_adj1_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_semi_res
 #undef adj1_double_pendulum_semi_res
-#define double_pendulum_compute_adj1_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_semi_res)
-#define adj1_double_pendulum_semi_res MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_semi_res)
+#define double_pendulum_compute_adj1_semi_res MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_semi_res))
+#define adj1_double_pendulum_semi_res MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _semi_res))
 #endif
 
 int double_pendulum_compute_adj1_semi_res(
@@ -118,9 +118,9 @@ int adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, ca
 #ifdef MBS_STATES
 #undef adj1_double_pendulum_semi_res
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(adj1_double_pendulum_semi_res)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum, _semi_res))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_semi_res)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _semi_res))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,23 +6,23 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(adj1_double_pendulum_sensors, adj1_double_pendulum_b1c5fbf7_sensors, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(adj1_double_pendulum, _sensors), MBS_OWN(adj1_double_pendulum_c7f2a1ed, _sensors), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_adj1_sensors(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q);
-int double_pendulum_compute_adj1_sensors(
+int MBS_OWN(double_pendulum, _compute_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q);
 
-int double_pendulum_compute_adj1_sensors(
+int MBS_OWN(double_pendulum, _compute_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT adj_q)
 {
-    return double_pendulum_b1c5fbf7_compute_adj1_sensors(q, adj_position, adj_q);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_sensors)(q, adj_position, adj_q);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_adj1_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_adj1_sensors
 #undef adj1_double_pendulum_sensors
-#define double_pendulum_compute_adj1_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_adj1_sensors)
-#define adj1_double_pendulum_sensors MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_sensors)
+#define double_pendulum_compute_adj1_sensors MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_adj1_sensors))
+#define adj1_double_pendulum_sensors MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _sensors))
 #endif
 
 int double_pendulum_compute_adj1_sensors(
@@ -81,9 +81,9 @@ int adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, cas
 #ifdef MBS_STATES
 #undef adj1_double_pendulum_sensors
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(adj1_double_pendulum_sensors)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum, _sensors))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(adj1_double_pendulum_b1c5fbf7_sensors)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(adj1_double_pendulum_c7f2a1ed, _sensors))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,23 +6,23 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_condition, double_pendulum_b1c5fbf7_condition, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _condition), MBS_OWN(double_pendulum_c7f2a1ed, _condition), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_condition(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_condition)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated);
-int double_pendulum_compute_condition(
+int MBS_OWN(double_pendulum, _compute_condition)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated);
 
-int double_pendulum_compute_condition(
+int MBS_OWN(double_pendulum, _compute_condition)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT elimination,
     mbs_real *MBS_RESTRICT articulated)
 {
-    return double_pendulum_b1c5fbf7_compute_condition(q, elimination, articulated);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_condition)(q, elimination, articulated);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_condition(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_condition
 #undef double_pendulum_condition
-#define double_pendulum_compute_condition MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_condition)
-#define double_pendulum_condition MBS_STATES_NAME(double_pendulum_b1c5fbf7_condition)
+#define double_pendulum_compute_condition MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_condition))
+#define double_pendulum_condition MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _condition))
 #endif
 
 int double_pendulum_compute_condition(
@@ -85,9 +85,9 @@ int double_pendulum_condition(const casadi_real **arg, casadi_real **res, casadi
 #ifdef MBS_STATES
 #undef double_pendulum_condition
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_condition)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _condition))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_condition)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _condition))(arg, res, iw, w, mem);
 }
 #endif
 #else

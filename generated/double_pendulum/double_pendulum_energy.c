@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_energy, double_pendulum_b1c5fbf7_energy, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _energy), MBS_OWN(double_pendulum_c7f2a1ed, _energy), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_energy(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_energy)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT kinetic,
@@ -16,7 +16,7 @@ int double_pendulum_b1c5fbf7_compute_energy(
     mbs_real *MBS_RESTRICT momentum,
     mbs_real *MBS_RESTRICT angular_momentum,
     mbs_real *MBS_RESTRICT com);
-int double_pendulum_compute_energy(
+int MBS_OWN(double_pendulum, _compute_energy)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT kinetic,
@@ -25,7 +25,7 @@ int double_pendulum_compute_energy(
     mbs_real *MBS_RESTRICT angular_momentum,
     mbs_real *MBS_RESTRICT com);
 
-int double_pendulum_compute_energy(
+int MBS_OWN(double_pendulum, _compute_energy)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT kinetic,
@@ -34,7 +34,7 @@ int double_pendulum_compute_energy(
     mbs_real *MBS_RESTRICT angular_momentum,
     mbs_real *MBS_RESTRICT com)
 {
-    return double_pendulum_b1c5fbf7_compute_energy(q, qd, kinetic, potential, momentum, angular_momentum, com);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_energy)(q, qd, kinetic, potential, momentum, angular_momentum, com);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_energy(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_energy
 #undef double_pendulum_energy
-#define double_pendulum_compute_energy MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_energy)
-#define double_pendulum_energy MBS_STATES_NAME(double_pendulum_b1c5fbf7_energy)
+#define double_pendulum_compute_energy MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_energy))
+#define double_pendulum_energy MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _energy))
 #endif
 
 int double_pendulum_compute_energy(
@@ -124,9 +124,9 @@ int double_pendulum_energy(const casadi_real **arg, casadi_real **res, casadi_in
 #ifdef MBS_STATES
 #undef double_pendulum_energy
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_energy)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _energy))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_energy)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _energy))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,23 +6,23 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_frames, double_pendulum_b1c5fbf7_frames, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _frames), MBS_OWN(double_pendulum_c7f2a1ed, _frames), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_frames(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_frames)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R);
-int double_pendulum_compute_frames(
+int MBS_OWN(double_pendulum, _compute_frames)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R);
 
-int double_pendulum_compute_frames(
+int MBS_OWN(double_pendulum, _compute_frames)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT p,
     mbs_real *MBS_RESTRICT R)
 {
-    return double_pendulum_b1c5fbf7_compute_frames(q, p, R);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_frames)(q, p, R);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_frames(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_frames
 #undef double_pendulum_frames
-#define double_pendulum_compute_frames MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_frames)
-#define double_pendulum_frames MBS_STATES_NAME(double_pendulum_b1c5fbf7_frames)
+#define double_pendulum_compute_frames MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_frames))
+#define double_pendulum_frames MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _frames))
 #endif
 
 int double_pendulum_compute_frames(
@@ -115,9 +115,9 @@ int double_pendulum_frames(const casadi_real **arg, casadi_real **res, casadi_in
 #ifdef MBS_STATES
 #undef double_pendulum_frames
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_frames)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _frames))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_frames)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _frames))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,26 +6,26 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_impl, double_pendulum_b1c5fbf7_impl, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _impl), MBS_OWN(double_pendulum_c7f2a1ed, _impl), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_impl(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi);
-int double_pendulum_compute_impl(
+int MBS_OWN(double_pendulum, _compute_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi);
 
-int double_pendulum_compute_impl(
+int MBS_OWN(double_pendulum, _compute_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_b1c5fbf7_compute_impl(q, qd, qdd, Phi);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_impl)(q, qd, qdd, Phi);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_impl
 #undef double_pendulum_impl
-#define double_pendulum_compute_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_impl)
-#define double_pendulum_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_impl)
+#define double_pendulum_compute_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_impl))
+#define double_pendulum_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _impl))
 #endif
 
 int double_pendulum_compute_impl(
@@ -88,9 +88,9 @@ int double_pendulum_impl(const casadi_real **arg, casadi_real **res, casadi_int 
 #ifdef MBS_STATES
 #undef double_pendulum_impl
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_impl)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _impl))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_impl)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _impl))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_exp1, jac_adj1_double_pendulum_b1c5fbf7_exp1, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_adj1_double_pendulum, _exp1), MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _exp1), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_adj1_exp1(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -18,7 +18,7 @@ int double_pendulum_b1c5fbf7_compute_jac_adj1_exp1(
     mbs_real *MBS_RESTRICT jac_adj_qd_q,
     mbs_real *MBS_RESTRICT jac_adj_qd_qd,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd);
-int double_pendulum_compute_jac_adj1_exp1(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -29,7 +29,7 @@ int double_pendulum_compute_jac_adj1_exp1(
     mbs_real *MBS_RESTRICT jac_adj_qd_qd,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd);
 
-int double_pendulum_compute_jac_adj1_exp1(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_qdd,
@@ -40,7 +40,7 @@ int double_pendulum_compute_jac_adj1_exp1(
     mbs_real *MBS_RESTRICT jac_adj_qd_qd,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_qdd)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_adj1_exp1(q, qd, adj_qdd, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_qdd, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_qdd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_exp1)(q, qd, adj_qdd, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_qdd, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_qdd);
 }
 #endif
 
@@ -51,8 +51,8 @@ int double_pendulum_compute_jac_adj1_exp1(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_exp1
 #undef jac_adj1_double_pendulum_exp1
-#define double_pendulum_compute_jac_adj1_exp1 MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_adj1_exp1)
-#define jac_adj1_double_pendulum_exp1 MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_exp1)
+#define double_pendulum_compute_jac_adj1_exp1 MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_exp1))
+#define jac_adj1_double_pendulum_exp1 MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _exp1))
 #endif
 
 int double_pendulum_compute_jac_adj1_exp1(
@@ -187,9 +187,9 @@ int jac_adj1_double_pendulum_exp1(const casadi_real **arg, casadi_real **res, ca
 #ifdef MBS_STATES
 #undef jac_adj1_double_pendulum_exp1
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_adj1_double_pendulum_exp1)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum, _exp1))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_exp1)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _exp1))(arg, res, iw, w, mem);
 }
 #endif
 #else

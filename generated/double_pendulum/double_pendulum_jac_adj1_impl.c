@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_impl, jac_adj1_double_pendulum_b1c5fbf7_impl, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_adj1_double_pendulum, _impl), MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _impl), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_adj1_impl(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -22,7 +22,7 @@ int double_pendulum_b1c5fbf7_compute_jac_adj1_impl(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_Phi,
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
-int double_pendulum_compute_jac_adj1_impl(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -37,7 +37,7 @@ int double_pendulum_compute_jac_adj1_impl(
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
 
-int double_pendulum_compute_jac_adj1_impl(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -52,7 +52,7 @@ int double_pendulum_compute_jac_adj1_impl(
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_adj1_impl(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_impl)(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
 }
 #endif
 
@@ -63,8 +63,8 @@ int double_pendulum_compute_jac_adj1_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_impl
 #undef jac_adj1_double_pendulum_impl
-#define double_pendulum_compute_jac_adj1_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_adj1_impl)
-#define jac_adj1_double_pendulum_impl MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_impl)
+#define double_pendulum_compute_jac_adj1_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_impl))
+#define jac_adj1_double_pendulum_impl MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _impl))
 #endif
 
 int double_pendulum_compute_jac_adj1_impl(
@@ -196,9 +196,9 @@ int jac_adj1_double_pendulum_impl(const casadi_real **arg, casadi_real **res, ca
 #ifdef MBS_STATES
 #undef jac_adj1_double_pendulum_impl
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_adj1_double_pendulum_impl)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum, _impl))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_impl)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _impl))(arg, res, iw, w, mem);
 }
 #endif
 #else

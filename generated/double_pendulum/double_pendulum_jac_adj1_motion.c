@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_motion, jac_adj1_double_pendulum_b1c5fbf7_motion, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_adj1_double_pendulum, _motion), MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _motion), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_adj1_motion(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -19,7 +19,7 @@ int double_pendulum_b1c5fbf7_compute_jac_adj1_motion(
     mbs_real *MBS_RESTRICT jac_adj_qd_q,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega);
-int double_pendulum_compute_jac_adj1_motion(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -31,7 +31,7 @@ int double_pendulum_compute_jac_adj1_motion(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega);
 
-int double_pendulum_compute_jac_adj1_motion(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT adj_v,
@@ -43,7 +43,7 @@ int double_pendulum_compute_jac_adj1_motion(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_v,
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_omega)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_adj1_motion(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_motion)(q, qd, adj_v, adj_omega, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_adj_v, jac_adj_qd_q, jac_adj_qd_adj_v, jac_adj_qd_adj_omega);
 }
 #endif
 
@@ -54,8 +54,8 @@ int double_pendulum_compute_jac_adj1_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_motion
 #undef jac_adj1_double_pendulum_motion
-#define double_pendulum_compute_jac_adj1_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_adj1_motion)
-#define jac_adj1_double_pendulum_motion MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_motion)
+#define double_pendulum_compute_jac_adj1_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_motion))
+#define jac_adj1_double_pendulum_motion MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _motion))
 #endif
 
 int double_pendulum_compute_jac_adj1_motion(
@@ -158,9 +158,9 @@ int jac_adj1_double_pendulum_motion(const casadi_real **arg, casadi_real **res, 
 #ifdef MBS_STATES
 #undef jac_adj1_double_pendulum_motion
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_adj1_double_pendulum_motion)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum, _motion))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_motion)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _motion))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_semi_res, jac_adj1_double_pendulum_b1c5fbf7_semi_res, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_adj1_double_pendulum, _semi_res), MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _semi_res), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_adj1_semi_res(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -22,7 +22,7 @@ int double_pendulum_b1c5fbf7_compute_jac_adj1_semi_res(
     mbs_real *MBS_RESTRICT jac_adj_qd_adj_Phi,
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
-int double_pendulum_compute_jac_adj1_semi_res(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -37,7 +37,7 @@ int double_pendulum_compute_jac_adj1_semi_res(
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi);
 
-int double_pendulum_compute_jac_adj1_semi_res(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -52,7 +52,7 @@ int double_pendulum_compute_jac_adj1_semi_res(
     mbs_real *MBS_RESTRICT jac_adj_qdd_q,
     mbs_real *MBS_RESTRICT jac_adj_qdd_adj_Phi)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_adj1_semi_res(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_semi_res)(q, qd, qdd, adj_Phi, jac_adj_q_q, jac_adj_q_qd, jac_adj_q_qdd, jac_adj_q_adj_Phi, jac_adj_qd_q, jac_adj_qd_qd, jac_adj_qd_adj_Phi, jac_adj_qdd_q, jac_adj_qdd_adj_Phi);
 }
 #endif
 
@@ -63,8 +63,8 @@ int double_pendulum_compute_jac_adj1_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_semi_res
 #undef jac_adj1_double_pendulum_semi_res
-#define double_pendulum_compute_jac_adj1_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_adj1_semi_res)
-#define jac_adj1_double_pendulum_semi_res MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_semi_res)
+#define double_pendulum_compute_jac_adj1_semi_res MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_semi_res))
+#define jac_adj1_double_pendulum_semi_res MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _semi_res))
 #endif
 
 int double_pendulum_compute_jac_adj1_semi_res(
@@ -196,9 +196,9 @@ int jac_adj1_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res
 #ifdef MBS_STATES
 #undef jac_adj1_double_pendulum_semi_res
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_adj1_double_pendulum_semi_res)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum, _semi_res))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_semi_res)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _semi_res))(arg, res, iw, w, mem);
 }
 #endif
 #else

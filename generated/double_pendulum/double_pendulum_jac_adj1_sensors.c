@@ -6,26 +6,26 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_adj1_double_pendulum_sensors, jac_adj1_double_pendulum_b1c5fbf7_sensors, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_adj1_double_pendulum, _sensors), MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _sensors), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_adj1_sensors(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT jac_adj_q_q,
     mbs_real *MBS_RESTRICT jac_adj_q_adj_position);
-int double_pendulum_compute_jac_adj1_sensors(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT jac_adj_q_q,
     mbs_real *MBS_RESTRICT jac_adj_q_adj_position);
 
-int double_pendulum_compute_jac_adj1_sensors(
+int MBS_OWN(double_pendulum, _compute_jac_adj1_sensors)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT adj_position,
     mbs_real *MBS_RESTRICT jac_adj_q_q,
     mbs_real *MBS_RESTRICT jac_adj_q_adj_position)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_adj1_sensors(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_sensors)(q, adj_position, jac_adj_q_q, jac_adj_q_adj_position);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_jac_adj1_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_adj1_sensors
 #undef jac_adj1_double_pendulum_sensors
-#define double_pendulum_compute_jac_adj1_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_adj1_sensors)
-#define jac_adj1_double_pendulum_sensors MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_sensors)
+#define double_pendulum_compute_jac_adj1_sensors MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_adj1_sensors))
+#define jac_adj1_double_pendulum_sensors MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _sensors))
 #endif
 
 int double_pendulum_compute_jac_adj1_sensors(
@@ -97,9 +97,9 @@ int jac_adj1_double_pendulum_sensors(const casadi_real **arg, casadi_real **res,
 #ifdef MBS_STATES
 #undef jac_adj1_double_pendulum_sensors
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_adj1_double_pendulum_sensors)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum, _sensors))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_adj1_double_pendulum_b1c5fbf7_sensors)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_adj1_double_pendulum_c7f2a1ed, _sensors))(arg, res, iw, w, mem);
 }
 #endif
 #else

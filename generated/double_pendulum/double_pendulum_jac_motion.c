@@ -6,29 +6,29 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_motion, jac_double_pendulum_b1c5fbf7_motion, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_double_pendulum, _motion), MBS_OWN(jac_double_pendulum_c7f2a1ed, _motion), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_motion(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_v_q,
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd);
-int double_pendulum_compute_jac_motion(
+int MBS_OWN(double_pendulum, _compute_jac_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_v_q,
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd);
 
-int double_pendulum_compute_jac_motion(
+int MBS_OWN(double_pendulum, _compute_jac_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT jac_v_q,
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_motion(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_motion)(q, qd, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -39,8 +39,8 @@ int double_pendulum_compute_jac_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_motion
 #undef jac_double_pendulum_motion
-#define double_pendulum_compute_jac_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_motion)
-#define jac_double_pendulum_motion MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_motion)
+#define double_pendulum_compute_jac_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_motion))
+#define jac_double_pendulum_motion MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _motion))
 #endif
 
 int double_pendulum_compute_jac_motion(
@@ -102,9 +102,9 @@ int jac_double_pendulum_motion(const casadi_real **arg, casadi_real **res, casad
 #ifdef MBS_STATES
 #undef jac_double_pendulum_motion
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_double_pendulum_motion)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_double_pendulum, _motion))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_motion)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _motion))(arg, res, iw, w, mem);
 }
 #endif
 #else

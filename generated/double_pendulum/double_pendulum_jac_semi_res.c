@@ -6,16 +6,16 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_semi_res, jac_double_pendulum_b1c5fbf7_semi_res, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_double_pendulum, _semi_res), MBS_OWN(jac_double_pendulum_c7f2a1ed, _semi_res), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_semi_res(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT jac_Phi_q,
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd);
-int double_pendulum_compute_jac_semi_res(
+int MBS_OWN(double_pendulum, _compute_jac_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -23,7 +23,7 @@ int double_pendulum_compute_jac_semi_res(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd);
 
-int double_pendulum_compute_jac_semi_res(
+int MBS_OWN(double_pendulum, _compute_jac_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -31,7 +31,7 @@ int double_pendulum_compute_jac_semi_res(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_semi_res(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_semi_res)(q, qd, qdd, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -42,8 +42,8 @@ int double_pendulum_compute_jac_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_semi_res
 #undef jac_double_pendulum_semi_res
-#define double_pendulum_compute_jac_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_semi_res)
-#define jac_double_pendulum_semi_res MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_semi_res)
+#define double_pendulum_compute_jac_semi_res MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_semi_res))
+#define jac_double_pendulum_semi_res MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _semi_res))
 #endif
 
 int double_pendulum_compute_jac_semi_res(
@@ -116,9 +116,9 @@ int jac_double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, cas
 #ifdef MBS_STATES
 #undef jac_double_pendulum_semi_res
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_double_pendulum_semi_res)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_double_pendulum, _semi_res))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_semi_res)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _semi_res))(arg, res, iw, w, mem);
 }
 #endif
 #else

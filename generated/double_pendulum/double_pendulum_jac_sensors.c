@@ -6,20 +6,20 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(jac_double_pendulum_sensors, jac_double_pendulum_b1c5fbf7_sensors, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(jac_double_pendulum, _sensors), MBS_OWN(jac_double_pendulum_c7f2a1ed, _sensors), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jac_sensors(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q);
-int double_pendulum_compute_jac_sensors(
+int MBS_OWN(double_pendulum, _compute_jac_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q);
 
-int double_pendulum_compute_jac_sensors(
+int MBS_OWN(double_pendulum, _compute_jac_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_b1c5fbf7_compute_jac_sensors(q, jac_position_q);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_sensors)(q, jac_position_q);
 }
 #endif
 
@@ -30,8 +30,8 @@ int double_pendulum_compute_jac_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jac_sensors
 #undef jac_double_pendulum_sensors
-#define double_pendulum_compute_jac_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jac_sensors)
-#define jac_double_pendulum_sensors MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_sensors)
+#define double_pendulum_compute_jac_sensors MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jac_sensors))
+#define jac_double_pendulum_sensors MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _sensors))
 #endif
 
 int double_pendulum_compute_jac_sensors(
@@ -77,9 +77,9 @@ int jac_double_pendulum_sensors(const casadi_real **arg, casadi_real **res, casa
 #ifdef MBS_STATES
 #undef jac_double_pendulum_sensors
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(jac_double_pendulum_sensors)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(jac_double_pendulum, _sensors))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(jac_double_pendulum_b1c5fbf7_sensors)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(jac_double_pendulum_c7f2a1ed, _sensors))(arg, res, iw, w, mem);
 }
 #endif
 #else

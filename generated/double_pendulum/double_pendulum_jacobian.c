@@ -6,20 +6,20 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_jacobian, double_pendulum_b1c5fbf7_jacobian, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _jacobian), MBS_OWN(double_pendulum_c7f2a1ed, _jacobian), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_jacobian(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_jacobian)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J);
-int double_pendulum_compute_jacobian(
+int MBS_OWN(double_pendulum, _compute_jacobian)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J);
 
-int double_pendulum_compute_jacobian(
+int MBS_OWN(double_pendulum, _compute_jacobian)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT J)
 {
-    return double_pendulum_b1c5fbf7_compute_jacobian(q, J);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_jacobian)(q, J);
 }
 #endif
 
@@ -30,8 +30,8 @@ int double_pendulum_compute_jacobian(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_jacobian
 #undef double_pendulum_jacobian
-#define double_pendulum_compute_jacobian MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_jacobian)
-#define double_pendulum_jacobian MBS_STATES_NAME(double_pendulum_b1c5fbf7_jacobian)
+#define double_pendulum_compute_jacobian MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_jacobian))
+#define double_pendulum_jacobian MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _jacobian))
 #endif
 
 int double_pendulum_compute_jacobian(
@@ -78,9 +78,9 @@ int double_pendulum_jacobian(const casadi_real **arg, casadi_real **res, casadi_
 #ifdef MBS_STATES
 #undef double_pendulum_jacobian
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_jacobian)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _jacobian))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_jacobian)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _jacobian))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,29 +6,29 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_exp1, double_pendulum_b1c5fbf7_lin_exp1, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _lin_exp1), MBS_OWN(double_pendulum_c7f2a1ed, _lin_exp1), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_lin_exp1(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd);
-int double_pendulum_compute_lin_exp1(
+int MBS_OWN(double_pendulum, _compute_lin_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd);
 
-int double_pendulum_compute_lin_exp1(
+int MBS_OWN(double_pendulum, _compute_lin_exp1)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT jac_qdd_q,
     mbs_real *MBS_RESTRICT jac_qdd_qd)
 {
-    return double_pendulum_b1c5fbf7_compute_lin_exp1(q, qd, qdd, jac_qdd_q, jac_qdd_qd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_exp1)(q, qd, qdd, jac_qdd_q, jac_qdd_qd);
 }
 #endif
 
@@ -39,8 +39,8 @@ int double_pendulum_compute_lin_exp1(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_exp1
 #undef double_pendulum_lin_exp1
-#define double_pendulum_compute_lin_exp1 MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_lin_exp1)
-#define double_pendulum_lin_exp1 MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_exp1)
+#define double_pendulum_compute_lin_exp1 MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_exp1))
+#define double_pendulum_lin_exp1 MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_exp1))
 #endif
 
 int double_pendulum_compute_lin_exp1(
@@ -124,9 +124,9 @@ int double_pendulum_lin_exp1(const casadi_real **arg, casadi_real **res, casadi_
 #ifdef MBS_STATES
 #undef double_pendulum_lin_exp1
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_lin_exp1)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _lin_exp1))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_exp1)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_exp1))(arg, res, iw, w, mem);
 }
 #endif
 #else

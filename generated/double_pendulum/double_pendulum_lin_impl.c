@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_impl, double_pendulum_b1c5fbf7_lin_impl, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _lin_impl), MBS_OWN(double_pendulum_c7f2a1ed, _lin_impl), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_lin_impl(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -16,7 +16,7 @@ int double_pendulum_b1c5fbf7_compute_lin_impl(
     mbs_real *MBS_RESTRICT jac_Phi_q,
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd);
-int double_pendulum_compute_lin_impl(
+int MBS_OWN(double_pendulum, _compute_lin_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -25,7 +25,7 @@ int double_pendulum_compute_lin_impl(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd);
 
-int double_pendulum_compute_lin_impl(
+int MBS_OWN(double_pendulum, _compute_lin_impl)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_impl(
     mbs_real *MBS_RESTRICT jac_Phi_qd,
     mbs_real *MBS_RESTRICT jac_Phi_qdd)
 {
-    return double_pendulum_b1c5fbf7_compute_lin_impl(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_impl)(q, qd, qdd, Phi, jac_Phi_q, jac_Phi_qd, jac_Phi_qdd);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_lin_impl(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_impl
 #undef double_pendulum_lin_impl
-#define double_pendulum_compute_lin_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_lin_impl)
-#define double_pendulum_lin_impl MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_impl)
+#define double_pendulum_compute_lin_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_impl))
+#define double_pendulum_lin_impl MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_impl))
 #endif
 
 int double_pendulum_compute_lin_impl(
@@ -131,9 +131,9 @@ int double_pendulum_lin_impl(const casadi_real **arg, casadi_real **res, casadi_
 #ifdef MBS_STATES
 #undef double_pendulum_lin_impl
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_lin_impl)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _lin_impl))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_impl)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_impl))(arg, res, iw, w, mem);
 }
 #endif
 #else

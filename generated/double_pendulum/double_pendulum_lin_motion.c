@@ -6,9 +6,9 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_motion, double_pendulum_b1c5fbf7_lin_motion, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _lin_motion), MBS_OWN(double_pendulum_c7f2a1ed, _lin_motion), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_lin_motion(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -16,7 +16,7 @@ int double_pendulum_b1c5fbf7_compute_lin_motion(
     mbs_real *MBS_RESTRICT jac_v_q,
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd);
-int double_pendulum_compute_lin_motion(
+int MBS_OWN(double_pendulum, _compute_lin_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -25,7 +25,7 @@ int double_pendulum_compute_lin_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd);
 
-int double_pendulum_compute_lin_motion(
+int MBS_OWN(double_pendulum, _compute_lin_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
@@ -34,7 +34,7 @@ int double_pendulum_compute_lin_motion(
     mbs_real *MBS_RESTRICT jac_v_qd,
     mbs_real *MBS_RESTRICT jac_omega_qd)
 {
-    return double_pendulum_b1c5fbf7_compute_lin_motion(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_motion)(q, qd, v, omega, jac_v_q, jac_v_qd, jac_omega_qd);
 }
 #endif
 
@@ -45,8 +45,8 @@ int double_pendulum_compute_lin_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_motion
 #undef double_pendulum_lin_motion
-#define double_pendulum_compute_lin_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_lin_motion)
-#define double_pendulum_lin_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_motion)
+#define double_pendulum_compute_lin_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_motion))
+#define double_pendulum_lin_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_motion))
 #endif
 
 int double_pendulum_compute_lin_motion(
@@ -124,9 +124,9 @@ int double_pendulum_lin_motion(const casadi_real **arg, casadi_real **res, casad
 #ifdef MBS_STATES
 #undef double_pendulum_lin_motion
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_lin_motion)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _lin_motion))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_motion)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_motion))(arg, res, iw, w, mem);
 }
 #endif
 #else

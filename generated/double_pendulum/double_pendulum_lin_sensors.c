@@ -6,23 +6,23 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_lin_sensors, double_pendulum_b1c5fbf7_lin_sensors, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _lin_sensors), MBS_OWN(double_pendulum_c7f2a1ed, _lin_sensors), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_lin_sensors(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q);
-int double_pendulum_compute_lin_sensors(
+int MBS_OWN(double_pendulum, _compute_lin_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q);
 
-int double_pendulum_compute_lin_sensors(
+int MBS_OWN(double_pendulum, _compute_lin_sensors)(
     const mbs_real *MBS_RESTRICT q,
     mbs_real *MBS_RESTRICT position,
     mbs_real *MBS_RESTRICT jac_position_q)
 {
-    return double_pendulum_b1c5fbf7_compute_lin_sensors(q, position, jac_position_q);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_sensors)(q, position, jac_position_q);
 }
 #endif
 
@@ -33,8 +33,8 @@ int double_pendulum_compute_lin_sensors(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_lin_sensors
 #undef double_pendulum_lin_sensors
-#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_lin_sensors)
-#define double_pendulum_lin_sensors MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_sensors)
+#define double_pendulum_compute_lin_sensors MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_lin_sensors))
+#define double_pendulum_lin_sensors MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_sensors))
 #endif
 
 int double_pendulum_compute_lin_sensors(
@@ -89,9 +89,9 @@ int double_pendulum_lin_sensors(const casadi_real **arg, casadi_real **res, casa
 #ifdef MBS_STATES
 #undef double_pendulum_lin_sensors
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_lin_sensors)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _lin_sensors))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_lin_sensors)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _lin_sensors))(arg, res, iw, w, mem);
 }
 #endif
 #else

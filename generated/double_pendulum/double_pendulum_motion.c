@@ -6,26 +6,26 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_motion, double_pendulum_b1c5fbf7_motion, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _motion), MBS_OWN(double_pendulum_c7f2a1ed, _motion), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_motion(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
     mbs_real *MBS_RESTRICT omega);
-int double_pendulum_compute_motion(
+int MBS_OWN(double_pendulum, _compute_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
     mbs_real *MBS_RESTRICT omega);
 
-int double_pendulum_compute_motion(
+int MBS_OWN(double_pendulum, _compute_motion)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT v,
     mbs_real *MBS_RESTRICT omega)
 {
-    return double_pendulum_b1c5fbf7_compute_motion(q, qd, v, omega);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_motion)(q, qd, v, omega);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_motion(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_motion
 #undef double_pendulum_motion
-#define double_pendulum_compute_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_motion)
-#define double_pendulum_motion MBS_STATES_NAME(double_pendulum_b1c5fbf7_motion)
+#define double_pendulum_compute_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_motion))
+#define double_pendulum_motion MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _motion))
 #endif
 
 int double_pendulum_compute_motion(
@@ -89,9 +89,9 @@ int double_pendulum_motion(const casadi_real **arg, casadi_real **res, casadi_in
 #ifdef MBS_STATES
 #undef double_pendulum_motion
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_motion)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _motion))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_motion)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _motion))(arg, res, iw, w, mem);
 }
 #endif
 #else

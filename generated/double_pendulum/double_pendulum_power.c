@@ -6,23 +6,23 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_power, double_pendulum_b1c5fbf7_power, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _power), MBS_OWN(double_pendulum_c7f2a1ed, _power), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_power(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_power)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power);
-int double_pendulum_compute_power(
+int MBS_OWN(double_pendulum, _compute_power)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power);
 
-int double_pendulum_compute_power(
+int MBS_OWN(double_pendulum, _compute_power)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT power)
 {
-    return double_pendulum_b1c5fbf7_compute_power(q, qd, power);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_power)(q, qd, power);
 }
 #endif
 
@@ -32,8 +32,8 @@ int double_pendulum_compute_power(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_power
 #undef double_pendulum_power
-#define double_pendulum_compute_power MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_power)
-#define double_pendulum_power MBS_STATES_NAME(double_pendulum_b1c5fbf7_power)
+#define double_pendulum_compute_power MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_power))
+#define double_pendulum_power MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _power))
 #endif
 
 int double_pendulum_compute_power(
@@ -66,9 +66,9 @@ int double_pendulum_power(const casadi_real **arg, casadi_real **res, casadi_int
 #ifdef MBS_STATES
 #undef double_pendulum_power
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_power)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _power))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_power)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _power))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,26 +6,26 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi, double_pendulum_b1c5fbf7_semi, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _semi), MBS_OWN(double_pendulum_c7f2a1ed, _semi), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_semi(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c);
-int double_pendulum_compute_semi(
+int MBS_OWN(double_pendulum, _compute_semi)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c);
 
-int double_pendulum_compute_semi(
+int MBS_OWN(double_pendulum, _compute_semi)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     mbs_real *MBS_RESTRICT M,
     mbs_real *MBS_RESTRICT c)
 {
-    return double_pendulum_b1c5fbf7_compute_semi(q, qd, M, c);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi)(q, qd, M, c);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_semi(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi
 #undef double_pendulum_semi
-#define double_pendulum_compute_semi MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_semi)
-#define double_pendulum_semi MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi)
+#define double_pendulum_compute_semi MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi))
+#define double_pendulum_semi MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _semi))
 #endif
 
 int double_pendulum_compute_semi(
@@ -92,9 +92,9 @@ int double_pendulum_semi(const casadi_real **arg, casadi_real **res, casadi_int 
 #ifdef MBS_STATES
 #undef double_pendulum_semi
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_semi)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _semi))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _semi))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -6,26 +6,26 @@
 #include "mbs_abi.h"
 
 #ifndef MBS_WITHOUT_PLAIN_NAMES /* for programs that find functions by their names */
-MBS_NAME_CASADI(double_pendulum_semi_res, double_pendulum_b1c5fbf7_semi_res, casadi_int)
+MBS_NAME_CASADI(MBS_OWN(double_pendulum, _semi_res), MBS_OWN(double_pendulum_c7f2a1ed, _semi_res), casadi_int)
 
-int double_pendulum_b1c5fbf7_compute_semi_res(
+int MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi);
-int double_pendulum_compute_semi_res(
+int MBS_OWN(double_pendulum, _compute_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi);
 
-int double_pendulum_compute_semi_res(
+int MBS_OWN(double_pendulum, _compute_semi_res)(
     const mbs_real *MBS_RESTRICT q,
     const mbs_real *MBS_RESTRICT qd,
     const mbs_real *MBS_RESTRICT qdd,
     mbs_real *MBS_RESTRICT Phi)
 {
-    return double_pendulum_b1c5fbf7_compute_semi_res(q, qd, qdd, Phi);
+    return MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi_res)(q, qd, qdd, Phi);
 }
 #endif
 
@@ -36,8 +36,8 @@ int double_pendulum_compute_semi_res(
 #ifdef MBS_STATES
 #undef double_pendulum_compute_semi_res
 #undef double_pendulum_semi_res
-#define double_pendulum_compute_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_compute_semi_res)
-#define double_pendulum_semi_res MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi_res)
+#define double_pendulum_compute_semi_res MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _compute_semi_res))
+#define double_pendulum_semi_res MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _semi_res))
 #endif
 
 int double_pendulum_compute_semi_res(
@@ -86,9 +86,9 @@ int double_pendulum_semi_res(const casadi_real **arg, casadi_real **res, casadi_
 #ifdef MBS_STATES
 #undef double_pendulum_semi_res
 #ifndef MBS_WITHOUT_PLAIN_STATES /* as above */
-int MBS_STATES_NAME(double_pendulum_semi_res)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
+int MBS_STATES_NAME(MBS_OWN(double_pendulum, _semi_res))(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem)
 {
-    return MBS_STATES_NAME(double_pendulum_b1c5fbf7_semi_res)(arg, res, iw, w, mem);
+    return MBS_STATES_NAME(MBS_OWN(double_pendulum_c7f2a1ed, _semi_res))(arg, res, iw, w, mem);
 }
 #endif
 #else

@@ -86,6 +86,12 @@ class Kernel(_Entry):
     equations: int
     integer: Literal["casadi_int", "int"] = "casadi_int"  # the type of counts and places in CasADi's contract
 
+    @property
+    def single_symbol(self) -> str:
+        """Return `symbol` as C compiled with -DMBS_REAL=float has it, e.g. "jac_arm_pendulum_float_impl"."""
+        end = f"_{self.base}"
+        return f"{self.symbol.removesuffix(end)}_float{end}"
+
     def taking(self, role: Role) -> Argument | None:
         """Return the input of a role, if there is one."""
         return next((a for a in self.inputs if a.role is role), None)

@@ -87,7 +87,19 @@ def declarations(real: str) -> str:
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     clashes = re.findall(r"#define MBS_STAGES_CLASHES (\d+)", text)[0]
     text = re.sub(r"#ifdef __cplusplus.*?#endif|#ifdef MBS_STAGES_FLOAT.*?#endif|#[^\n]*", "", text, flags=re.DOTALL)
+    if real == "float":  # names in object files
+        text = re.sub(r"\b(mbs_stages_[a-z_]+)\((?!\*)", r"\1_float(", text)
     return f"typedef {real} mbs_stages_real;" + text.replace("MBS_STAGES_CLASHES", clashes)
+
+
+class Names:
+    """Functions of a library in single precision, by their names in double precision."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._library, f"{name}_float" if name.startswith("mbs_stages_") else name)
 
 
 class Library:
@@ -96,7 +108,8 @@ class Library:
     def __init__(self, path: Path, real: str = "double") -> None:
         self.ffi = cffi.FFI()
         self.ffi.cdef(declarations(real) + QUADRATIC.replace("REAL", real))
-        self.lib: Any = self.ffi.dlopen(str(path))
+        loaded = self.ffi.dlopen(str(path))
+        self.lib: Any = loaded if real == "double" else Names(loaded)
         self.real, self.dtype = real, np.dtype(np.float64 if real == "double" else np.float32)
 
     def numbers(self, a: Array) -> NDArray[Any]:

@@ -11,6 +11,7 @@ from pathlib import PurePath
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel, Manifest
+from mbsgen.targets.c.symbols import write_own
 from mbsgen.targets.layout import lay_out
 
 HEADER = "mbs_cuda.h"  # in csrc
@@ -58,13 +59,18 @@ def write_kernel(manifest: Manifest, kernel: Kernel) -> str:
         "cuda/kernel.cu",
         kernel=kernel,
         name=name_function(kernel),
-        own_function=kernel.function.replace(manifest.prefix, manifest.symbols or manifest.prefix, 1),
+        own_function=_name_own(manifest, kernel),
         inputs=inputs,
         outputs=outputs,
         passed=[a for a in (*inputs, *outputs) if a.nnz],
         version=manifest.generator.removeprefix("mbsgen "),
         model_hash=manifest.model_hash,
     )
+
+
+def _name_own(manifest: Manifest, kernel: Kernel) -> str:
+    own = manifest.symbols or manifest.prefix
+    return write_own(kernel.function.replace(manifest.prefix, own, 1), own)
 
 
 def _view(argument: Argument, qualifier: str, verb: str) -> _View:

@@ -93,8 +93,9 @@ def measure_single(place: Path, manifest: folders.Manifest, compiler: Compiler) 
     quick = replace(compiler, flags=(*compiler.flags, *SINGLE))
     library = compile_library(place, manifest.prefix, manifest.sources, quick, given=PLAIN)
     ffi = cffi.FFI()
-    ffi.cdef(f"size_t {manifest.symbols}_bytes(void);")
-    return int(getattr(ffi.dlopen(str(library)), f"{manifest.symbols}_bytes")())
+    function = f"{manifest.symbols}_float_bytes"
+    ffi.cdef(f"size_t {function}(void);")
+    return int(getattr(ffi.dlopen(str(library)), function)())
 
 
 def measure_stacks(place: Path, manifest: folders.Manifest, compiler: Compiler) -> Mapping[str, int]:

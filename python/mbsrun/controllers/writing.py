@@ -217,7 +217,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
         f"{name}.c": lay_out(
             "controller/controller.c",
             given=given,
-            setup=name_kernel(setup, manifest, design.kernel_symbols) if setup else "",
+            setup=_call_kernel(setup, design) if setup else "",
             setup_arguments=len(setup.inputs) if setup else 0,
             setup_place=_find_place(setup, Role.PARAMETER),
             masses=sources.place(MASSES) if setup else 0,
@@ -243,7 +243,7 @@ def write_files(design: Design, cost: float) -> dict[str, str]:
     return {
         **parts,
         f"{name}_symbols.h": lay_out("c/symbols.h", symbols=symbols, **common),
-        PRIVATE: lay_out("c/private.h", shared=list_shared(), **common),
+        PRIVATE: lay_out("c/private.h", shared=list_shared(), macro="MBS_STAGES_NAME", **common),
     }
 
 
@@ -266,9 +266,24 @@ def _describe_histories(design: Design) -> _Histories | None:
     return _Histories(tuple(inputs), tuple(limits), given, list_delays(design.problem))
 
 
+def _call_kernel(kernel: Kernel, design: Design) -> str:
+    """Write the symbol of a kernel in C."""
+    return _call_function(name_kernel(kernel, design.manifest, design.kernel_symbols), design)
+
+
+def _call_function(symbol: str, design: Design) -> str:
+    """Write the symbol of a kernel or a formula in C: the precision stands where its own file has it."""
+    from mbsgen.targets.c.symbols import write_own
+
+    end = design.kernel_symbols if design.kernel_symbols in symbol else design.symbols
+    return write_own(symbol, end, "MBS_STAGES_OWN")
+
+
 def tag_names(texts: Sequence[str], name: str, tagged: str) -> list[tuple[str, str]]:
     """Return names that begin with a controller's, each with its name in the object files."""
-    return [(text, tagged + text.removeprefix(name)) for text in texts]
+    from mbsgen.targets.c.symbols import write_own
+
+    return [(text, write_own(tagged + text.removeprefix(name), tagged, "MBS_STAGES_NAME")) for text in texts]
 
 
 def _list_declared(name: str, parts: Mapping[str, str]) -> tuple[str, ...]:
@@ -309,8 +324,12 @@ def write_short(x: float) -> str:
 
 def write_formulas(design: Design) -> dict[str, str]:
     """Write the functions that are made of expressions."""
+    from mbsgen.targets.c.symbols import write_own
+
     return {
-        f"{design.name}_formula{k}.c": formulas.write(function.formula, name, function.derivative)
+        f"{design.name}_formula{k}.c": formulas.write(function.formula, name, function.derivative).replace(
+            f"int {name}(", f"int {write_own(name, design.symbols)}("
+        )
         for k, (function, name) in enumerate(zip(design.tables.functions, name_functions(design), strict=True))
         if isinstance(function, FormulaFunction)
     }
@@ -344,7 +363,7 @@ def _write_tables(design: Design, common: Mapping[str, object], wrap: Wrap) -> d
     bounds = repeat([np.concatenate(parts) for parts in zip(*ends, strict=True)], arrays)
     shapes = {number: (counts[k], rows[k]) for k, number in enumerate(bounds.of_stage)}
     places, place_of_stage = _find_places(design, counts, arrays)
-    functions = name_functions(design)
+    functions = [_call_function(name, design) for name in name_functions(design)]
     values = [design.sources.values[part] for part in (sources.lower, sources.upper, sources.least, sources.most)]
     lower, upper, least, most = (wrap(map(write_real, part)) if part.size else ("0",) for part in values)
     calls = [
@@ -455,5 +474,4 @@ def _write_call(kernel: Kernel, design: Design, given: Sequence[_Given]) -> _Cal
 
     result = next(k for k, a in enumerate(kernel.outputs) if a.role is role)
     to = nq if role is Role.ACCELERATION else 0
-    own = name_kernel(kernel, design.manifest, design.kernel_symbols)
-    return _Call(own, tuple(map(write, kernel.inputs)), len(kernel.outputs), result, to)
+    return _Call(_call_kernel(kernel, design), tuple(map(write, kernel.inputs)), len(kernel.outputs), result, to)

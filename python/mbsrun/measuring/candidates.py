@@ -114,7 +114,8 @@ def compile_kernel(subject: Subject, name: str, variant: Variant) -> Candidate:
     manifest, is_precise = subject.manifest, variant.precision == "double-double"
     kernel = manifest.kernel(name_precise(name) if is_precise else name)
     library = compile_library(subject.folder, manifest.prefix, kernel.sources, variant.compiler())
-    return Candidate(name, Code(find_function(library, kernel.symbol), variant.precision), variant)
+    symbol = kernel.single_symbol if variant.precision == "float32" else kernel.symbol
+    return Candidate(name, Code(find_function(library, symbol), variant.precision), variant)
 
 
 def difference(subject: Subject, name: str, variant: Variant) -> Iterator[Candidate]:

@@ -28,6 +28,7 @@ from mbsgen.tape.types import EVEN, FUNCTIONS, ODD, Op, Sparsity, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.targets.python.module import write_python
 from mbsgen.targets.unit import Unit
+from tests.mbsgen.targets.compilation import name_in
 from tests.sample import write_sample
 
 X = (0.37, -0.61)
@@ -216,7 +217,8 @@ def test_c_calls_the_function_of_the_type(
     subprocess.run([*command, *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "f.so"], check=True)
     library = ctypes.CDLL(str(tmp_path / "f.so"))
     assert family.jac is not None
-    for tape, function in ((family.value, library.sample_compute_impl), (family.jac, library.sample_compute_jac_impl)):
+    for tape in (family.value, family.jac):
+        function = library[name_in(real, f"sample_compute_{tape.name}")]
         x = (ctype * 2)(*X)
         (output,) = tape.outputs
         f = (ctype * output.sparsity.nnz)()

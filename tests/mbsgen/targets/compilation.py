@@ -13,6 +13,11 @@ STRICT = ["-std=c99", "-Werror"] + [
 Requires = Callable[[str], str]
 
 
+def name_in(real: str, function: str, prefix: str = "sample") -> str:
+    """Return the name of a function in a library of a precision."""
+    return function if real == "double" else function.replace(prefix, f"{prefix}_float", 1)
+
+
 def run(*command: str | Path, cwd: Path | None = None) -> str:
     """Run a command and return its output; a failure shows what it wrote."""
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)

@@ -167,7 +167,7 @@ def test_single_precision_agrees_to_its_rounding(sample: Path, tmp_path: Path, r
     arrays = [np.array(v, dtype=np.float32) for v in given.values() if v]
     results = [np.zeros(len(v), dtype=np.float32) for v in exact.values()]
     pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_float)) for a in (*arrays, *results)]
-    assert ctypes.CDLL(str(tmp_path / "lib.so")).sample_compute_impl(*pointers) == 0
+    assert ctypes.CDLL(str(tmp_path / "lib.so")).sample_float_compute_impl(*pointers) == 0
     for found, value in zip(results, exact.values(), strict=True):
         # A dozen operations on numbers of order 1, each rounded to 6e-8.
         np.testing.assert_allclose(found, value, rtol=0, atol=12 * np.finfo(np.float32).eps)

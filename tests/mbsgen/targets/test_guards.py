@@ -13,7 +13,7 @@ import pytest
 from mbsgen.tape.interpreter import find_failure
 from mbsgen.targets.contract import Family
 from mbsgen.targets.parts import LENGTH
-from tests.mbsgen.targets.compilation import STRICT, Requires, run
+from tests.mbsgen.targets.compilation import STRICT, Requires, name_in, run
 from tests.mbsgen.targets.guarded import TOLERANCE, guarded_tape
 from tests.sample import write_sample
 
@@ -33,7 +33,8 @@ def compile_kernel(tmp_path: Path, compiler: str, *flags: str, part: int = LENGT
     folder = write_sample(tmp_path, families=(Family(guarded_tape()),), part=part)
     library = tmp_path / "lib.so"
     run(compiler, *STRICT, *flags, "-fPIC", "-shared", folder / "sample_impl.c", "-lm", "-o", library)
-    return ctypes.CDLL(str(library)).sample_compute_impl  # type: ignore[no-any-return]
+    real = "float" if "-DMBS_REAL=float" in flags else "double"
+    return ctypes.CDLL(str(library))[name_in(real, "sample_compute_impl")]
 
 
 @pytest.mark.parametrize("length", [1000, 1])

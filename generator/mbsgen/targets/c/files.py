@@ -18,7 +18,7 @@ from mbsgen.roles import Axis, Role
 from mbsgen.tape.types import Input, Output, Sparsity
 from mbsgen.targets.c.agreement import compare
 from mbsgen.targets.c.stages import Written, write_stages
-from mbsgen.targets.c.symbols import OPEN, PRIVATE, find_declared, seal, tag
+from mbsgen.targets.c.symbols import OPEN, PRIVATE, find_declared, seal, tag, write_own
 from mbsgen.targets.contract import Face, Slot, arguments, faces, name_function, name_symbol
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.statements import wrap, write_literal
@@ -103,17 +103,17 @@ def _list_symbols(unit: Unit, found: Sequence[Face]) -> Iterator[tuple[str, str]
     """List the names that a program uses, each with the symbol that it stands for."""
     own = tag(unit.prefix)
     for face in found:
-        yield face.function, name_function(own, face.kernel)
+        yield face.function, write_own(name_function(own, face.kernel), own)
         symbol = name_symbol(own, face.family, face.tape)
-        yield from ((face.symbol + end, symbol + end) for end in _ENDS)
+        yield from ((face.symbol + end, write_own(symbol + end, own)) for end in _ENDS)
     others = [f"NAMES_{group.name}" for group in unit.groups]
     others += ["default_parameters"] * bool(unit.parameters) + ["default_design"] * bool(unit.design)
-    yield from ((f"{unit.prefix}_{name}", f"{own}_{name}") for name in others)
+    yield from ((f"{unit.prefix}_{name}", write_own(f"{own}_{name}", own)) for name in others)
 
 
 def _write_comparisons(common: Mapping[str, object]) -> dict[str, str]:
     """Write the functions that a check calls, with symbols of this folder."""
-    text = lay_out("c/private.h", shared=find_declared("mbs", [_read("mbs_check.h")]), **common)
+    text = lay_out("c/private.h", shared=find_declared("mbs", [_read("mbs_check.h")]), macro="MBS_OWN", **common)
     return {PRIVATE: text, "mbs_check.c": f'#include "{PRIVATE}"\n{_read("mbs_check.c")}'}
 
 
@@ -235,8 +235,10 @@ class _View:
 
     file: str
     symbol: str
-    own_symbol: str  # with the tag
+    plain_symbol: str  # with the precision
+    own_symbol: str  # with the tag and the precision
     function: str
+    plain_function: str
     own_function: str
     integer: str  # the integer type of CasADi's contract
     title: str
@@ -259,12 +261,16 @@ def _view(prefix: str, face: Face, part: int) -> _View:
     unwanted = tuple(accumulate((o.sparsity.nnz for o in outputs), initial=0))
     patterns = _name_patterns(face)
     empty = [a for a in map(_argument, arguments(face.tape)) if not a.nnz]
+    own_symbol = write_own(name_symbol(tag(prefix), face.family, face.tape), tag(prefix))
+    own_function = write_own(name_function(tag(prefix), face.kernel), tag(prefix))
     return _View(
         file=_file(prefix, face),
         symbol=face.symbol,
-        own_symbol=name_symbol(tag(prefix), face.family, face.tape),
+        plain_symbol=own_symbol.replace(tag(prefix), prefix),
+        own_symbol=own_symbol,
         function=face.function,
-        own_function=name_function(tag(prefix), face.kernel),
+        plain_function=own_function.replace(tag(prefix), prefix),
+        own_function=own_function,
         integer=face.family.integer,
         title=face.family.describe(face.tape),
         flops=counts.flops,

@@ -2,7 +2,8 @@
 
 Two folders may have one name and other content, or the same C files of this project. A linker takes the first of two
 definitions in libraries, so a program would compute with the wrong one, without a word. With the tag, each definition
-has its own symbol. A header of macros maps the documented names to them, so that no program sees the tag.
+has its own symbol. Symbols of single precision say so, since one folder may be compiled for both. A header of macros
+maps the documented names to them, so that no program sees the tag.
 """
 
 from __future__ import annotations
@@ -46,6 +47,13 @@ def describe_mangling(name: str, prefix: str) -> str:
 def tag(prefix: str) -> str:
     """Return the prefix with the place of the tag, which `seal` fills in."""
     return f"{prefix}_{OPEN}"
+
+
+def write_own(symbol: str, end: str, macro: str = "MBS_OWN") -> str:
+    """Write a symbol in C: a macro puts the precision behind `end`, the tagged part of it or the prefix."""
+    head, found, tail = symbol.partition(end)
+    assert found, f"{symbol} has no {end}"
+    return f"{macro}({head}{end}, {tail})"
 
 
 def seal(files: Mapping[str, str], prefix: str) -> tuple[dict[str, str], str]:
