@@ -9,8 +9,8 @@ import pytest
 
 from mbsgen.manifest import FILE_NAME, Manifest, read
 from tests.mbsgen.targets.compilation import Requires
+from tests.mbsgen.targets.pendulums import CASADI, HEAVY, TYPED, UNIT, WANTED, compile_folder, write
 from tests.mbsgen.targets.programs import read_numbers, run
-from tests.mbsgen.targets.test_symbols import CASADI, HEAVY, TYPED, UNIT, WANTED, compile_folder, write
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wundef", "-Werror", "-O0")
 MAIN = """\
