@@ -297,7 +297,9 @@ def _print_report(report: Report, numbers: Mapping[str, float]) -> None:
         "processor": f"{1e3 * times.median:.3g} ms a sample (median), {1e3 * times.tail:.3g} ms (99.9th percentile), "
         f"{1e3 * times.largest:.3g} ms at most",
         **_describe_preparation(report),
-        "energy drift": f"{found.drift:.1e} J in a period, at most: the integration's error",
+        "energy drift": "not checked: inputs follow expressions"
+        if found.drift is None
+        else f"{found.drift:.1e} J in a period, at most: the integration's error",
     }
     for x in report.measured:
         limit = "" if x.most is None else f"; limit {x.most:.4g}" + ("" if x.is_met else ", exceeded")

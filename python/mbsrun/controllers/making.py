@@ -316,7 +316,7 @@ def describe_name(made: Made) -> str:
 def hash_problem(problem: Problem) -> str:
     """Return a hash of a problem's content, without threads, which change no number, and what a loop gives alone."""
     content = TypeAdapter(Problem).dump_python(
-        problem, mode="json", exclude={"solver": {"threads": True}, "first_inputs": True}
+        problem, mode="json", exclude={"solver": {"threads": True}, "first_inputs": True, "first_controls": True}
     )
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

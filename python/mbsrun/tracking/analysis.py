@@ -132,12 +132,15 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
     manifest, margins, left = plant.manifest, [], []
     coordinates = [c.name for c in manifest.coordinates]
     inputs, added = [coordinates[i] for i in manifest.actuated], found.trial.states
+    controls = [(i, x) for i, x in enumerate(problem.controls, len(inputs)) if not x.softens]
+    named = [x.name for _, x in controls]
     columns = [
         (f"{kind} {name}", key, column, limits, True)
         for kind, known, keys, values, ranges in (
             ("coordinate", manifest.positions, name_quantities("q", manifest.positions), found.q, problem.bounds.q),
             ("velocity", coordinates, name_quantities("qd", coordinates), found.qd, problem.bounds.qd),
-            ("input", inputs, name_quantities("u", inputs), found.u, problem.bounds.u),
+            ("input", inputs, name_quantities("u", inputs), found.u[:, : len(inputs)], problem.bounds.u),
+            ("control", named, named, found.u[:, [i for i, _ in controls]], [x.bounds for _, x in controls]),
             ("state", added, added, found.states, [state.bounds for state in problem.states]),
         )
         for name, key, column, limits in zip(known, keys, values.T, ranges, strict=True)
@@ -180,5 +183,7 @@ def _evaluate(
     states = {name: x for name, x in wanted.items() if x.kind in STATE}
     known |= measure(states, plant, found.q, found.qd)
     known |= dict(zip(found.trial.states, found.states.T, strict=True))
+    if found.trial.controls:
+        known |= dict(zip(found.trial.controls, found.u.T[-len(found.trial.controls) :], strict=True))
     with np.errstate(all="ignore"):  # a value that is not finite fails its measure
         return [np.broadcast_to(evaluate(e, known, ARRAYS), found.t.shape) for e in expressions]

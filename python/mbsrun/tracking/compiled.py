@@ -23,6 +23,7 @@ from mbsrun.controllers.loading import Controller, Step
 from mbsrun.controllers.writing import BARRIER
 from mbsrun.ocp.ground.trajectory import average_inputs
 from mbsrun.ocp.problem.problem import Problem
+from mbsrun.tracking.added import list_chosen
 from mbsrun.tracking.controller import Decision
 
 Array = NDArray[np.float64]
@@ -68,6 +69,7 @@ class CompiledController:
         if stepping is not None and manifest.cost != 0:  # the first plan then is one that steps go on from
             controller.options.mu_target = stepping.barrier * manifest.scale * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
+        self._chosen, self._inputs = list_chosen(problem), len(problem.bounds.u) + len(problem.controls)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
         self._violation = 0.0
@@ -96,7 +98,7 @@ class CompiledController:
     def note(self, time: float, inputs: Array) -> None:
         """Write down the inputs that are given now, on which the next plan follows; it has later ones itself."""
         if GIVEN in self._controller.data and abs(time - self._begun) < self._interval / 2:
-            self._controller.data[GIVEN][:] = inputs
+            self._controller.data[GIVEN][:] = inputs[self._chosen]
 
     def feedback(self, q: Array, qd: Array) -> Decision:
         """Solve, or make steps, from a state. The first plan is solved for in any case."""
@@ -116,8 +118,8 @@ class CompiledController:
         seconds = clock.process_time() - before
         is_solved = step.status == STEPPED
         return Decision(
-            inputs if is_solved else self.planned(self._time), step.status, is_solved, stepping.steps, seconds,
-            step.violation,
+            self._expand(inputs) if is_solved else self.planned(self._time), step.status, is_solved, stepping.steps,
+            seconds, step.violation,
         )  # fmt: skip
 
     def planned(self, time: float) -> Array:
@@ -127,7 +129,13 @@ class CompiledController:
         found = np.asarray(average_inputs(t, plan.inputs, times)[0])
         for i, delay in enumerate(self._controller.manifest.delays):
             found[i] = average_inputs(t, plan.inputs, times + delay * self._interval)[0, i]
-        return found
+        return self._expand(found)
+
+    def _expand(self, chosen: Array) -> Array:
+        """Return inputs and controls of which a controller gives the chosen ones."""
+        every = np.zeros(self._inputs)
+        every[self._chosen] = chosen
+        return every
 
     def _take(self, step: Step) -> None:
         self._violation, self._is_lost = step.violation, step.status != PREPARED
@@ -137,8 +145,7 @@ class CompiledController:
         inputs, result = self._controller.rescue(state)
         seconds = clock.process_time() - before
         self._is_lost = not result.is_solved
-        if not result.is_solved:
-            inputs = self.planned(self._time)
+        inputs = self._expand(inputs) if result.is_solved else self.planned(self._time)
         return Decision(inputs, result.status, result.is_solved, result.iterations, seconds, self._violation, True)
 
     def _solve(self, q: Array, qd: Array, before: float) -> Decision:
@@ -158,7 +165,7 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
     found = []
     sizes = len(manifest.states), len(manifest.inputs), manifest.intervals
     measured = len(problem.start_q) + len(_list_velocities(manifest, problem)) + len(problem.states)
-    expected = measured, len(problem.bounds.u), problem.intervals
+    expected = measured, len(list_chosen(problem)), problem.intervals
     if sizes != expected:
         words = "states, inputs and intervals"
         found.append(f"{manifest.prefix} is of another problem: {_list(sizes)} {words}, and not {_list(expected)}")

@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 class Decision:
     """The result of one sample."""
 
-    inputs: Array  # (m,): for the period that begins at the time that was prepared; kept ones where nothing was found
+    # (m + k,), inputs and controls, for the period that begins at the time that was prepared; kept ones where nothing
+    # was found. Inputs that expressions of the problem give have any number.
+    inputs: Array
     status: str  # the solver's word
     is_solved: bool
     iterations: int
@@ -34,7 +36,7 @@ class Decision:
 
 
 class Controller(Protocol):
-    """A model predictive controller: n_q coordinates, n velocities, m inputs."""
+    """A model predictive controller: n_q coordinates, n velocities, m inputs, k controls that the problem adds."""
 
     def prepare(self, time: float, constants: Mapping[str, float]) -> None:
         """Move the plan to begin at `time` [s], with values of the problem's constants."""
@@ -43,7 +45,7 @@ class Controller(Protocol):
         """Plan from a state at the prepared time."""
 
     def planned(self, time: float) -> Array:
-        """Return the inputs (m,) of the kept plan for the period that begins at a time; its last ones after its end."""
+        """Return inputs and controls (m + k,) of the kept plan for the period from a time on; later its last."""
 
 
 @runtime_checkable
@@ -54,4 +56,4 @@ class Remembering(Controller, Protocol):
         """Take the states that the problem adds, (ns,), before the feedback of a sample."""
 
     def note(self, time: float, inputs: Array) -> None:
-        """Take note of the inputs (m,) that are given for the period from a time on."""
+        """Take note of the inputs and controls (m + k,) that are given for the period from a time on."""

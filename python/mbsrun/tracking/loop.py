@@ -56,8 +56,8 @@ class Sample:
     states: Array  # (ns,): that the problem adds
     decision: Decision
     preparing: float  # s of processor time, before the measurement
-    u: Array  # (m,): the inputs that were asked for in this period, delay included
-    acting: Array  # (m,): and the ones that acted, with noise
+    u: Array  # (m + k,): inputs, then controls that the problem adds, as asked for in this period, delay included
+    acting: Array  # (m + k,): and as they acted, with noise; both with inputs by expressions as they begin
     is_moved: bool  # the measured state was beyond a bound, and the controller got a state within it
 
 
@@ -72,8 +72,8 @@ class Track:
     q: Array  # (K, nq)
     qd: Array  # (K, n)
     states: Array  # (K, ns): that the problem adds
-    u: Array  # (K, m): inputs that were asked for
-    drift: float  # J: the largest drift of the energy in a period
+    u: Array  # (K, m + k): inputs and controls that were asked for
+    drift: float | None  # J: the largest drift of the energy in a period; None: it is not known
     lossy: int  # periods whose drift is larger than it should be
     halt: Halt | None
 
@@ -140,7 +140,7 @@ class _Loop:
         self.lines = {line.input: deque([line.history] * line.periods) for line in plant.lines}
         self.samples: list[Sample] = []
         self.stretches = [(np.zeros(1), self.q[None], self.qd[None], self.states[None])]
-        self.drift, self.lossy, self.halt = 0.0, 0, None  # type: tuple[float, int, Halt | None]
+        self.drift, self.lossy, self.halt = 0.0, 0, None  # type: tuple[float | None, int, Halt | None]
         controller.prepare(0.0, trial.constants_at(0.0))
         self.first, _ = self._ask(self.q, self.qd, self.states)
         if not self.first.is_solved:
@@ -169,7 +169,9 @@ class _Loop:
         self.pending.append(u)
         self.last = self.pending.popleft()
         asked = self._send(self.last)
-        acting = self.plant.disturb(k, asked)
+        here, times = (self.q[None], self.qd[None], self.states[None]), np.array([start])
+        acting = self.plant.complete(*here, start, times, self.plant.disturb(k, asked))[0]
+        asked = self.plant.complete(*here, start, times, asked)[0]
         sample = Sample(start, self.q, self.qd, *measured, self.states, decision, preparing, asked, acting, is_moved)
         if not decision.is_solved and trial.fallback is Fallback.STOP:
             self.halt = Halt(start, None, f"the controller found no plan ({decision.status})", "see the fallback")
@@ -183,6 +185,9 @@ class _Loop:
         t, q, qd, states = (np.concatenate(part) for part in zip(*self.stretches, strict=True))
         period = np.clip((t / self.trial.period * (1 - 1e-12)).astype(int), 0, max(len(self.samples) - 1, 0))
         u = np.array([sample.u for sample in self.samples])[period]
+        for k in np.unique(period).tolist() if self.plant.is_whole else ():
+            x, sample = period == k, self.samples[k]
+            u[x] = self.plant.complete(q[x], qd[x], states[x], sample.time, t[x], sample.u)
         motion = (t, q, qd, states, u)
         return Track(self.trial, self.first, tuple(self.samples), *motion, self.drift, self.lossy, self.halt)
 
@@ -228,7 +233,8 @@ class _Loop:
         added, state = self.plant.added.move_to(self.model), (q, qd, states)
         for first, u in zip(ahead - times[:0:-1], coming, strict=True):
             end = np.array([first + self.trial.period])
-            found = added.carry(state, hold_inputs(u, self.model), float(first), end, self.trial)
+            controls = u[len(self.model.manifest.actuated) :]
+            found = added.carry(state, hold_inputs(u, self.model), float(first), end, self.trial, controls=controls)
             if isinstance(found, str):
                 return None
             reached, driven, further = np.split(found[-1], [q.size, q.size + qd.size])
@@ -248,6 +254,6 @@ class _Loop:
         stretch = self.plant.advance(self.q, self.qd, self.states, start, end, acting)
         self.stretches.append((stretch.t[1:], stretch.q[1:], stretch.qd[1:], stretch.states[1:]))
         self.q, self.qd, self.states = stretch.q[-1], stretch.qd[-1], stretch.states[-1]
-        self.drift = max(self.drift, abs(stretch.drift))
+        self.drift = None if self.drift is None or stretch.drift is None else max(self.drift, abs(stretch.drift))
         self.lossy += not stretch.is_kept
         self.halt = stretch.halt

@@ -33,7 +33,8 @@ def draw_track(
 ) -> Figure:
     """Plot coordinates, velocities, inputs, references, margins to constraints and measures, a panel for each unit."""
     curves = [
-        *_list_motion(track, problem.bounds.u, plant.manifest),
+        *_list_motion(track, problem, plant.manifest),
+        *_list_controls(track, problem),
         *_list_references(track, plant),
         *_list_margins(track, margins),
         *_list_measures(measured),
@@ -46,7 +47,7 @@ def draw_track(
     return figure
 
 
-def _list_motion(track: Track, bounds: Sequence[Range], manifest: Manifest) -> Iterator[Curve]:
+def _list_motion(track: Track, problem: Problem, manifest: Manifest) -> Iterator[Curve]:
     """Yield coordinates, velocities, and inputs that were asked for, in steps, with their bounds."""
     for title, kind, symbol, names, values in (
         ("coordinates", "q", "q", manifest.positions, track.q),
@@ -55,13 +56,28 @@ def _list_motion(track: Track, bounds: Sequence[Range], manifest: Manifest) -> I
         for i, (name, column) in enumerate(zip(names, values.T, strict=True)):
             panel = Panel(title, symbol, find_unit(Quantity(kind, i), manifest))
             yield Curve(panel, _shorten(name), plot(track.t, column, color=COLORS[i % len(COLORS)], linewidth=1.2))
+    following = {force.input for force in problem.forces}
+    for i, (k, limits) in enumerate(zip(manifest.actuated, problem.bounds.u, strict=True)):
+        joint, color = manifest.coordinates[k], COLORS[i % len(COLORS)]
+        panel = Panel("inputs (bounds dashed)", "u", joint.force_unit)
+        drawn = plot(track.t, track.u[:, i], color=color, linewidth=1.2)
+        yield Curve(panel, _shorten(joint.name), drawn if i in following else _draw_held(track, i, limits, color))
+
+
+def _list_controls(track: Track, problem: Problem) -> Iterator[Curve]:
+    """Yield controls that the problem adds, but for slacks; nothing states their units."""
+    for i, control in enumerate(problem.controls):
+        if not control.softens:
+            drawn = _draw_held(track, len(problem.bounds.u) + i, control.bounds, COLORS[i % len(COLORS)])
+            yield Curve(Panel("controls (bounds dashed)"), _shorten(control.name), drawn)
+
+
+def _draw_held(track: Track, i: int, limits: Range, color: str) -> Callable[[Axes, str], None]:
+    """Draw an input that is held from sample to sample."""
     edges = np.array([*(sample.time for sample in track.samples), track.t[-1]])
     if edges[-1] <= edges[-2]:  # it ended at a sample
         edges[-1] = edges[-2] + track.trial.period
-    for i, (k, limits) in enumerate(zip(manifest.actuated, bounds, strict=True)):
-        joint, given = manifest.coordinates[k], np.array([sample.u[i] for sample in track.samples])
-        panel = Panel("inputs (bounds dashed)", "u", joint.force_unit)
-        yield Curve(panel, _shorten(joint.name), _draw_steps(edges, given, limits, COLORS[i % len(COLORS)]))
+    return _draw_steps(edges, np.array([sample.u[i] for sample in track.samples]), limits, color)
 
 
 def _draw_steps(edges: Array, values: Array, limits: Range, color: str) -> Callable[[Axes, str], None]:

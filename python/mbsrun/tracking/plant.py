@@ -22,12 +22,13 @@ from mbsrun.quaternions import list_quaternions, normalise
 from mbsrun.simulation.drive import Drive, control, hold
 from mbsrun.simulation.motion import Halt
 from mbsrun.simulation.simulate import simulate
-from mbsrun.tracking.added import AddedStates, Line, list_lines
+from mbsrun.tracking.added import AddedStates, Line, is_whole, list_lines
 from mbsrun.tracking.trial import Trial
 
 Array = NDArray[np.float64]
 
 RATES = "see the rates under states of the problem"
+WHOLE = "see the rates under states of the problem, and its forces"
 FINE = 10  # states that are kept of a period
 MEASURED, DRIVEN = 0, 1  # streams of random numbers
 
@@ -40,7 +41,7 @@ class Stretch:
     q: Array  # (K, nq)
     qd: Array  # (K, n)
     states: Array  # (K, ns): that a problem adds
-    drift: float  # J, of the energy: the sum of all pieces
+    drift: float | None  # J, of the energy: the sum of all pieces; None: inputs follow the state, and it is unknown
     is_kept: bool  # the drift is as small as `simulation` expects of every piece
     halt: Halt | None
 
@@ -58,10 +59,15 @@ class Plant:
         self.lines: tuple[Line, ...] = ()
         if problem is not None:
             self.lines = list_lines(problem, trial.period)
-        if problem is not None and problem.states:
+        if problem is not None and (problem.states or is_whole(problem)):
             self.added = AddedStates(problem, kernels, trial.integration.max_seconds)
         self._forces = len(kernels.manifest.actuated)
         self._wrenches = len(kernels.manifest.inputs) - self._forces
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether mechanism and states of the problem move as one system."""
+        return self.added is not None and self.added.is_whole
 
     def measure(self, k: int, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the state as sample k measures it."""
@@ -83,8 +89,17 @@ class Plant:
         random = np.random.default_rng((self.trial.noise.seed, k, DRIVEN))
         return u + self.trial.noise.u * random.standard_normal(u.size)
 
+    def complete(self, q: Array, qd: Array, states: Array, start: float, times: Array, u: Array) -> Array:
+        """Return inputs (K, m + k) of the period from `start` on, with the ones that expressions give at K states."""
+        every = np.tile(u, (len(times), 1))
+        if self.added is None or not self.is_whole:
+            return every
+        return self.added.complete((q, qd, states), every, start, times, self.trial)
+
     def advance(self, q: Array, qd: Array, states: Array, start: float, end: float, u: Array) -> Stretch:
-        """Move from `start` to `end` under inputs u (m,); kicks at `start` act first."""
+        """Move from `start` to `end` under inputs and controls (m + k,); kicks at `start` act first."""
+        if self.added is not None and self.is_whole:
+            return self._advance_whole(self.added, (q, qd, states), start, end, u)
         times, motions, added = [np.array([start])], [(q[None], qd[None])], [states[None]]
         drift, is_kept, halt = 0.0, True, None
         spacing = (end - start) / FINE
@@ -110,6 +125,28 @@ class Plant:
                 break
         all_q, all_qd = (np.concatenate(part) for part in zip(*motions, strict=True))
         return Stretch(np.concatenate(times), all_q, all_qd, np.concatenate(added), drift, is_kept, halt)
+
+    def _advance_whole(
+        self, added: AddedStates, state: tuple[Array, Array, Array], start: float, end: float, u: Array
+    ) -> Stretch:
+        """Move the mechanism together with the states of the problem, on which its inputs depend."""
+        q, qd, states = state
+        times, rows, halt = [np.array([start])], [np.concatenate(state)[None]], None
+        controls = u[self._forces :]
+        for first, last in self._cut(start, end):
+            qd = self._kick(first, q, qd)
+            steps = first + (last - first) * np.arange(1, FINE + 1) / FINE
+            force = self._act(first, u[: self._forces])
+            found = added.carry((q, qd, states), force, start, steps, self.trial, first, controls)
+            if isinstance(found, str):
+                halt = Halt(first, None, found, WHOLE)
+                break
+            times.append(steps)
+            rows.append(found)
+            q, qd, states = np.split(found[-1], [q.size, q.size + qd.size])
+            q = normalise(q, self.kernels.manifest)
+        all_q, all_qd, further = np.split(np.concatenate(rows), [q.size, q.size + qd.size], axis=1)
+        return Stretch(np.concatenate(times), all_q, all_qd, further, None, True, halt)
 
     def _cut(self, start: float, end: float) -> Iterator[tuple[float, float]]:
         """Cut a period where something jumps."""

@@ -90,7 +90,9 @@ def write_track(report: Report, plant: Mechanism, folder: Path) -> None:
     t, q, qd = track.t[moves], track.q[moves], rates[moves]
     begun = np.searchsorted([sample.time for sample in track.samples], t, side="right") - 1
     acting = np.array([sample.acting for sample in track.samples])[np.maximum(begun, 0)]
-    write_animation(folder / ANIMATION, plant, t, q, qd=qd, inputs=acting, title=title)
+    write_animation(
+        folder / ANIMATION, plant, t, q, qd=qd, inputs=acting[:, : len(plant.manifest.actuated)], title=title
+    )
 
 
 def _summarise(report: Report, plant: Mechanism) -> str:
@@ -156,7 +158,9 @@ def _tabulate(track: Track, manifest: Manifest) -> str:
     header += [f"measured_q[{name}]" for name in manifest.positions]
     header += [f"measured_qd[{name}]" for name in velocities]
     header += [f"state[{name}]" for name in track.trial.states]
-    header += [f"{kind}[{name}]" for kind in ("u", "acting") for name in inputs]
+    for kind in ("", "acting_"):
+        header += [f"{kind or 'u'}[{name}]".replace("_[", "[") for name in inputs]
+        header += [f"{kind}control[{name}]" for name in track.trial.controls]
     header += ["status", "solved", "iterations", "seconds", "preparing", "violation"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

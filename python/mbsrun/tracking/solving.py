@@ -8,7 +8,7 @@ nonlinear MPC and moving horizon estimation", LNCIS 384 (2009), section 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from mbsrun.ocp.solution.solution import Failure
 from mbsrun.ocp.solving.preparation import settle
 from mbsrun.ocp.solving.solve import Solver, choose_method
 from mbsrun.ocp.statement.checks import ProblemError
-from mbsrun.tracking.added import is_interval, list_lines
+from mbsrun.tracking.added import is_interval, list_chosen, list_lines
 from mbsrun.tracking.controller import Decision
 from mbsrun.tracking.trial import Horizon
 
@@ -44,12 +44,9 @@ class SolvingController:
         if problem.inputs != "constant":
             finding = "a sample holds its inputs from sample to sample, and these change within an interval"
             raise ProblemError(problem.name, [("inputs", finding, "take constant ones")])
-        if problem.every_component or problem.forces:
-            finding = "the simulated plant takes the inputs u alone, and the problem gives further forces"
-            raise ProblemError(problem.name, [("forces", finding, "leave forces, wrenches and contacts out")])
-        if problem.controls:
-            finding = "the simulated plant takes the inputs u alone, and the problem adds controls"
-            raise ProblemError(problem.name, [("controls", finding, "make them inputs of joints in the model")])
+        if problem.every_component:
+            finding = "the simulated plant takes inputs u and controls, and the problem gives further forces"
+            raise ProblemError(problem.name, [("wrenches", finding, "leave wrenches, signals and contacts out")])
         if problem.delays:
             _check_delays(problem, period, horizon)
         if problem.driven:
@@ -109,17 +106,19 @@ class SolvingController:
         Inputs that act late are given as much earlier.
         """
         if self._plan is None:
-            return np.zeros(len(self._problem.bounds.u))
+            return np.zeros(len(self._problem.bounds.u) + len(self._problem.controls))
         return self._read(time - self._begun)
 
     def _read(self, elapsed: float) -> Array:
         """Read the inputs to give in a period off the plan."""
         assert self._plan is not None, "only a plan can be read"
         times = np.array([elapsed, elapsed + self.period])
-        found = np.asarray(average_inputs(self._plan.t, self._plan.u, times)[0])
+        chosen, planned = list_chosen(self._problem), np.hstack((self._plan.u, self._plan.controls))
+        found = np.zeros(planned.shape[1])
+        found[chosen] = average_inputs(self._plan.t, planned[:, chosen], times)[0]
         for line in self._lines:
             later = times + line.periods * self.period
-            found[line.input] = average_inputs(self._plan.t, self._plan.u, later)[0, line.input]
+            found[line.input] = average_inputs(self._plan.t, planned, later)[0, line.input]
         return found
 
     def _number(self, time: float) -> int:
@@ -136,16 +135,20 @@ class SolvingController:
         return replace(
             problem,
             states=tuple(_begin(state, measured.get(state.name)) for state in problem.states),
-            delays=tuple(replace(delay, commands=given[delay.index]) for delay in problem.delays),
-            first_inputs=self._limit_first(problem, k),
+            delays=tuple(
+                replace(delay, commands=given[line.input])
+                for delay, line in zip(problem.delays, self._lines, strict=True)
+            ),
+            first_inputs=self._limit_first(problem.bounds.rates, 0, k),
+            first_controls=self._limit_first([x.rates for x in problem.controls], len(problem.bounds.u), k),
         )
 
     def _take(self, k: int, i: int, otherwise: float) -> float:
         return float(self._given[k][i]) if k in self._given else otherwise
 
-    def _limit_first(self, problem: Problem, k: int) -> tuple[Range, ...]:
-        """Return ranges of the first inputs that keep their rates, after the ones before."""
-        if not problem.bounds.rates or k - 1 not in self._given:
+    def _limit_first(self, rates: Sequence[Range], begin: int, k: int) -> tuple[Range, ...]:
+        """Return ranges of first inputs or controls, from entry `begin` on, that keep their rates after the last."""
+        if not rates or k - 1 not in self._given:
             return ()
         late = {line.input for line in self._lines}
         before = self._given[k - 1]
@@ -153,7 +156,7 @@ class SolvingController:
             (-math.inf, math.inf)
             if i in late
             else (float(before[i]) + self.period * slowest, float(before[i]) + self.period * fastest)
-            for i, (slowest, fastest) in enumerate(problem.bounds.rates)
+            for i, (slowest, fastest) in enumerate(rates, begin)
         )
 
     def _guess(self, problem: Problem) -> Trajectory | Pose:

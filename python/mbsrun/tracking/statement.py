@@ -38,6 +38,7 @@ from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.drive import STATE
 from mbsrun.simulation.integration.methods import METHODS, find_idle
 from mbsrun.simulation.motion import Settings
+from mbsrun.tracking.added import is_whole
 from mbsrun.tracking.trial import TIME, Fallback, Horizon, Kick, Measure, Noise, Push, Trial
 
 Array = NDArray[np.float64]
@@ -204,9 +205,16 @@ class _Reading(Reading):
     def trial(self, section: TrialSection) -> Trial:
         """Make the trial, which is valid only if there are no faults."""
         added = [state.name for state in self.problem.states]
+        controls = tuple(control.name for control in self.problem.controls)
         for key, expression in section.constants.items():
             place: Place = ("constants", key)
-            if not is_free_name(key) or key in (TIME, *self.quantities, *added, *dict(self.problem.constants)):
+            if not is_free_name(key) or key in (
+                TIME,
+                *self.quantities,
+                *added,
+                *controls,
+                *dict(self.problem.constants),
+            ):
                 self.fault(place, "no name for a constant", "give a word that means nothing else")
             self.constants[key] = self.number(place, expression)
         if self.problem.references:
@@ -245,6 +253,7 @@ class _Reading(Reading):
             updates=self.updates(section.updates),
             states=tuple(added),
             start_states=self.start_states(section.start),
+            controls=controls,
             delay=section.delay,
             predicts=section.predict,
             fallback=section.fallback,
@@ -291,7 +300,7 @@ class _Reading(Reading):
         return Noise(
             self.spread("coordinates", section.coordinates, self.manifest.positions),
             self.spread("velocities", section.velocities, self.velocities),
-            self.spread("inputs", section.inputs, self.inputs),
+            self.spread("inputs", section.inputs, [*self.inputs, *(x.name for x in self.problem.controls)]),
             section.seed,
         )
 
@@ -321,6 +330,11 @@ class _Reading(Reading):
             atol=self.number(("plant", "atol"), section.atol, positive),
             max_seconds=self.number(("plant", "max_seconds"), section.max_seconds, positive),
         )
+        for name in (
+            sorted({"method", "step", "rtol", "atol"} & section.model_fields_set) if is_whole(self.problem) else ()
+        ):
+            finding = "controls and forces of the problem move the plant with its states, by DOP853 at 1e-13"
+            self.fault(("plant", name), finding, "leave it out")
         for name, finding, remedy in find_idle(settings, section.model_fields_set):
             self.fault(("plant", name), finding, remedy)
         return settings

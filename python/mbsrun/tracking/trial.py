@@ -47,7 +47,7 @@ class Noise:
 
     q: Array  # (nq,): of measured coordinates
     qd: Array  # (n,): of measured velocities
-    u: Array  # (m,): of the inputs that act, held over a period
+    u: Array  # (m + k,): of the inputs and controls that act, held over a period
     seed: int = 0
 
 
@@ -94,6 +94,7 @@ class Trial:
     updates: Mapping[str, Expression] = field(default_factory=dict)  # of the problem's constants, over the time t
     states: tuple[str, ...] = ()  # that the problem adds
     start_states: Array = field(default_factory=lambda: np.zeros(0))  # (ns,): of the plant
+    controls: tuple[str, ...] = ()  # that the problem adds
     delay: int = 0  # periods from a measurement to the inputs that follow from it
     predicts: bool = True  # the controller plans from the state that it predicts for the end of the delay
     fallback: Fallback = Fallback.PLAN

@@ -149,6 +149,7 @@ def move_ahead(
         q=mesh.states(trajectory.q, trajectory.point_q),
         qd=mesh.states(trajectory.qd, trajectory.point_qd) * mesh_moves,
         u=average_inputs(trajectory.t, trajectory.u, t + elapsed),
+        controls=average_inputs(trajectory.t, trajectory.controls, t + elapsed),
         point_t=point_t,
         point_q=points.states(trajectory.q, trajectory.point_q),
         point_qd=points.states(trajectory.qd, trajectory.point_qd) * points_move,

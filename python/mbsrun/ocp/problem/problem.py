@@ -353,6 +353,7 @@ class Problem:
     refine: Refinement | None = None  # None: the grid stays
     accuracy: float = 1e-6  # the largest defect of an interval that counts as accurate, in rad and m, and these per s
     first_inputs: tuple[Range, ...] = ()  # further bounds of each constant input in the first interval; empty: none
+    first_controls: tuple[Range, ...] = ()  # and of each constant control
     following: tuple[int, ...] = ()  # states of the start that loops give, where differentiated parameters change loops
 
     def __repr__(self) -> str:

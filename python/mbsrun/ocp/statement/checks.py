@@ -341,6 +341,7 @@ def _find_strangers(problem: Problem, manifest: Manifest) -> Iterator[Line]:
         ("bounds.u", bounds.u, m),
         ("bounds.rates", bounds.rates, m if bounds.rates else 0),
         ("first_inputs", problem.first_inputs, m if problem.first_inputs else 0),
+        ("first_controls", problem.first_controls, len(problem.controls) if problem.first_controls else 0),
         ("bounds.tau", bounds.tau, len(manifest.driven) if bounds.tau else 0),
     ):
         if len(values) != size:

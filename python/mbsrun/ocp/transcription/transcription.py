@@ -182,11 +182,14 @@ class Transcription:
         return [given, (layout.point_inputs, free), (extras.point_controls, controls)]
 
     def _limit_first_inputs(self, problem: Problem, lower: Array, upper: Array) -> None:
-        """Narrow the bounds of the inputs of the first interval; where nothing is left, by the bounds of all."""
-        if problem.first_inputs:
-            first = self.layout.inputs[0]
-            ranges = np.array(problem.first_inputs)[list(self.layout.extras.free)]
-            lower[first], upper[first] = np.clip(ranges.T, lower[first], upper[first])
+        """Narrow bounds in the first interval, of inputs and controls; where nothing is left, by the bounds of all."""
+        extras = self.layout.extras
+        for ranges, first, chosen in (
+            (problem.first_inputs, self.layout.inputs, list(extras.free)),
+            (problem.first_controls, extras.controls, slice(None)),
+        ):
+            if ranges:
+                lower[first[0]], upper[first[0]] = np.clip(np.array(ranges)[chosen].T, lower[first[0]], upper[first[0]])
 
     def _find_delayed(self, delay: Delay, problem: Problem) -> Indices:
         """Return the variables of a delayed input before its first command acts."""
