@@ -19,7 +19,7 @@
 
 #include "mbs_abi.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_cone_reals mbs_cone_reals_float
 #define mbs_cone_integers mbs_cone_integers_float
 #define mbs_cone_solve mbs_cone_solve_float

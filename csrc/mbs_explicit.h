@@ -19,7 +19,7 @@
 
 #include "mbs_many.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_explicit_reals mbs_explicit_reals_float
 #define mbs_explicit_integers mbs_explicit_integers_float
 #define mbs_explicit_run mbs_explicit_run_float

@@ -11,7 +11,7 @@
 
 #include "mbs_abi.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_least_factorise mbs_least_factorise_float
 #define mbs_least_solve mbs_least_solve_float
 #define mbs_least_weigh mbs_least_weigh_float

@@ -18,7 +18,7 @@ extern "C" {
 #define mbs_compute_many MBS_STATES_NAME(mbs_compute_many)
 #define mbs_room_of_many MBS_STATES_NAME(mbs_room_of_many)
 #endif
-#if defined(MBS_SINGLE) && !defined(MBS_MANY_NAMES) /* other names in object files than those of doubles; a folder has its own */
+#if defined(MBS_SINGLE) && !defined(MBS_MANY_NAMES) /* names in object files say the precision; a folder has its own */
 #ifndef MBS_STATES
 #define mbs_room_of_many mbs_room_of_many_float
 #define mbs_compute_many mbs_compute_many_float

@@ -15,7 +15,7 @@
 
 #include "mbs_explicit.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_radau_reals mbs_radau_reals_float
 #define mbs_radau_integers mbs_radau_integers_float
 #define mbs_radau_step mbs_radau_step_float

@@ -17,7 +17,7 @@ extern "C" {
 #define mbs_rollout MBS_STATES_NAME(mbs_rollout)
 #define mbs_room_of_rollout MBS_STATES_NAME(mbs_room_of_rollout)
 #endif
-#if defined(MBS_SINGLE) /* other names in object files than those of doubles */
+#if defined(MBS_SINGLE) /* names in object files say the precision */
 #ifndef MBS_STATES
 #define mbs_rollout mbs_rollout_float
 #define mbs_room_of_rollout mbs_room_of_rollout_float

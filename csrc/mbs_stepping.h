@@ -25,7 +25,7 @@
 #include "mbs_explicit.h"
 #include "mbs_group.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_stepping_reals mbs_stepping_reals_float
 #define mbs_stepping_integers mbs_stepping_integers_float
 #define mbs_stepping_width mbs_stepping_width_float

@@ -21,7 +21,7 @@
 #include "mbs_explicit.h"
 #include "mbs_group.h"
 
-#ifdef MBS_SINGLE /* other names in object files than those of doubles */
+#ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_variational_reals mbs_variational_reals_float
 #define mbs_variational_integers mbs_variational_integers_float
 #define mbs_variational_run mbs_variational_run_float

@@ -14,9 +14,9 @@
 
 #include <stddef.h>
 
-/* Names in object files: those of single precision are other ones, so that both precisions can be in one program, and a
- * caller in the other precision does not link. Generated folders have names of their own: MBS_STAGES_OWN for what single
- * precision computes, MBS_STAGES_NAME for what also depends on whether there are solves. */
+/* Names in object files: single precision has separate ones, so that both precisions can be in one program, and a caller
+ * in the other precision does not link. Generated folders name their functions by MBS_STAGES_OWN, which depends on the
+ * precision, and by MBS_STAGES_NAME, which also depends on MBS_STAGES_REALTIME. */
 #ifdef MBS_STAGES_FLOAT
 #define MBS_STAGES_OWN(head, tail) head##_float##tail
 #else

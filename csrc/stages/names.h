@@ -1,4 +1,4 @@
-/* Names that the parts of the solver have in object files: those of single precision are other ones, as in mbs_stages.h. */
+/* Names of the parts of the solver in object files: single precision has separate ones, as in mbs_stages.h. */
 #ifndef MBS_STAGES_NAMES_H
 #define MBS_STAGES_NAMES_H
 

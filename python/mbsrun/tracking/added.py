@@ -1,4 +1,4 @@
-"""What a problem adds to the mechanism of a closed loop: states, controls, inputs by expressions, and delays.
+"""Additions of a problem to the mechanism of a closed loop: states, controls, inputs by expressions, and delays.
 
 States of a problem, s' = rate(t, q, qd, qdd, u, s, c), are integrated along the true motion, by the integrator of
 re-simulations. Their time t counts from the sample on, as a plan's does. The loop measures them without noise.
