@@ -68,6 +68,7 @@ NOTE = (
     "at run time, masses lumped: as --runtime --lump generates them. Their setup divides by lengths and inertias, and "
     "fails where one is 0. --runtime alone divides by none, and takes more flops."
 )
+BRIEF = "flops: + - * / sqrt sin cos and unary minus, one each. report.md explains tables and columns."
 COMPARISON = "Flops of the formulations, compared"
 SCENE = "Flops of the functions, with ever more left out"
 LEFT_OUT = "Left out below the tolerance"

@@ -98,6 +98,8 @@ def test_a_model_is_generated_without_a_command(arguments: list[str], mbsgen: Co
     assert (done.code, re.sub(r"\d+", "N", done.err)) == (0, "wrote N files to out\n")
     assert json.loads(Path("out/manifest.json").read_text())["model"] == "pendulum"
     assert "jac_adj1_impl" in done.out
+    assert done.out.endswith("report.md explains\ntables and columns.\n")
+    assert "assignments of the C that compute something" in Path("out/report.md").read_text()
 
 
 def test_the_targets_beside_c_are_written_on_request(mbsgen: Command) -> None:

@@ -20,6 +20,7 @@ from mbsgen.importing import Choices
 from mbsgen.model.changes.scene import EVERYTHING
 from mbsgen.output import find_differences, write_folder
 from mbsgen.pipeline import Options, make
+from mbsgen.report import BRIEF
 from mbsgen.roles import ACCELERATING, QUICKEST
 from mbsgen.targets.c.symbols import describe_mangling
 from mbsgen.targets.languages import TARGETS
@@ -153,7 +154,7 @@ def generate_command(
         _check_folder({**product.files, **product.packages}, out)
         return
     write_folder({**product.files, **product.packages}, out)
-    print_report(product.report)
+    print_report(product.report, BRIEF)
     if notice := describe_mangling(product.manifest.model, product.manifest.prefix):
         click.echo(f"note: {notice}", err=True)
     if hidden := product.manifest.switching:

@@ -48,8 +48,8 @@ def report_command(model: Path, form: str | None, compare: bool, choices: Choice
         click.echo(write_json(report) if form == "json" else write_markdown(report), nl=False)
 
 
-def print_report(report: Report) -> None:
-    """Print the cost of a model on stdout: tables with the same columns, whatever their contents."""
+def print_report(report: Report, note: str = NOTE) -> None:
+    """Print the cost of a model on stdout: tables with the same columns, and a note on them."""
     cells = [
         (name, *map(str, cost.row)) for s in sections(report) for costs in s.groups for name, cost in costs.items()
     ]
@@ -66,7 +66,7 @@ def print_report(report: Report) -> None:
             click.echo("  ".join((title.ljust(first), *(str(row[name]).rjust(6) for name in report.formulations))))
         click.echo("")
     _print_ways(report)
-    click.echo(textwrap.fill(NOTE, 79))
+    click.echo(textwrap.fill(note, 79))
 
 
 def _print_ways(report: Report) -> None:
