@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.schemes import Scheme
-from mbsrun.ocp.ground.trajectory import Trajectory, resample
+from mbsrun.ocp.ground.trajectory import NONE, Trajectory, resample
 from mbsrun.ocp.problem.contacts import list_held
 from mbsrun.ocp.problem.driving import Guide, choose_rows, follow, give_nothing
 from mbsrun.ocp.problem.given import place_unknown
@@ -247,6 +247,7 @@ def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Gene
         point_q=add(trajectory.point_q, point_t, 0),
         point_qd=add(trajectory.point_qd, point_t, 1),
         point_qdd=add(trajectory.point_qdd, point_t, 2),
+        slopes=NONE,
     )
 
 

@@ -131,7 +131,7 @@ def add_noise(motion: Trajectory, problem: Problem, manifest: Manifest, rng: np.
         return _clip(rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), u.shape), bounds)
 
     u = draw(motion.u, problem.bounds.u)
-    none = {"point_u": NONE, "point_controls": NONE}  # which follow from the others
+    none = {"point_u": NONE, "point_controls": NONE, "slopes": NONE}  # which follow from the others
     moved = replace(motion, q=move(motion.q), point_q=move(motion.point_q), u=u, **none)
     if not (problem.every_state or problem.controls):
         return moved
@@ -194,6 +194,7 @@ def add_waves(
         point_q=_clip(motion.point_q + wave(motion.point_t, 0), problem.bounds.q),
         point_qd=motion.point_qd + wave(motion.point_t, 1),
         point_qdd=motion.point_qdd + wave(motion.point_t, 2),
+        slopes=NONE,
     )
 
 
