@@ -61,7 +61,7 @@ def optimum(problem: Problem, plant: Peer) -> Solution:
 
 
 @pytest.mark.parametrize("steps", [1, 3])
-@pytest.mark.parametrize("family", Family)
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
 def test_polynomials_are_read_exactly_everywhere(family: Family, steps: int) -> None:
     """Accelerations t^(d-2) at the stages: what follows at stages, points and ends is the polynomial's."""
     d = 4
@@ -76,7 +76,7 @@ def test_polynomials_are_read_exactly_everywhere(family: Family, steps: int) -> 
 
 
 @pytest.mark.parametrize("steps", [1, 3])
-@pytest.mark.parametrize("family", Family)
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
 def test_coordinates_of_second_order_are_integrals_of_velocities(family: Family, steps: int) -> None:
     """Accelerations t^(d-1): velocities of degree d and coordinates of degree d + 1 are exact, in between too.
 
@@ -300,7 +300,7 @@ def test_shooting_by_the_schemes_own_method_is_collocation(arm: Peer, reach: Pro
     assert found.trajectory.point_qdd == pytest.approx(expected.trajectory.point_qdd, abs=1e-6)
 
 
-@pytest.mark.parametrize("family", Family)
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
 def test_bounds_and_running_costs_are_those_of_collocation(plant: Peer, family: Family) -> None:
     """Held and summed at the points, though these are no variables; the cart's bound is active there."""
     problem = replace(swing_up(20, 3), family=family, cost=Cost(1.0, running=(Term("qdd_cart**2", 0.01),)))

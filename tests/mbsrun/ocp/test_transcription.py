@@ -96,7 +96,7 @@ def test_ipopt_finds_no_fault_in_the_derivatives(
     assert "No errors detected by derivative checker." in capfd.readouterr().out
 
 
-INTEGRAL = [(r, f) for r in (Representation.IMPL, Representation.EXP2_A) for f in Family]
+INTEGRAL = [(r, f) for r in (Representation.IMPL, Representation.EXP2_A) for f in (Family.RADAU, Family.LEGENDRE)]
 
 
 @pytest.mark.parametrize(("representation", "family"), INTEGRAL)
@@ -198,7 +198,7 @@ def test_slopes_are_the_standard_form_solved(
         assert terms[0] == pytest.approx(terms[1], rel=1e-11)
 
 
-@pytest.mark.parametrize("family", Family)
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
 def test_bounds_hold_at_points_that_are_no_variables(
     arm: Peer, reach: Problem, family: Family, rng: np.random.Generator
 ) -> None:
