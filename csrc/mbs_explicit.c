@@ -845,6 +845,64 @@ static int look(mbs_run *r, casadi_real t, casadi_real *h, const casadi_real *x,
     return status;
 }
 
+/* Return the only guard that fired, of a place, or -1. */
+static casadi_int find_stop(const mbs_modes *m)
+{
+    casadi_int k, found = -1;
+    for (k = 0; k < m->guards; ++k)
+        if (m->fired[k]) {
+            if (found >= 0 || m->kind[k] != MBS_PLACE)
+                return -1;
+            found = k;
+        }
+    return found;
+}
+
+/* At an event with the state y: pass an impact that needs no decision. Return MBS_EVENT for any other event; else write the
+ * state `after`, and note the impact as ending in a row. */
+static int bounce(mbs_run *r, casadi_real *y, casadi_real *after, casadi_int row)
+{
+    const mbs_explicit *p = r->p;
+    mbs_modes *m = p->modes;
+    const casadi_int stop = m->bounces < m->most && !p->e && !p->d && r->free == p->n ? find_stop(m) : -1;
+    casadi_real *x = r->x, speed, fastest, impulse;
+    casadi_int i, k;
+    int status;
+    if (stop < 0)
+        return MBS_EVENT;
+    i = m->joint[stop];
+    speed = m->side[stop] * y[p->nq + i];
+    if (!(speed < 0) || !(-m->restitution[i] * speed >= m->slow))
+        return MBS_EVENT;
+    for (k = 0; k < m->guards; ++k)
+        if (k != stop && m->kind[k] == MBS_PLACE) {
+            const casadi_real size = fabs(m->level[k]) > 1 ? fabs(m->level[k]) : 1;
+            if (m->side[k] * (y[m->place[k]] - m->level[k]) <= m->touch * size)
+                return MBS_EVENT;
+        }
+    y[m->place[stop]] = m->level[stop];
+    fastest = measure(p->n, y + p->nq);
+    lay(r, y);
+    if ((status = factorise_mass(r)) != 0)
+        return status;
+    for (k = 0; k < p->n; ++k)
+        x[k] = k == i;
+    mbs_cholesky_forward(p->n, r->M, x);
+    mbs_cholesky_backward(p->n, r->M, x);
+    impulse = -(1 + m->restitution[i]) * speed / x[i];
+    for (k = 0; k < p->nq; ++k)
+        after[k] = y[k];
+    for (k = 0; k < p->n; ++k)
+        after[p->nq + k] = y[p->nq + k] + m->side[stop] * impulse * x[k];
+    after[p->nq + i] = -m->restitution[i] * y[p->nq + i];
+    for (k = 0; k < p->n; ++k)
+        if (m->sign[k] != 0 && !(m->sign[k] * after[p->nq + k] > m->still * fastest))
+            return MBS_EVENT;
+    m->row[m->bounces] = row, m->guard[m->bounces] = stop, m->impulse[m->bounces] = impulse;
+    ++m->bounces;
+    return 0;
+}
+
 static int run_fixed(mbs_run *r, casadi_real h, casadi_int steps, casadi_real *times, casadi_real *states)
 {
     const casadi_int size = r->p->nq + r->p->n;
@@ -930,7 +988,15 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
             status = look(r, t, &part, x, y);
             if (status == MBS_EVENT) {
                 times[++r->out->steps] = t + part;
-                return status;
+                if (r->out->steps == steps || !(t + part > t))
+                    return status;
+                status = bounce(r, y, y + size, r->out->steps + 1);
+                if (status)
+                    return status;
+                times[++r->out->steps] = t + part;
+                status = begin_next(r, t + part, y + size, 0);
+                was_rejected = 0;
+                continue;
             }
         }
         if ((status && may_retry(status)) || error > 1 || error != error) {
@@ -965,6 +1031,8 @@ void mbs_explicit_run(const mbs_explicit *plant, const mbs_manner *manner, casad
 {
     mbs_run r = open_run(plant, manner, reals, integers, outcome);
     r.inputs = inputs, r.courses = courses;
+    if (plant->modes)
+        plant->modes->bounces = 0;
     lay(&r, states);
     outcome->status = manner->estimates ? run_adaptive(&r, end, h, steps, times, states)
                                         : run_fixed(&r, *h, steps, times, states);

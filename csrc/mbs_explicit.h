@@ -74,6 +74,15 @@ typedef struct {
     const casadi_int *kind, *joint, *place; /* of each guard: MBS_PLACE, ...; the entry of qd, and of q */
     const casadi_real *side, *level;
     casadi_int *fired; /* written at an event: 1 where a guard falls below 0 */
+    /* Impacts that need no decision: a joint hits a stop alone, is thrown back at `slow` or more, and changes no other
+     * joint's way of sliding. They are passed, and noted, while there is room for `most` of them; 0: every event ends a run.
+     * At an impact two rows have one time. */
+    casadi_int most;
+    casadi_real slow, still, touch;   /* still: of the fastest velocity, a slower one is 0; touch: of max(1, |level|) */
+    const casadi_real *restitution;   /* n */
+    casadi_int bounces;               /* written: how many; */
+    casadi_int *row, *guard;          /* of each, the row with the state after it, and the guard that fell, */
+    casadi_real *impulse;             /* and the impulse away from the stop */
 } mbs_modes;
 
 typedef struct {
@@ -94,7 +103,7 @@ typedef struct {
     const casadi_int *driven; /* their entries of qd */
     const casadi_int *place;  /* and of q */
     const casadi_int *loop;   /* of each equation: the number of its loop, from 1 */
-    const mbs_modes *modes;   /* NULL: no joint is held or braked, and there are no guards */
+    mbs_modes *modes;         /* NULL: no joint is held or braked, and there are no guards */
 } mbs_explicit;
 
 /* How to step: A, b, c and E of a Runge-Kutta method; E has a row for each of `estimates` estimates of a step's error: none

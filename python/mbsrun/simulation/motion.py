@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
 
@@ -118,6 +118,17 @@ PLACE, SPEED, FORCE = 0, 1, 2  # kinds of guards
 Push = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
+@dataclass(frozen=True, eq=False)
+class Bounces:
+    """Impacts between steps of one mode, each between two states at one time."""
+
+    rows: NDArray[np.intp]  # of the states after them
+    events: tuple[Event, ...]
+    losses: Array  # J
+    guards: tuple[Guard, ...]  # that fell to 0
+    restitution: tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Segment:
     """The mode of some steps, and what happened at their start."""
@@ -129,6 +140,7 @@ class Segment:
     guards: tuple[Guard, ...] = ()  # that fell to 0
     jumps: tuple[Jump, ...] = ()
     push: Push | None = None  # of a model with rigid contacts
+    bounces: Bounces | None = None  # between the steps
 
 
 @dataclass(frozen=True)
@@ -323,3 +335,27 @@ class Chunk:
     stages: Stages | None = None
     segment: Segment | None = None  # of a model with stops or dry friction, from event to event
     strikes: Strikes | None = None  # of time stepping
+
+    def part(self) -> Iterator[Chunk]:
+        """Yield the steps between impacts, each time with what happened before them."""
+        segment = self.segment
+        if segment is None or segment.bounces is None:
+            yield self
+            return
+        bounces, ends = segment.bounces, [*segment.bounces.rows.tolist(), len(self.t)]
+        yield self._cut(0, ends[0], replace(segment, bounces=None))
+        for k, first in enumerate(bounces.rows.tolist()):
+            event, guard, e = bounces.events[k], bounces.guards[k], bounces.restitution[k]
+            jump = Jump(self.qd[first - 1], self.qd[first], (guard.joint,), (e,))
+            happened = {"events": (event,), "loss": float(bounces.losses[k]), "guards": (guard,), "jumps": (jump,)}
+            yield self._cut(first, ends[k + 1], Segment(segment.modes, **happened))
+
+    def _cut(self, first: int, end: int, segment: Segment) -> Chunk:
+        """Return the steps between two rows."""
+        dense = self.dense
+
+        def read(times: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
+            assert dense is not None, "steps between events can be read"
+            return dense(times, step + first)
+
+        return Chunk(self.t[first:end], self.q[first:end], self.qd[first:end], read, segment=segment)

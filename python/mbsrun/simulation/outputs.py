@@ -6,6 +6,8 @@ nearest to the distance.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,16 +47,25 @@ class Outputs:
         near = np.where(wanted - chunk.t[later - 1] < chunk.t[later] - wanted, chunk.t[later - 1], chunk.t[later])
         wanted = np.where(np.abs(near - wanted) < SAME * self.distance, near, wanted)
         wanted = wanted[(wanted > first) & (wanted <= last)]
-        t = np.union1d(chunk.t, wanted)
-        step = np.clip(np.searchsorted(chunk.t, t, side="left") - 1, 0, len(chunk.t) - 2)
-        q, qd = dense(t, step)
-        whole = np.isin(t, chunk.t)  # there the integrator's own states, not interpolated ones
-        q[whole], qd[whole] = chunk.q, chunk.qd
+        extra = wanted[~np.isin(wanted, chunk.t)]
+        if not extra.size:
+            return chunk, np.searchsorted(chunk.t, wanted)
+        places = np.searchsorted(chunk.t, extra)
+        between = dense(extra, places - 1)
+        t, q, qd = (
+            np.insert(whole, places, part, axis=0)
+            for whole, part in zip((chunk.t, chunk.q, chunk.qd), (extra, *between), strict=True)
+        )
+        rows = np.arange(len(chunk.t)) + np.searchsorted(extra, chunk.t)  # of the states that were there
+        step = np.searchsorted(rows, np.arange(1, len(t))) - 1
 
         def dense_in_parts(times: Array, part: NDArray[np.intp]) -> tuple[Array, Array]:
-            return dense(times, step[part + 1])
+            return dense(times, step[part])
 
-        return Chunk(t, q, qd, dense_in_parts, segment=chunk.segment), np.flatnonzero(np.isin(t, wanted))
+        segment = chunk.segment
+        if segment is not None and segment.bounces is not None:
+            segment = replace(segment, bounces=replace(segment.bounces, rows=rows[segment.bounces.rows]))
+        return Chunk(t, q, qd, dense_in_parts, segment=segment), np.searchsorted(t, wanted)
 
 
 def list_times(distance: float, start: float, end: float) -> Array:

@@ -99,7 +99,8 @@ def simulate(
             for chunk in _timed(integrate(dynamics, piece, *record.last, settings, allowance), dynamics.effort):
                 record.add(chunk)
                 if watch is not None:
-                    watch(dynamics, piece, chunk)
+                    for part in chunk.part():
+                        watch(dynamics, piece, part)
                 show(float(chunk.t[-1]))
         except HaltError as error:
             halt = error.halt
@@ -364,9 +365,14 @@ class _Record:
         friction = np.cumsum(add_up_friction(self.joints, chunk))
         if len(self.modes) < len(self.t):  # the start
             self.modes.append(segment.modes)
-        self.losses += [(self.friction + float(friction[k - 1]), self.impacts) for k in chosen]
+        impacts = self.impacts + np.zeros(len(chunk.t))
+        if segment.bounces is not None:
+            self.events += segment.bounces.events
+            np.add.at(impacts, segment.bounces.rows, segment.bounces.losses)
+            impacts = self.impacts + np.cumsum(impacts - self.impacts)
+        self.losses += [(self.friction + float(friction[k - 1]), float(impacts[k])) for k in chosen]
         self.modes += [segment.modes] * len(chosen)
-        self.friction += float(friction[-1])
+        self.friction, self.impacts = self.friction + float(friction[-1]), float(impacts[-1])
 
     def _keep(self, chunk: Chunk, work: Array, chosen: NDArray[np.intp]) -> None:
         if chosen.size:

@@ -18,7 +18,9 @@ from mbsrun import Mechanism, cli, load
 from mbsrun.models import INTEGRATED, Extent
 from mbsrun.simulation import Course, Drive, Kind, Mode, Motion, Settings, control, differentiate, simulate
 from mbsrun.simulation.drive import express, hold
+from mbsrun.simulation.integration import switching
 from mbsrun.simulation.integration.complementarity import ComplementarityError, solve_bounded
+from mbsrun.simulation.motion import Chunk
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.drawn_trees import draw_tree
 
@@ -106,6 +108,60 @@ def test_ten_thousand_impacts_keep_energy_and_period(make: Make) -> None:
     assert hits / flight == pytest.approx(np.arange(10_000) + 0.5, rel=1e-12)
     assert motion.energy is not None
     assert np.abs(motion.energy.drift).max() < 1e-13
+
+
+FLAIL = """
+name: flail
+gravity: [0, 0, -9.81]
+bodies:
+  - name: upper
+    joint: {type: revolute, axis: y, actuated: false, limits: [-0.5, 2], stops: {restitution: 0.9}}
+    mass: 1
+    com: [0, 0, -0.5]
+    inertia: [0.1, 0.1, 0.01]
+  - name: lower
+    parent: upper
+    joint:
+      type: revolute
+      axis: y
+      position: [0, 0, -1]
+      actuated: false
+      limits: [-1, 1]
+      stops: {restitution: 0.8}
+      friction: {torque: 0.02}
+    mass: 1
+    com: [0, 0, -0.5]
+    inertia: [0.1, 0.1, 0.01]
+"""
+
+
+def test_impacts_that_c_passes_are_those_that_end_a_run(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two rods between stops, one with friction: the same events, states and losses, whichever side passes them."""
+    flail, settings = make(FLAIL), Settings(4.0, output_step=0.013, **TIGHT)
+    runs, counts = list[Motion](), list[int]()
+    for is_passed in (True, False):
+        chunks = list[Chunk]()
+        if not is_passed:
+            monkeypatch.setattr(switching._Course, "bounces", False)
+        motion = simulate(
+            flail, hold([]), [1.0, 0.2], [0.0, 0.0], settings, watch=lambda *x, own=chunks: own.append(x[2])
+        )
+        runs.append(motion)
+        counts.append(sum(len(chunk.segment.guards) for chunk in chunks if chunk.segment is not None))
+    one, other = runs
+    assert len(times(one, Kind.IMPACT)) == 7
+    assert counts[0] == counts[1]
+    assert [(x.joint, x.kind) for x in one.events] == [(x.joint, x.kind) for x in other.events]
+    for name in ("time", "before", "after"):
+        found, expected = ([getattr(event, name) for event in run.events] for run in runs)
+        assert found == pytest.approx(expected, abs=1e-9)
+    assert one.t == pytest.approx(other.t)
+    assert one.q == pytest.approx(other.q, abs=1e-9)
+    assert one.energy is not None
+    assert other.energy is not None
+    assert one.energy.impacts == pytest.approx(other.energy.impacts, abs=1e-9)
+    assert one.energy.friction == pytest.approx(other.energy.friction, abs=1e-9)
+    assert np.abs(one.energy.drift).max() < 1e-10
 
 
 @pytest.mark.parametrize(("method", "order"), [("rk4", 4), ("euler", 1)])

@@ -5,9 +5,9 @@
 The kernel `power` gives the integrand; Gauss quadrature sums it in each step. That kernel shares no equation with those
 of the accelerations: a fault in these shows as a drift of energy.
 
-The quadrature takes the stages of an implicit method; else three Gauss nodes in each step. There the motion is the
-integrator's own interpolation, or the quintic through coordinates and their first two derivatives at both ends;
-velocities that are no rates of coordinates are cubic.
+The quadrature takes the stages of an implicit method; else Gauss nodes in each step: five where the motion is the
+integrator's own interpolation, of an order up to 8; three where it is the quintic through coordinates and their first
+two derivatives at both ends. Velocities that are no rates of coordinates are cubic then.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from mbsrun.simulation.motion import Chunk, Stages
 
 Array = NDArray[np.float64]
 
-NODES = (np.polynomial.legendre.leggauss(3)[0] + 1) / 2
-WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2
+FEW, MANY = (((x + 1) / 2, w / 2) for x, w in map(np.polynomial.legendre.leggauss, (3, 5)))  # nodes and weights
 
 
 def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
@@ -52,27 +51,27 @@ def add_up_friction(joints: Joints, chunk: Chunk) -> Array:
     """Compute the energy that dry friction takes in each step, shape (k,): exact where it is constant."""
     assert chunk.segment is not None, "a chunk with a mode"
     assert chunk.dense is not None, "a chunk of an explicit method"
-    length, lost = np.diff(chunk.t), np.zeros(len(chunk.t) - 1)
+    (nodes, weights), length, lost = MANY, np.diff(chunk.t), np.zeros(len(chunk.t) - 1)
     sliding = [i for i, mode in enumerate(chunk.segment.modes) if abs(mode) == 1 and joints.is_dry[i]]
     for i in sliding:
         lost += joints.torque[i] * np.abs(np.diff(chunk.q[:, joints.place[i]]))
     if chunk.segment.push is not None:
-        t = chunk.t[:-1, None] + length[:, None] * NODES
-        state = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
+        t = chunk.t[:-1, None] + length[:, None] * nodes
+        state = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), nodes.size))
         power = chunk.segment.push(t.ravel(), *state)[2]
-        lost += length * (power.reshape(t.shape) @ WEIGHTS)
+        lost += length * (power.reshape(t.shape) @ weights)
     if any(joints.stribeck[i] > 0 for i in sliding):
-        t = chunk.t[:-1, None] + length[:, None] * NODES
-        qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))[1]
+        t = chunk.t[:-1, None] + length[:, None] * nodes
+        qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), nodes.size))[1]
         power = ((joints.rub(qd) - joints.torque) * np.abs(qd))[:, sliding].sum(axis=1)
-        lost += length * (power.reshape(t.shape) @ WEIGHTS)
+        lost += length * (power.reshape(t.shape) @ weights)
     return lost
 
 
 def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
     """Read the motion at the nodes of Gauss's quadrature."""
-    length = np.diff(chunk.t)
-    t = chunk.t[:-1, None] + length[:, None] * NODES
+    length, (nodes, weights) = np.diff(chunk.t), FEW if chunk.dense is None else MANY
+    t = chunk.t[:-1, None] + length[:, None] * nodes
     if chunk.dense is None:
         qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.follow(chunk.t, chunk.q, chunk.qd))
         first = dynamics.rates(chunk.q, chunk.qd)
@@ -84,13 +83,13 @@ def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
         if dynamics.kernels.manifest.configuration:
             qd = connect(length, chunk.qd, qdd)
     else:
-        q, qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), NODES.size))
+        q, qd = chunk.dense(t.ravel(), np.repeat(np.arange(len(length)), nodes.size))
         q, qd = (x.reshape(*t.shape, -1) for x in (q, qd))
-    return Stages(t, q, qd, WEIGHTS)
+    return Stages(t, q, qd, weights)
 
 
 def interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-    """Evaluate the quintics at the nodes: q, qd of shape (k, NODES, n)."""
+    """Evaluate the quintics at three nodes: q, qd of shape (k, 3, n)."""
     h = length[:, None, None]
     data = {
         "q": (q[:-1, None], q[1:, None]),
@@ -100,14 +99,14 @@ def interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, 
     place, rate = np.zeros((1, 1, 1)), np.zeros((1, 1, 1))
     for name, ends in data.items():
         for polynomial, end in zip(_BASIS[name], ends, strict=True):
-            place = place + polynomial(NODES)[:, None] * end
-            rate = rate + polynomial.deriv()(NODES)[:, None] * end / h
+            place = place + polynomial(FEW[0])[:, None] * end
+            rate = rate + polynomial.deriv()(FEW[0])[:, None] * end / h
     return place, rate
 
 
 def connect(length: Array, qd: Array, qdd: Array) -> Array:
-    """Evaluate at the nodes the cubics through velocities and accelerations at both ends: (k, NODES, n)."""
-    s, h = NODES[:, None], length[:, None, None]
+    """Evaluate at three nodes the cubics through velocities and accelerations at both ends: (k, 3, n)."""
+    s, h = FEW[0][:, None], length[:, None, None]
     ends = (1 - s) ** 2 * ((1 + 2 * s) * qd[:-1, None] + s * h * qdd[:-1, None])
     return np.asarray(ends + s**2 * ((3 - 2 * s) * qd[1:, None] + (s - 1) * h * qdd[1:, None]))
 

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 
 STEPS = 1024  # taken in C at a time
 FREE_STEPS = 128  # the same by a tolerance: each may take many attempts
+BOUNCING_STEPS = 1024  # the same, where impacts are passed on the way
 RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT, EVENT = -1, -2, -3, -4, -5, -6, -7  # the C functions' statuses
 KEEPING = {  # the C functions' numbers
     Keeping.PROJECTION: 1,
@@ -47,7 +48,7 @@ KEEPING = {  # the C functions' numbers
 MOST_GUARDS = 4  # of a joint
 
 _RESULT, _TABLEAU, _MODE = "result ", "tableau ", "mode "  # begin the names of arrays that are no kernel's input
-_WHOLE = ("held", "kind", "joint", "place", "fired")
+_WHOLE = ("held", "kind", "joint", "place", "fired", "row", "guard")
 
 _CDEF = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
@@ -60,6 +61,12 @@ typedef struct {
     const long long *kind, *joint, *place;
     const double *side, *level;
     long long *fired;
+    long long most;
+    double slow, still, touch;
+    const double *restitution;
+    long long bounces;
+    long long *row, *guard;
+    double *impulse;
 } mbs_modes;
 typedef struct {
     long long n, nq, m, e, d;
@@ -68,7 +75,7 @@ typedef struct {
     mbs_entries M, J;
     mbs_call direct, residual, mass, closure, rates, jacobian, change;
     const long long *driven, *place, *loop;
-    const mbs_modes *modes;
+    mbs_modes *modes;
 } mbs_explicit;
 typedef struct {
     long long stages, estimates, order;
@@ -291,9 +298,12 @@ class Plant:
             setattr(modes, name, memory.add(_MODE + name, n))
         for name in ("side", "level"):
             setattr(modes, name, memory.add(_MODE + name, MOST_GUARDS * n))
-        self.whole = {name: self.ffi.new("long long[]", n if name == "held" else MOST_GUARDS * n) for name in _WHOLE}
+        sizes = {"held": n, "row": BOUNCING_STEPS, "guard": BOUNCING_STEPS}
+        self.whole = {name: self.ffi.new("long long[]", sizes.get(name, MOST_GUARDS * n)) for name in _WHOLE}
         for name, numbers in self.whole.items():
             setattr(modes, name, numbers)
+        modes.restitution = memory.add(_MODE + "restitution", n)
+        modes.impulse = memory.add(_MODE + "impulse", BOUNCING_STEPS)
         modes.guards = MOST_GUARDS * n
         self.modes = self.plant.modes = memory.keep(modes)
 
@@ -308,7 +318,20 @@ class Plant:
                 arrays[_MODE + name][k] = getattr(guard, name)
             for name in ("kind", "joint", "place"):
                 self.whole[name][k] = getattr(guard, name)
-        self.modes.guards = len(guards)
+        self.modes.guards, self.modes.most = len(guards), 0
+
+    def bounce(self, restitution: Array, slow: float, still: float, touch: float) -> None:
+        """Pass impacts that need no decision, with restitutions (n,), until the next `switch`."""
+        self.memory.arrays[_MODE + "restitution"][:] = restitution
+        modes = self.modes
+        modes.most, modes.slow, modes.still, modes.touch = BOUNCING_STEPS, slow, still, touch
+
+    @property
+    def bounced(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Return the impacts of the last run: the rows of the states after them, the guards, and the impulses."""
+        count = self.modes.bounces
+        rows, guards = (np.array(list(self.whole[name][0:count]), dtype=np.intp) for name in ("row", "guard"))
+        return rows, guards, self.memory.arrays[_MODE + "impulse"][:count].copy()
 
     @property
     def fired(self) -> list[int]:
@@ -360,7 +383,7 @@ class Plant:
             *map(self._point_if, given),
             *(*path, *self.room, outcome),
         )
-        effort.steps += outcome.steps
+        effort.steps += outcome.steps - (self.modes.bounces if self.switches else 0)
         effort.rejected = (effort.rejected or 0) + outcome.rejected
         effort.evaluations += outcome.evaluations
         effort.switches += outcome.switches
@@ -376,7 +399,8 @@ class Plant:
 
         Returns how many, why they end early, and times and states by rows. Raises LimitError.
         """
-        steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else FREE_STEPS)
+        most = BOUNCING_STEPS if self.switches and self.modes.most else FREE_STEPS
+        steps = min(max(1, allowance.steps), min(STEPS, count - first) if count else most)
         allowance.spend()
         times = place_steps(piece, first + np.arange(steps + 1), count) if count else np.full(steps + 1, time)
         length = (piece.end - piece.start) / count if count else None

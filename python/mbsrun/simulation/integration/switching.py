@@ -21,7 +21,7 @@ Pfeiffer, Glocker, "Multibody dynamics with unilateral contacts" (1996), chapter
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,11 +41,12 @@ from mbsrun.simulation.integration.complementarity import (
 from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.explicit import Brakes, Pair, Plant
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
-from mbsrun.simulation.integration.joints import HELD, SLACK, Joints
+from mbsrun.simulation.integration.joints import HELD, SLACK, STILL, TOUCH, Joints
 from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.motion import (
     PLACE,
     SPEED,
+    Bounces,
     Chunk,
     Event,
     Guard,
@@ -118,21 +119,24 @@ class _Course(Course):
         while time < piece.end:
             plant.open(piece)
             plant.switch(brakes, guards)
+            if self.bounces:
+                plant.bounce(self.joints.restitution, SLOW, STILL, TOUCH)
             done, halt, times, states = plant.advance(piece, state, time, first, count, allowance)
             if self.is_locked:  # closing loops would move it by rounding
                 states[:] = state
-            is_event = plant.is_event
+            is_event, bounced = plant.is_event, plant.bounced
             if is_event:
                 self.snap(guards, plant.fired, states[done])
-            if done and times[done] == times[done - 1]:  # an event at once
+            if done and times[done] == times[done - 1] and done not in bounced[0]:  # an event at once
                 done -= 1
                 states[done] = states[done + 1]
             if done:
-                allowance.note(done - 1)
+                allowance.note(done - 1 - len(bounced[0]))
             time, state, first = float(times[done]), states[done], first + done
             if done:
                 self.fastest = float(np.abs(states[: done + 1, self.dynamics.places :]).max())
-            chunk = self.gather(piece, times[: done + 1], states[: done + 1], brakes)
+            bounces = self.describe(bounced, guards, times, states)
+            chunk = self.gather(piece, times[: done + 1], states[: done + 1], brakes, bounces)
             if is_event:
                 self.guards = (*self.guards, *(guards[k] for k in plant.fired))
             yield chunk
@@ -147,11 +151,37 @@ class _Course(Course):
         free = len(self.forces.moving) - len(self.joints.manifest.owners)
         return len(self.locking) >= free and self.dynamics.course.is_constant
 
-    def gather(self, piece: Piece, times: Array, states: Array, brakes: Brakes) -> Chunk:
+    @property
+    def bounces(self) -> bool:
+        """Return whether impacts are passed in C: no joint rests, and the restitution of one throws it back."""
+        assert self.modes is not None, "a mode was found"
+        return not np.isin(self.modes, HELD).any() and bool((self.joints.restitution > 0).any())
+
+    def describe(
+        self,
+        bounced: tuple[NDArray[np.intp], NDArray[np.intp], Array],
+        guards: Sequence[Guard],
+        times: Array,
+        states: Array,
+    ) -> Bounces | None:
+        """Describe the impacts that were passed in C."""
+        rows, fallen, impulses = bounced
+        if not rows.size:
+            return None
+        own = [guards[k] for k in fallen]
+        joints, names = [guard.joint for guard in own], [c.name for c in self.joints.manifest.coordinates]
+        before, after = (states[row, self.dynamics.places + np.array(joints)] for row in (rows - 1, rows))
+        sides = np.array([guard.side for guard in own])
+        numbers = zip(times[rows].tolist(), joints, before.tolist(), after.tolist(), strict=True)
+        events = tuple(Event(t, names[i], Kind.IMPACT, v, w) for t, i, v, w in numbers)
+        restitution = tuple(self.joints.restitution[joints].tolist())
+        return Bounces(rows, events, -0.5 * impulses * sides * (before + after), tuple(own), restitution)
+
+    def gather(self, piece: Piece, times: Array, states: Array, brakes: Brakes, bounces: Bounces | None) -> Chunk:
         """Bundle steps with the motion within them, in their own mode."""
         assert self.modes is not None, "a mode was found"
         happened = self.passed, self.loss, self.driven, self.guards, self.jumps
-        segment = Segment(tuple(map(int, self.modes)), *happened)
+        segment = Segment(tuple(map(int, self.modes)), *happened, bounces=bounces)
         if len(times) > 1:
             self.passed, self.loss, self.driven, self.guards, self.jumps = (), 0.0, 0.0, (), ()
         q, qd = np.split(states, [self.dynamics.places], axis=1)
