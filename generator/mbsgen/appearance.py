@@ -232,6 +232,11 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
     )
 
 
+def _has_arrow(contact: Contact) -> bool:
+    is_hollow = isinstance(contact.other, Sphere) and contact.other.inside
+    return not (contact.is_rigid or contact.wheel is not None or is_hollow)
+
+
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
     seat, other = seats.find(contact.body, contact.placement), contact.other
     carrier = seats.find(other.body, HERE if isinstance(other, Plane | Sphere) else other.placement)
@@ -241,7 +246,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
             direction = carrier.axes @ _floats(other.normal, values)
             plane = _point(carrier.place(_floats(other.position, values)))
             normal = _triple(direction / np.linalg.norm(direction))
-        case Sphere():
+        case Sphere() if not other.inside:  # a hollow one would hide what is within
             ball = Ball(
                 centre=_point(carrier.place(_floats(other.position, values))), radius=_float(other.radius, values)
             )
@@ -256,7 +261,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=plane,
         normal=normal,
-        law=None if contact.is_rigid or contact.wheel is not None else _describe_grip(contact, values),
+        law=_describe_grip(contact, values) if _has_arrow(contact) else None,
         sphere=ball,
         box=brick,
     )

@@ -235,7 +235,7 @@ class _Writing:
         return Fibres(**{key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in texts.items()})
 
     def _add_contact(self, k: int, found: Touch, contact: Contact) -> Touch:
-        if contact.is_rigid or contact.wheel is not None:
+        if found.law is None:
             return found
         laws: dict[str | int, Expression] = {
             key: getattr(contact, key) for key in ("stiffness", "dissipation", "width")

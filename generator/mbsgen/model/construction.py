@@ -281,9 +281,9 @@ def plane(body: str = BASE, *, position: Vector = _ORIGIN, normal: Direction = "
     return Plane(body, vector(position), _direct(normal))
 
 
-def sphere(radius: Quantity, body: str = BASE, *, position: Vector = _ORIGIN) -> Sphere:
-    """Make a sphere on a body, or on the base, that the sphere of a contact touches."""
-    return Sphere(number(radius), body, vector(position))
+def sphere(radius: Quantity, body: str = BASE, *, position: Vector = _ORIGIN, inside: bool = False) -> Sphere:
+    """Make a sphere on a body, or on the base, that the sphere of a contact touches, from outside or from inside."""
+    return Sphere(number(radius), body, vector(position), inside)
 
 
 def box(size: Vector, body: str = BASE, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> Block:

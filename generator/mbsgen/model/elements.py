@@ -462,7 +462,8 @@ class Loads:
         r = self._read(contact.radius, {})
         c, P = (self._probe(name, k, Reading.POSITION, at) for k, at in (("c", centre), ("P", side.anchor)))
         if isinstance(contact.other, Sphere):
-            return self._meet_sphere(name, c, P, r, self._read(contact.other.radius, {}))
+            R = self._read(contact.other.radius, {})
+            return self._meet_within(name, c, P, r, R) if contact.other.inside else self._meet_sphere(name, c, P, r, R)
         if isinstance(contact.other, Block):
             return self._meet_box(contact, contact.other, name, subtract(c, P), r, side)
         (normal,) = side.axes
@@ -489,6 +490,14 @@ class Loads:
         n = self._define_vector(name, "n", scale(1 / length, d))
         gap = self._define(name, "gap", length - r - R)
         return _Meeting(n, gap, scale(-r / (r + R), d), scale(R / (r + R), d))
+
+    def _meet_within(self, name: str, c: Vector, P: Vector, r: Expr, R: Expr) -> _Meeting:
+        d = self._define_vector(name, "d", subtract(c, P))
+        square = self._define(name, "square", dot(d, d), Length(name, dot(c, c) + dot(P, P)))
+        length = self._define(name, "length", sqrt(square))
+        n = self._define_vector(name, "n", scale(-1 / length, d))
+        gap = self._define(name, "gap", R - r - length)
+        return _Meeting(n, gap, scale(r / (R - r), d), scale(R / (R - r), d))
 
     def _meet_box(self, contact: Contact, box: Block, name: str, d: Vector, r: Expr, side: Side) -> _Meeting:
         # the distance is a smooth function of q = |x| - edge/2 in the box's axes, and n is its gradient

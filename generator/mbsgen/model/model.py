@@ -411,6 +411,7 @@ class Sphere:
     radius: Expression  # [m]
     body: str = BASE
     position: Triple = ORIGIN  # of its centre, in the body's frame [m]
+    inside: bool = False  # it is hollow, and the other side stays within
 
     @property
     def placement(self) -> Placement:

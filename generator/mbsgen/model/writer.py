@@ -332,7 +332,7 @@ def _write_other(other: Other) -> Mapped:
     content: Mapped = {} if other.body == BASE else {"body": _quote(other.body)}
     content |= _write_placement(other.placement)
     if isinstance(other, Sphere):
-        return {**content, "radius": _write_number(other.radius)}
+        return {**content, "radius": _write_number(other.radius), **({"inside": "true"} if other.inside else {})}
     if isinstance(other, Block):
         return {**content, "size": _write_triple(other.size)}
     return content if other.normal == GROUND.normal else {**content, "normal": _write_axis(other.normal)}

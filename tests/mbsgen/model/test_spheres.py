@@ -284,6 +284,18 @@ FAULTS = {  # old text, new text, path and piece of the finding
     "no radius": ("radius: 0.2, ", "", "contacts[1].sphere.radius", "missing"),
     "an unknown parameter": ("radius: 0.2", "radius: bog", "contacts[1].sphere.radius", 'unknown name "bog"'),
     "a place in the plane": ("[0.3, 0, 0.4]}", "[0.3, 0.4]}", "contacts[0].sphere.position", "list of 2"),
+    "an unknown radius of a hollow one": (
+        "radius: 0.2",
+        "inside: true, radius: bog",
+        "contacts[1].sphere.radius",
+        'unknown name "bog"',
+    ),
+    "a hollow one that is too small": (
+        "radius: big",
+        "inside: true, radius: 0.05",
+        "contacts[0].sphere.radius",
+        "where the contact's own radius is",
+    ),
     "an unknown key": ("radius: 0.2", "radius: 0.2, normal: z", "contacts[1].sphere.normal", "unknown key"),
     "a box": ("radius: 0.1", "size: [1, 1, 1]", "contacts[0].size", "corners miss a sphere"),
     "a plane too": ("    stiffness: 500", "    plane: {}\n    stiffness: 500", "contacts[1].sphere", "a plane and a"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from mbsgen.errors import InputError
 from mbsgen.manifest import Stops
 from mbsrun import Mechanism, load
 from mbsrun.limits import Allowance, Limits
@@ -252,6 +254,79 @@ def test_a_motion_that_switches_again_and_again_at_once_is_ended() -> None:
     piece = Piece(0.0, 1.0, lambda t: np.zeros((len(t), 0)), True)
     with pytest.raises(HaltError, match="200 switches of nothing, each within 1e-09 s"):
         list(Restless().follow(piece, np.zeros(1), np.zeros(1), Allowance(Limits())))
+
+
+ROPE = """
+name: rope
+gravity: [0, 0, -9.81]
+bodies:
+  - name: load
+    joint:
+      - {{name: x, type: prismatic, axis: x, actuated: false}}
+      - {{name: z, type: prismatic, axis: z, actuated: false}}
+    mass: 2
+contacts:
+  - {{name: rope, body: load, sphere: {{radius: 1, inside: true}}, {law}}}
+"""
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.3])
+def test_a_rope_slackens_on_the_way_up_and_tightens_after_a_parabola(restitution: float, make: Make) -> None:
+    """Thrown at v^2 = 3.5 g L from below, a load leaves the circle at 120 degrees, with v^2 = g L/2.
+
+    It is there after an elliptic integral, and a parabola meets the circle again after 4 v sin(120 deg)/g.
+    """
+    rope, start = make(ROPE.format(law=f"restitution: {restitution}")), ([0, -1], [np.sqrt(3.5 * G), 0])
+    leaves = quad(lambda a: 1 / np.sqrt(3.5 * G - 2 * G * (1 - np.cos(a))), 0, 2 * np.pi / 3, epsabs=1e-14)[0]
+    speed, flight = np.sqrt(G / 2), 4 * np.sqrt(G / 2) * np.sin(2 * np.pi / 3) / G
+    settings = Settings(leaves + flight + 1e-3, output_step=0.02, **TIGHT)
+    motion = simulate(rope, hold([]), *start, settings)
+    leave, hit = motion.events[:2]
+    assert (leave.kind, hit.kind) == (Kind.LEAVE, Kind.IMPACT)
+    assert leave.time == pytest.approx(leaves, abs=1e-11)
+    assert hit.time == pytest.approx(leaves + flight, abs=1e-11)
+    t = np.clip(motion.t - leaves, 0, flight)
+    fall = np.array([np.sqrt(3) / 2, 0.5]) + np.outer(t, speed * np.array([-0.5, np.sqrt(3) / 2]))
+    fall[:, 1] -= G * t**2 / 2
+    is_free = (motion.t > leaves) & (motion.t < hit.time)
+    assert motion.q[is_free] == pytest.approx(fall[is_free], abs=1e-11)
+    out = fall[-1] / np.linalg.norm(fall[-1])
+    velocity = speed * np.array([-0.5, np.sqrt(3) / 2]) - [0, G * flight]
+    assert hit.before == pytest.approx(-velocity @ out, abs=1e-10)
+    assert hit.after == pytest.approx(restitution * (velocity @ out), abs=1e-10)
+    assert motion.energy is not None
+    assert motion.energy.impacts is not None
+    assert motion.energy.impacts[-1] == pytest.approx((1 - restitution**2) * (velocity @ out) ** 2, abs=1e-9)
+    assert np.linalg.norm(motion.q, axis=1).max() < 1 + 1e-12
+    assert np.abs(motion.energy.drift).max() < 1e-9
+
+
+def test_a_rope_stepped_in_time_follows_the_way_from_event_to_event(make: Make) -> None:
+    """The error of the end falls with the step, and the rope is never too long by more than a step's way."""
+    rope, start = make(ROPE.format(law="restitution: 0.3")), ([0, -1], [np.sqrt(3.5 * G), 0])
+    best = simulate(rope, hold([]), *start, Settings(1.5, **TIGHT)).q[-1]
+    runs = [simulate(rope, hold([]), *start, Settings(1.5, "moreau", step=h)) for h in (2e-3, 2.5e-4)]
+    errors = [np.abs(run.q[-1] - best).max() for run in runs]
+    assert errors[1] < 0.4 * errors[0]
+    assert errors[1] < 1e-2
+    assert np.linalg.norm(runs[1].q, axis=1).max() < 1 + 2.5e-4 * 6
+
+
+def test_a_rope_that_gives_way_pulls_in_proportion_to_its_stretch(tmp_path: Path) -> None:
+    """A compliant side: no force within the sphere, and k (|d| - L) towards its centre beyond."""
+    file = tmp_path / "model.yaml"
+    file.write_text(ROPE.format(law="stiffness: 1e4, exponent: 1"), encoding="utf-8")
+    rope = load(file, extent=Extent(("exp2",), 0))
+    q = np.array([[0.3, -0.4], [0.606, -0.808]])
+    qdd = rope("exp2", q=q, qd=np.zeros((2, 2)))["qdd"]
+    assert qdd == pytest.approx(np.array([[0, -G], [-0.6 * 1e4 * 0.01 / 2, 0.8 * 1e4 * 0.01 / 2 - G]]), abs=1e-9)
+
+
+def test_a_hollow_sphere_that_is_too_small_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "model.yaml"
+    file.write_text(ROPE.format(law="restitution: 0, radius: 1.5"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"sphere.radius: found 1, where the contact's own radius is 1.5; give more"):
+        load(file)
 
 
 def test_contacts_beside_stops_are_refused(make: Make) -> None:

@@ -288,6 +288,12 @@ def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterat
             yield from _check_positive((*at, "size", k), edge, valuation)
     else:
         yield from _check_positive((*at, "radius"), other.radius, valuation)
+        if other.inside:
+            within = valuation.number((*at, "radius"), other.radius)
+            own = valuation.number((*place, "radius"), contact.radius)
+            if 0 < within <= own:
+                finding = f"found {within:g}, where the contact's own radius is {own:g}"
+                yield Finding((*at, "radius"), finding, "give more: that sphere stays within")
     if contact.size is not None and not isinstance(other, Plane):
         finding = f"a box and a {contact.key}: its corners miss a {contact.key} between them"
         yield Finding((*place, "size"), finding, "give the contact a radius, one for each sphere that makes up the box")

@@ -194,6 +194,7 @@ class OtherSphereSection(Section):
     body: str = Field(BASE, examples=[BASE], description="a body, or base")
     position: TripleField = Field(ORIGIN, examples=[[0.0, 0.0, 0.1]], description="of its centre, in that frame, m")
     radius: NumberField = Field(examples=[0.05], description="m")
+    inside: bool = Field(False, examples=[False], description="hollow: the contact's sphere stays within")
 
 
 class OtherBoxSection(PlacementSection):
@@ -289,7 +290,7 @@ class ContactSection(PlacementSection):
         if self.box is not None:
             return Block(self.box.size, self.box.body, self.box.placement)
         if self.sphere is not None:
-            return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position)
+            return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position, self.sphere.inside)
         return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)
 
     def make(self, table: TyreFile | None = None) -> Contact:
