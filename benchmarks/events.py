@@ -93,7 +93,7 @@ def main() -> None:
 
 
 def swing(impacts: int, tolerances: Sequence[float]) -> Iterator[Row]:
-    """Let the pendulum hit its stop so often, at each tolerance."""
+    """Simulate the pendulum up to a number of impacts, at each tolerance."""
     k = np.sin(START / 2)
     flight = (ellipk(k**2) - ellipkinc(np.arcsin(np.sin(STOP / 2) / k), k**2)) / np.sqrt(G / LENGTH)
     speed = np.sqrt(2 * G / LENGTH * (np.cos(STOP) - np.cos(START)))
@@ -101,7 +101,7 @@ def swing(impacts: int, tolerances: Sequence[float]) -> Iterator[Row]:
 
 
 def strike(impacts: int, tolerances: Sequence[float]) -> Iterator[Row]:
-    """Let the mass hit its stop so often, at each tolerance."""
+    """Simulate the mass on the spring likewise."""
     flight = np.pi / PACE
     yield from _measure(HAMMER, 0.0, 1.0, impacts * flight, flight, 1.0, tolerances)
 

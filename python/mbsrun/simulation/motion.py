@@ -337,7 +337,7 @@ class Chunk:
     strikes: Strikes | None = None  # of time stepping
 
     def part(self) -> Iterator[Chunk]:
-        """Yield the steps between impacts, each time with what happened before them."""
+        """Yield the steps between impacts, each time with the events before them."""
         segment = self.segment
         if segment is None or segment.bounces is None:
             yield self
