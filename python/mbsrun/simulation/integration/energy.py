@@ -26,7 +26,7 @@ from mbsrun.simulation.motion import Chunk, Stages
 
 Array = NDArray[np.float64]
 
-FEW, MANY = (((x + 1) / 2, w / 2) for x, w in map(np.polynomial.legendre.leggauss, (3, 5)))  # nodes and weights
+(NODES, WEIGHTS), MANY = (((x + 1) / 2, w / 2) for x, w in map(np.polynomial.legendre.leggauss, (3, 5)))
 
 
 def add_up_work(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Array:
@@ -70,7 +70,7 @@ def add_up_friction(joints: Joints, chunk: Chunk) -> Array:
 
 def _place_nodes(dynamics: Dynamics, piece: Piece, chunk: Chunk) -> Stages:
     """Read the motion at the nodes of Gauss's quadrature."""
-    length, (nodes, weights) = np.diff(chunk.t), FEW if chunk.dense is None else MANY
+    length, (nodes, weights) = np.diff(chunk.t), (NODES, WEIGHTS) if chunk.dense is None else MANY
     t = chunk.t[:-1, None] + length[:, None] * nodes
     if chunk.dense is None:
         qdd = dynamics.accelerations(chunk.q, chunk.qd, piece.follow(chunk.t, chunk.q, chunk.qd))
@@ -99,14 +99,14 @@ def interpolate(length: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, 
     place, rate = np.zeros((1, 1, 1)), np.zeros((1, 1, 1))
     for name, ends in data.items():
         for polynomial, end in zip(_BASIS[name], ends, strict=True):
-            place = place + polynomial(FEW[0])[:, None] * end
-            rate = rate + polynomial.deriv()(FEW[0])[:, None] * end / h
+            place = place + polynomial(NODES)[:, None] * end
+            rate = rate + polynomial.deriv()(NODES)[:, None] * end / h
     return place, rate
 
 
 def connect(length: Array, qd: Array, qdd: Array) -> Array:
     """Evaluate at three nodes the cubics through velocities and accelerations at both ends: (k, 3, n)."""
-    s, h = FEW[0][:, None], length[:, None, None]
+    s, h = NODES[:, None], length[:, None, None]
     ends = (1 - s) ** 2 * ((1 + 2 * s) * qd[:-1, None] + s * h * qdd[:-1, None])
     return np.asarray(ends + s**2 * ((3 - 2 * s) * qd[1:, None] + (s - 1) * h * qdd[1:, None]))
 
