@@ -347,8 +347,9 @@ class Chunk:
         for k, first in enumerate(bounces.rows.tolist()):
             event, guard, e = bounces.events[k], bounces.guards[k], bounces.restitution[k]
             jump = Jump(self.qd[first - 1], self.qd[first], (guard.joint,), (e,))
-            happened = {"events": (event,), "loss": float(bounces.losses[k]), "guards": (guard,), "jumps": (jump,)}
-            yield self._cut(first, ends[k + 1], Segment(segment.modes, **happened))
+            loss = float(bounces.losses[k])
+            own = Segment(segment.modes, (event,), loss, guards=(guard,), jumps=(jump,))
+            yield self._cut(first, ends[k + 1], own)
 
     def _cut(self, first: int, end: int, segment: Segment) -> Chunk:
         """Return the steps between two rows."""
