@@ -78,7 +78,7 @@ fn main() {
 
 
 def _run_example(crate: Path, text: str, cargo: str, *flags: str) -> list[str]:
-    (crate / "examples").mkdir()
+    (crate / "examples").mkdir(exist_ok=True)
     (crate / "examples" / "values.rs").write_text(text, encoding="utf-8")
     run(cargo, "test", "--offline", "--quiet", *flags, cwd=crate)
     return run(cargo, "run", "--offline", "--quiet", *flags, "--example", "values", cwd=crate).splitlines()
@@ -134,3 +134,76 @@ def test_stages_compute_as_in_c(tmp_path: Path, requires: Requires, monkeypatch:
 def test_names_are_identifiers_and_strings_of_any_text() -> None:
     assert [name_item(x) for x in ("loop", "Self", "3a", "knee")] == ["loop_", "Self_", "_3a", "knee"]
     assert write_string('a"\\\n\u00e9') == '"a\\u{22}\\u{5c}\\u{a}\\u{e9}"'
+
+
+def test_a_crate_in_single_precision_has_the_bits_of_the_c(tmp_path: Path, requires: Requires) -> None:
+    """With and without the standard library; a third of a turn and many of them, and the crate's own tests."""
+    (tmp_path / "model.yaml").write_text(HOSTILE, encoding="utf-8")
+    out = tmp_path / "fn"
+    generate(tmp_path / "model.yaml", out, Options(targets=("rust",), functions=("impl", "exp2"), derivatives=1))
+    (out / "main.c").write_text(SINGLE_C, encoding="utf-8")
+    names = ("default_parameters", "setup", "impl", "exp2", "jac_exp2")
+    files = [str(out / name) for name in ("main.c", *(f"fn_{name}.c" for name in names))]
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-DMBS_REAL=float")
+    run(requires("cc"), *flags, *files, "-lm", "-o", str(out / "main"), cwd=out)
+    expected = run(str(out / "main"), cwd=out).splitlines()
+    for features in (("--features", "f32"), ("--no-default-features", "--features", "f32")):
+        found = _run_example(out / "rust", SINGLE, requires("cargo"), *features)
+        assert found == expected
+
+
+SINGLE = """\
+fn main() {
+    let model = fn_model::Model::new().unwrap();
+    let (qd, u) = ([1.2, -0.7], [0.5, -0.25]);
+    for turn in [0.3, -1.9, 500.0] {
+        let q: [f32; 2] = [turn, -0.8];
+        let found = model.impl_(&q, &qd, &[3.0, -1.0], &u).unwrap();
+        for x in found.iter().chain(&model.exp2(&q, &qd, &u).unwrap()) {
+            println!("{:08x}", x.to_bits());
+        }
+        for x in model.jac_exp2(&q, &qd, &u).unwrap().jac_qdd_q.nonzeros {
+            println!("{:08x}", x.to_bits());
+        }
+    }
+}
+"""
+SINGLE_C = r"""
+#include <stdio.h>
+#include <string.h>
+
+#include "fn.h"
+
+static void show(int n, const float *values)
+{
+    int i;
+    for (i = 0; i < n; ++i) {
+        unsigned bits;
+        memcpy(&bits, values + i, sizeof bits);
+        printf("%08x\n", bits);
+    }
+}
+
+int main(void)
+{
+    const float turns[3] = {0.3f, -1.9f, 500.0f}, qd[2] = {1.2f, -0.7f}, u[2] = {0.5f, -0.25f}, qdd[2] = {3, -1};
+    float p[2], h[64], found[2], slopes[3][4];
+    int i;
+    fn_default_parameters(p);
+    if (fn_compute_setup(p, h) != 0)
+        return 1;
+    for (i = 0; i < 3; ++i) {
+        const float q[2] = {turns[i], -0.8f};
+        if (fn_compute_impl(q, qd, qdd, u, h, found) != 0)
+            return 1;
+        show(2, found);
+        if (fn_compute_exp2(q, qd, u, h, found) != 0)
+            return 1;
+        show(2, found);
+        if (fn_compute_jac_exp2(q, qd, u, h, slopes[0], slopes[1], slopes[2]) != 0)
+            return 1;
+        show(fn_jac_exp2_NNZ_jac_qdd_q, slopes[0]);
+    }
+    return 0;
+}
+"""

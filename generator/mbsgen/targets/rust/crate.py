@@ -18,7 +18,7 @@ from mbsgen.tape.types import Input, Output
 from mbsgen.targets.contract import Family
 from mbsgen.targets.entries import Group
 from mbsgen.targets.layout import lay_out
-from mbsgen.targets.rust.stages import KEYWORDS, Function, name_type, write_functions
+from mbsgen.targets.rust.stages import KEYWORDS, Function, write_functions
 from mbsgen.targets.statements import wrap
 from mbsgen.targets.unit import Unit
 
@@ -169,7 +169,7 @@ def _is_column(output: Output | Wire) -> bool:
 def _describe(output: Output | Wire) -> _Result:
     pattern = output.sparsity
     if _is_column(output):
-        return _Result(output.name, name_type(pattern.nnz), output.name, _note(output))
+        return _Result(output.name, f"[Real; {pattern.nnz}]", output.name, _note(output))
     value = f"Matrix {{ nonzeros: {output.name}, pattern: &PATTERN_{output.name} }}"
     return _Result(output.name, f"Matrix<{pattern.rows}, {pattern.cols}, {pattern.nnz}>", value, _note(output))
 

@@ -58,7 +58,7 @@ class Function:
 
 def name_type(size: int) -> str:
     """Name the type of an array."""
-    return f"[f64; {size}]"
+    return f"[math::Real; {size}]"
 
 
 def write_functions(function: Computation) -> tuple[Function, ...]:
