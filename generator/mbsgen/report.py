@@ -45,6 +45,7 @@ SWITCHED: Mapping[str, Reductions] = MappingProxyType(
         "motions not carried to inertia": replace(LUMPED, meet=False),
         "joints eliminated one by one": replace(LUMPED, together=False),
         "fields not from angular accelerations": replace(LUMPED, spin=False),
+        "momentum not passed, no moments by rates": replace(LUMPED, momentum=False),
         "accelerations along axes in the bias": replace(LUMPED, rest=False),
         "point masses not in series": replace(LUMPED, series=False),
         "sums not factored": replace(LUMPED, factor=False),

@@ -29,7 +29,7 @@ SWITCHES = {
     name.replace("_", "-"): name
     for name in (
         *("regroup", "share_frames", "lump", "absolute", "meet", "together"),
-        *("spin", "rest", "series", "factor", "share", "order"),
+        *("spin", "momentum", "rest", "series", "factor", "share", "order"),
     )
 }
 

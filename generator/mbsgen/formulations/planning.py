@@ -25,6 +25,7 @@ from mbsgen.formulations.reductions import Reductions
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
+from mbsgen.tape.brackets import take_brackets
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import PAPER
 from mbsgen.tape.factoring import factor
@@ -65,7 +66,7 @@ class Plans:
         def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
             return [*joint_matrix(shared.begin(plan)).values(), *shared.bias(self.bias, absolute=False)]
 
-        plan = self._search(write, self.bias)
+        plan = self._search(write, self.bias, rates=False)
         others = [replace(plan, by_angles=True)] if self._reductions.absolute else []
         return self._refine(write, plan, *others)
 
@@ -81,7 +82,7 @@ class Plans:
 
         if self._size > ELIMINATED:
             return self.mass_matrix
-        return self._refine(write, self._search(write, self.mass_matrix))
+        return self._refine(write, self._search(write, self.mass_matrix, rates=False))
 
     @cached_property
     def articulated(self) -> Plan:
@@ -100,10 +101,16 @@ class Plans:
 
         plan = self._search(write, self.residual, restrain=restrain)
         others = (replace(plan, together=depth, by_motions=True) for depth in self._list_together())
-        flags = ["shift_first", "first_resists", "by_motions"] + ["in_series"] * self._reductions.series
+        flags = ["shift_first", "first_resists", "by_motions", "turns_apart", "by_squares"] + [
+            "in_series"
+        ] * self._reductions.series
         best = self._refine(write, plan, *others, flags=flags)
-        decides = rest and self._size <= ELIMINATED
-        return min(best, replace(best, at_rest=False), key=partial(self._finish, write)) if decides else best
+        if self._size > ELIMINATED:
+            return best
+        finished = [best] + [replace(best, at_rest=False)] * rest
+        if best.together and any(c.scaled for c in best.choices):
+            finished.append(best.flip("by_levers"))
+        return min(finished, key=partial(self._finish, write)) if len(finished) > 1 else best
 
     def _list_together(self) -> Iterator[int]:
         """List how many joints of each branch EXP2 may eliminate together.
@@ -170,7 +177,11 @@ class Plans:
         return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
 
     def _search(
-        self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], *start: Plan, restrain: Restraint = leave
+        self,
+        write: Callable[[PlanTrials, Plan], Sequence[Scalar]],
+        *start: Plan,
+        restrain: Restraint = leave,
+        rates: bool = True,
     ) -> Plan:
         wanted = self._reductions.trials
         trials = _trials(self._size) if wanted is None else wanted
@@ -185,8 +196,8 @@ class Plans:
                     return None
 
             found = search(shared.segments, cost, self._reductions, trials, start, restrain)
-            spins = self._reductions.spin and trials > 1 and self._size <= ELIMINATED
-            return spin(shared.segments, cost, found) if spins else found
+            spins = rates and trials > 1 and self._size <= ELIMINATED
+            return spin(shared.segments, cost, found, self._reductions) if spins else found
 
 
 def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:
@@ -339,7 +350,11 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
     """Compute common parts of sums once, and add terms as they are ready, each if requested and worth it."""
     if len(tape.operations) > LONG or not (reductions.share or reductions.order):
         return tape
-    found = rewrite(tape, FIXED, share=reductions.share, order=reductions.order)
+    if reductions.factor:
+        tape = take_brackets(tape, FIXED)
+    share, order = reductions.share, reductions.order
+    trials = (rewrite(tape, FIXED, share=share, order=order, hand_on=x) for x in (False, share)[: 1 + share])
+    found = min(trials, key=count_own)
     if count_own(found)[0] <= WORTH * count_own(tape)[0]:
         return found
     return min(rewrite(tape, FIXED, share=reductions.share, order=False), tape, key=count_own)

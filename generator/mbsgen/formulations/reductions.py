@@ -17,6 +17,7 @@ class Reductions:
     meet: bool = True  # carry motions of joints up to inertia in M, instead of loads and inertia down
     together: bool = True  # eliminate joints near the base together in EXP2
     spin: bool = True  # take a body's field from its angular acceleration, where this takes fewer operations
+    momentum: bool = True  # let the momentum of spin turn with the body before; second moments by rates
     rest: bool = True  # let joints of EXP2's bias motion rest: no acceleration along axes of joints eliminated alone
     series: bool = True  # put a point mass in series with the rotor between the two joints before it, in EXP2
     factor: bool = True  # take common factors out of sums
@@ -39,6 +40,7 @@ NONE = Reductions(
     meet=False,
     together=False,
     spin=False,
+    momentum=False,
     rest=False,
     series=False,
     factor=False,

@@ -4,7 +4,7 @@ A sum is taken whole, through additions and subtractions whose result has no oth
 
 *Sharing*: the pair of terms that most sums hold becomes a value, which takes the place of the pair in each of them; so
 does the next pair. A pair in k sums saves k - 1 operations. Constants of a sum or product are combined first, outside
-the recursion.
+the recursion. A product with a constant that other products with constants alone use leaves its constant to them.
 
 *Order*: a processor starts several operations per clock, but each of them takes some clocks, and a sum waits for its
 terms. So the term that is ready last is added last, where this ends the sum earlier.
@@ -33,14 +33,17 @@ _Term = tuple[int, int]  # a value and its sign; of a product, always 1
 _Pair = tuple[int, int, int]  # two values in order, and the product of their signs
 
 
-def rewrite(tape: Tape, constant: Set[Role] = frozenset(), *, share: bool = True, order: bool = True) -> Tape:
+def rewrite(
+    tape: Tape, constant: Set[Role] = frozenset(), *, share: bool = True, order: bool = True, hand_on: bool = False
+) -> Tape:
     """Write sums and products anew; inputs of the roles `constant` count as constants.
 
-    share: compute common parts once. order: combine terms as they are ready, where this ends a sum or product earlier.
+    share: compute common parts once. hand_on: move constants into products with constants before. order: combine terms
+    as they are ready, where this ends a sum or product earlier.
     """
     sums = _Sums(tape, constant)
     if share:
-        sums.share()
+        sums.share(hand_on=hand_on)
     if order:
         sums.order()
     return sums.write()
@@ -51,6 +54,7 @@ class _Sums:
         self.tape = tape
         self.is_constant = find_constants(tape, constant)
         self.inner = self._find_inner()
+        self.handed_on = False
         self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value
         for value, (op, _, _) in enumerate(tape.operations, tape.first_operation):
             if op in _KINDS and value not in self.inner and not self.is_constant[value]:
@@ -84,10 +88,32 @@ class _Sums:
 
     # -- sharing ------------------------------------------------------------------------------------------------
 
-    def share(self) -> None:
+    def share(self, *, hand_on: bool) -> None:
         """Replace shared pairs by values."""
+        self.handed_on = hand_on
+        if hand_on:
+            self._hand_on_constants()
         for kind, wholes in self.wholes.items():
             self._pair_up(kind, {value: terms for value, terms in wholes.items() if len(terms) <= LONGEST})
+
+    def _hand_on_constants(self) -> None:
+        """Move the constant of a product into the products that use it, where all of these have constants too."""
+        products = self.wholes[Op.MUL]
+        holders: dict[int, list[int]] = {}
+        for value, factors in products.items():
+            for x, _ in factors:
+                holders.setdefault(x, []).append(value)
+        uses = count_uses(self.tape)
+        for value, factors in products.items():
+            found = holders.get(value, [])
+            fixed, rest = ([x for x in factors if self.is_constant[x[0]] is is_fixed] for is_fixed in (True, False))
+            if not (fixed and rest and found and uses[value] == len(found)):
+                continue
+            if all(any(self.is_constant[x] for x, _ in products[holder]) for holder in found):
+                for holder in found:
+                    place = products[holder].index((value, 1))
+                    products[holder][place : place + 1] = [*fixed, *(rest if len(rest) == 1 else [(value, 1)])]
+                factors[:] = rest if len(rest) > 1 else factors
 
     def _pair_up(self, kind: Op, wholes: dict[int, list[_Term]]) -> None:
         holders: dict[_Pair, set[int]] = {}
@@ -130,8 +156,10 @@ class _Sums:
         return shared
 
     def _list_pairs(self, terms: Sequence[_Term]) -> Iterator[_Pair]:
+        fixed = [x for x, _ in terms if self.is_constant[x]]
+        kept = set(fixed) if len(fixed) > 1 and self.handed_on else ()  # they become one
         for (x, r), (y, s) in combinations(terms, 2):
-            if not (self.is_constant[x] and self.is_constant[y]):
+            if x not in kept and y not in kept and not (self.is_constant[x] and self.is_constant[y]):
                 yield (x, y, r * s) if x <= y else (y, x, r * s)
 
     # -- order --------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ PROBE = """
 /* The status at a state, and whether nothing is written at one that is not a number. */
 int main(void)
 {
-    mbs_real q[7] = {0}, qd[7] = {0}, u[5] = {0}, p[9], h[9], r[3][49];
+    mbs_real q[7] = {0}, qd[7] = {0}, u[5] = {0}, p[9], h[64], r[3][49];
     int i;
     branched_default_parameters(p);
     i = branched_compute_setup(p, h);

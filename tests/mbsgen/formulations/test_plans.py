@@ -120,6 +120,20 @@ def test_a_point_mass_in_series_with_a_rotor_moves_as_the_textbook_says(seed: in
         assert articulate(trials.begin(plan), together=(1, 2)[: plan.together])[3].series
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_motions_that_turn_meet_a_body_before_its_joint_is_free(seed: int) -> None:
+    """Whatever the joints before it: parallel or askew, prismatic, with rotors or without."""
+    tree, rng = random_chain(seed), np.random.default_rng(seed)
+    n = len(tree.bodies)
+    for together in range(1, min(n, 5)):
+        plan = change(Plan((Choice(),) * n), rng)
+        for i in range(1, n + 1):
+            kept = replace(random_choice(rng), mass=Mass.PASSED, scaled=False)
+            plan = plan.put(i, replace(kept, meeting=Meeting.BEYOND if rng.random() < 0.8 else Meeting.SPLIT))
+        plan = replace(plan, together=together, by_motions=bool(rng.integers(2)), turns_apart=True)
+        assert_textbook(write_by(tree, plan), state_of(tree, seed))
+
+
 def spin_of(tree: Tree) -> int:
     """Return the axis across a pendulum, from the one after its joint's, of the moment that becomes spin."""
     axis, com = tree.bodies[3].joint.axis, [x != 0 for x in tree.bodies[3].com]
@@ -129,16 +143,25 @@ def spin_of(tree: Tree) -> int:
 def random_choice(rng: np.random.Generator) -> Choice:
     mass = [Mass.PASSED, Mass.BALANCING, Mass.POINT, Mass.KEPT][rng.integers(4)]
     meeting = list(Meeting)[rng.integers(len(Meeting))]
-    return Choice(
-        bool(rng.integers(2)), mass, bool(rng.integers(2)), int(rng.integers(2)), meeting, bool(rng.integers(2))
-    )
+    own_frame, scaled, by_spin, by_rates, passes_spin = (bool(x) for x in rng.integers(2, size=5))
+    return Choice(own_frame, mass, scaled, int(rng.integers(2)), meeting, by_spin, by_rates, passes_spin)
 
 
 def change(plan: Plan, rng: np.random.Generator) -> Plan:
     """Change one body's choice, the joints that are eliminated together, and the choices of the whole plan."""
     n = len(plan.choices)
     changed = plan.put(int(rng.integers(1, n + 1)), random_choice(rng))
-    flags = ("by_angles", "by_motions", "first_resists", "shift_first", "in_series", "at_rest")
+    flags = (
+        "by_angles",
+        "by_motions",
+        "first_resists",
+        "shift_first",
+        "in_series",
+        "at_rest",
+        "turns_apart",
+        "by_squares",
+        "by_levers",
+    )
     chosen = {name: bool(x) for name, x in zip(flags, rng.integers(2, size=len(flags)), strict=True)}
     return replace(changed, together=int(rng.integers(n + 1)), **chosen)
 

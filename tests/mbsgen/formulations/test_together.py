@@ -89,8 +89,8 @@ def test_levers_of_a_group_are_carried_up_to_the_body_beyond() -> None:
 @pytest.mark.parametrize(
     ("row", "switch"),
     [
-        *((row, x) for row in ("SEMI", "EXP1") for x in ("meet", "share", "spin")),
-        *(("EXP2", x) for x in ("together", "rest", "series")),
+        *((row, x) for row in ("SEMI", "EXP1") for x in ("meet", "share", "spin", "momentum")),
+        *(("EXP2", x) for x in ("together", "momentum", "rest", "series")),
     ],
 )
 def test_a_reduction_that_is_switched_off_costs_operations(row: str, switch: str) -> None:

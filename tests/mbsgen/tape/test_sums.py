@@ -11,20 +11,14 @@ import pytest
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count_paper
-from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.ports import Port
+from mbsgen.tape.replay import find_constants
 from mbsgen.tape.sums import rewrite
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import Tape
+from tests.mbsgen.tape.tapes import assert_same, random_tape, write
 
 share, order = partial(rewrite, order=False), partial(rewrite, share=False)
 PARAMETERS = Port("p", Role.PARAMETER)
-
-
-def write(size: int, results: Callable[[Sequence[Scalar]], Sequence[Scalar]]) -> Tape:
-    builder = Builder()
-    x = builder.vector("x", size)
-    builder.output_dense("y", [[y] for y in results(x)])
-    return builder.build("sums")
 
 
 @pytest.mark.parametrize(
@@ -80,6 +74,19 @@ def test_constants_of_a_product_come_together() -> None:
     assert shared.operations[0][1:] == (2, 3) or shared.operations[1][1:] == (2, 3)
 
 
+def test_a_constant_goes_into_products_with_constants() -> None:
+    """Of p x and r p x, 3 p x, the first is not computed: two products vary. With p x + y too, all three do."""
+    for needed, varying in ((False, 2), (True, 4)):
+        builder = Builder()
+        (x, y), (p, r) = builder.vector("x", 2), builder.vector(PARAMETERS, 2)
+        scaled = p * x
+        results = [r * scaled, scaled * builder.number(3.0), *([scaled + y] if needed else [])]
+        builder.output_dense("z", [[z] for z in results])
+        tape = share(builder.build("constants"), {Role.PARAMETER}, hand_on=True)
+        fixed = find_constants(tape, {Role.PARAMETER})[tape.first_operation :]
+        assert fixed.count(False) == varying
+
+
 def test_sums_longer_than_the_limit_are_left() -> None:
     """Their pairs would be thousands; the values stay."""
     tape = write(60, lambda x: [sum(x[1:], start=x[0]), sum(x[1:], start=x[0]) * x[0], sum(x[2:], start=x[0])])
@@ -104,25 +111,3 @@ def longest_wait(tape: Tape) -> int:
     for _, a, b in tape.operations:
         depths.append(1 + max(depths[a], depths[b] if b >= 0 else 0))
     return max(depths)
-
-
-def random_tape(seed: int) -> Tape:
-    """Write sums of products of few numbers, so that much is common."""
-    rng, builder = np.random.default_rng(seed), Builder()
-    values = [*builder.vector("x", 5), builder.number(2.0)]
-    for _ in range(120):
-        a, b = (values[i] for i in rng.integers(max(0, len(values) - 12), len(values), 2))
-        values.append([a + b, a - b, a * b, a * values[int(rng.integers(5))]][rng.integers(4)])
-    builder.guard(values[-1] * values[-1] + values[0] * values[0], values[1] * values[1], 1.0, 1)
-    builder.output_dense("y", [[x] for x in values[-20:]])
-    return builder.build("random")
-
-
-def assert_same(tape: Tape, shared: Tape) -> None:
-    size = tape.inputs[0].sparsity.nnz
-    given = {"x": [DIGITS.literal(float(x)) for x in np.random.default_rng(1).uniform(-1, 1, size)]}
-    expected, found = (evaluate(x, given, DIGITS)["y"] for x in (tape, shared))
-    for a, b in zip(expected, found, strict=True):
-        assert abs(a - b) <= 1e-40 * max(1, abs(a))
-    assert len(shared.guards) == len(tape.guards)
-    assert all(op in Op for op, _, _ in shared.operations)

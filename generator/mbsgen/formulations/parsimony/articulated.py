@@ -36,6 +36,7 @@ from mbsgen.formulations.chain import Chain, check_pivot
 from mbsgen.formulations.parsimony.angles import absolute_forces, relative_acceleration
 from mbsgen.formulations.parsimony.elimination import Solution, solve
 from mbsgen.formulations.parsimony.mass_matrix import (
+    Freed,
     Inertia,
     Motion,
     bring_all,
@@ -43,7 +44,7 @@ from mbsgen.formulations.parsimony.mass_matrix import (
     is_met,
     link,
     mass_matrix,
-    meet_load,
+    meet_hooked,
     own_inertia,
 )
 from mbsgen.formulations.parsimony.motion import Kinematics
@@ -65,8 +66,16 @@ class Body:
     KF: Vector[Scalar]  # K: load for a unit force of its joint
     KN: Vector[Scalar]
     left: Inertia  # the articulated inertia that its parent feels, with its joint free
+    whole: Inertia  # ... with its joint locked
+    U: Load  # for a unit acceleration of its joint
+    inverse: Scalar  # of the pivot
     halves: tuple[Line, Inertia] | None = None  # the part of this that may be in series with a rotor, and the rest
     series: Series | None = None  # how the joint feels a point mass beyond it
+
+    def free(self, segment: Segment, kinematics: Kinematics) -> Freed:
+        """Free the joint for the motions of the joints before it."""
+        is_apart = kinematics.plan.turns_apart and self.series is None and self.rotor_share.is_zero
+        return Freed(segment.axis, segment.is_revolute, self.left, self.whole, self.U, self.inverse, is_apart)
 
 
 @dataclass(frozen=True)
@@ -100,7 +109,7 @@ def accelerations(
     force_residual: dict[int, Scalar] = {}  # u = Q - e.p: the joint force residual of the bias motion
     loads: dict[int, Load] = {}
     followed: dict[int, Scalar] = {}  # the acceleration of the point mass that a joint feels in series
-    met: dict[int, Load] = {}  # of bodies whose loads the motions of the joints before them meet
+    met: dict[int, tuple[Load, Load]] = {}  # bias and hooked, of bodies that the motions of the joints before them meet
     for segment in reversed(segments):
         i = segment.number
         slack = segment.parent in bodies and _is_joined(bodies[segment.parent], i)
@@ -125,9 +134,10 @@ def accelerations(
                 partial(_hook, segment, bias, bodies[i], force_residual[i], force),
             )
         if _meets(kinematics, segment, together):
-            met[i], loads[i] = loads[i], unloaded(kinematics.builder)
-    for i, load in met.items():
-        for j, work in meet_load(kinematics, segments[i - 1], load, absolute=absolute).items():
+            met[i], loads[i] = (bias, loads[i]), unloaded(kinematics.builder, bias.momentum)
+    for i, (bias, hooked) in met.items():
+        at, freed = segments[i - 1], bodies[i].free(segments[i - 1], kinematics)
+        for j, work in meet_hooked(kinematics, at, bias, hooked, force_residual[i], freed, absolute=absolute).items():
             force_residual[j] = force_residual[j] - work
     solution = _solve_together(writing, bodies, force_residual, together, absolute=absolute)
     qdd = _accelerate(kinematics, bodies, force_residual, solution.x, carried, followed, absolute=absolute)
@@ -162,7 +172,10 @@ def _solve_together(
 ) -> Solution:
     """Solve for the accelerations of joints near the base, with all joints beyond them free."""
     segments, tree = writing.kinematics.segments, writing.chain.tree
-    beyond = {s.number: bodies[s.number].left for s in segments if s.number in bodies and s.parent in together}
+    kinematics = writing.kinematics
+    beyond = {
+        s.number: bodies[s.number].free(s, kinematics) for s in segments if s.number in bodies and s.parent in together
+    }
     numbers = dict(enumerate(sorted(together), 1))
     places = {number: k for k, number in numbers.items()}
     M = mass_matrix(writing, absolute=absolute, freed=beyond) if together else {}
@@ -297,20 +310,26 @@ def _free(chain: Chain, segment: Segment, parts: tuple[Inertia, ...]) -> Body:
     B = left(whole.B, KF, UN, turned, mirror=False)
     if slid:
         B = Matrix.of([rotor_share * whole.B[r, c] if r == e else B[r, c] for c in range(3)] for r in range(3))
-    return Body(parts, pivot, rotor_share, KF, KN, Inertia(M, B, J))
+    return Body(parts, pivot, rotor_share, KF, KN, Inertia(M, B, J), whole, Load(UF, UN, UN), inverse)
+
+
+def _across(segment: Segment, F: Vector[Scalar], N: Vector[Scalar]) -> list[Scalar]:
+    """List the components of a load that are not along a joint."""
+    along = segment.axis + 3 * segment.is_revolute
+    return [x for r, x in enumerate((*F, *N)) if r != along]
 
 
 def _hook(segment: Segment, bias: Load, body: Body, force_residual: Scalar, force: Scalar) -> Load:
     """Add a joint's share K u to the bias load; along the axis, this is the joint's force, less the rotor's part."""
     F, N = list(bias.F + body.KF.scale(force_residual)), list(bias.N + body.KN.scale(force_residual))
     (N if segment.is_revolute else F)[segment.axis] = force - body.rotor_share * force_residual
-    return Load(Vector.of(F), Vector.of(N), Vector.of(N))
+    return Load(Vector.of(F), Vector.of(N), Vector.of(N), bias.momentum)
 
 
 def _tighten(segment: Segment, bias: Load, tension: Load, force: Scalar) -> Load:
     """Add a point's tension to the bias load; along the axis, this is the joint's force."""
     N = Vector.of(force if r == segment.axis else x for r, x in enumerate(bias.N + tension.N))
-    return Load(bias.F + tension.F, N, N)
+    return Load(bias.F + tension.F, N, N, bias.momentum)
 
 
 def _accelerate(
@@ -338,11 +357,12 @@ def _accelerate(
     for segment in kinematics.segments:
         i, axis, parent = segment.number, segment.axis, increments[segment.parent]
         if i not in known and _meets(kinematics, segment, known):
-            motion = _move_together(kinematics, segment, known, absolute=absolute)
-            follows = absolute and not segment.counts_angle
+            felt, apart, taken_up = _move_together(kinematics, segment, known, bodies[i], absolute=absolute)
+            motion, follows = felt + apart, absolute and not segment.counts_angle
         else:
             lever = parent.OMp.cross(link(kinematics, segment)) if segment.parent else still
             motion, follows = Motion(parent.a + lever, parent.OMp).arrive(kinematics, segment), False
+            felt, taken_up = motion, zero
         a, OMp = motion.a, motion.OMp
         before = (OMp if segment.is_revolute else a)[axis]
         if follows:
@@ -356,38 +376,46 @@ def _accelerate(
             if series := bodies[i].series:
                 total = series.accelerate(followed[i], force_residual[i], a, OMp)
             else:
-                total = _free_acceleration(segment, bodies[i], force_residual[i], a, OMp)
+                total = _free_acceleration(segment, bodies[i], force_residual[i], felt.a, felt.OMp) - taken_up
             qdd.append(segment.signed(total - (before + taken[i] if i in taken else before)))
         own = Vector.of(total if r == axis else x for r, x in enumerate(OMp if segment.is_revolute else a))
         increments[i] = Increment(a, own) if segment.is_revolute else Increment(own, OMp)
     return qdd
 
 
-def _move_together(kinematics: Kinematics, segment: Segment, known: Mapping[int, Scalar], *, absolute: bool) -> Motion:
+def _move_together(
+    kinematics: Kinematics, segment: Segment, known: Mapping[int, Scalar], body: Body, *, absolute: bool
+) -> tuple[Motion, Motion, Scalar]:
     """Compute the increment of a body, without its own joint, from the accelerations of the joints before it.
 
     In absolute rates, a body that continues a group only follows: the rotation of its parent in the group is left out.
+    The increment has two parts: for the first, the joint gives way by K; what it gives way for the other is returned.
     """
-    zero = kinematics.builder.zero
+    zero, freed = kinematics.builder.zero, body.free(segment, kinematics)
     still = Motion(Vector(zero, zero, zero), Vector(zero, zero, zero))
-    sums = {True: still, False: still}
+    sums, apart, taken_up = {True: still, False: still}, still, zero
     for j, brought in bring_all(kinematics, segment, absolute=absolute).items():
         x = known[j] if absolute else kinematics.segments[j - 1].signed(known[j])
         side = brought.is_before
-        sums[side] = sums[side] + brought.at(before=side).scale(x)
-    return sums[True].arrive(kinematics, segment) + sums[False]
+        if freed.parts(brought):
+            apart = apart + brought.beyond.scale(x)
+            taken_up = taken_up + freed.feel(brought.beyond) * freed.inverse * x
+        else:
+            sums[side] = sums[side] + brought.at(before=side).scale(x)
+    return sums[True].arrive(kinematics, segment) + sums[False], apart, taken_up
 
 
 def _free_acceleration(
     segment: Segment, body: Body, force_residual: Scalar, a: Vector[Scalar], OMp: Vector[Scalar]
 ) -> Scalar:
     """Compute the increment along a joint that is eliminated alone: u / D - K.a', and the rotor's share."""
-    total = force_residual / body.pivot
-    for K, motion in ((body.KN, OMp), (body.KF, a)):
-        for r in range(3):
-            if r != segment.axis or (K is body.KF) == segment.is_revolute:
-                total = total - K[r] * motion[r]
-    return total + body.rotor_share * (OMp if segment.is_revolute else a)[segment.axis]
+    rotor = body.rotor_share * (OMp if segment.is_revolute else a)[segment.axis]
+    K = _across(segment, body.KF, body.KN)
+    is_alone = all(x.is_zero for x in K)  # then the inverse has no other use
+    total = force_residual / body.pivot if is_alone else force_residual * body.inverse
+    for k, x in zip(K, _across(segment, a, OMp), strict=True):
+        total = total - k * x
+    return total + rotor
 
 
 def symmetric(upper: dict[tuple[int, int], Scalar]) -> Matrix[Scalar]:

@@ -37,6 +37,14 @@ class Factors:
         """Solve M x = b; entries that b leaves out are zero."""
         return self.rise(self.descend(b))
 
+    def solve_once(self, b: Mapping[int, Scalar]) -> Column:
+        """Solve M x = b where no other column follows: the last pivot divides its unknown, without an inverse."""
+        y, known = self.descend(b), {}
+        for k in range(1, self.size + 1):
+            if not self.ancestors(k):
+                known[k] = y[k] / self.D[k]
+        return self.rise(y, known)
+
     def descend(self, b: Mapping[int, Scalar]) -> Column:
         """Solve LT y = b, from the leaves to the base."""
         y = {k: b.get(k, self.builder.zero) for k in range(1, self.size + 1)}
@@ -97,4 +105,4 @@ def solve(
 ) -> Solution:
     """Solve for the unknowns 1 to `size` at once."""
     factors = factorise(builder, matrix, size, check)
-    return Solution(factors.solve(b), factors.D)
+    return Solution(factors.solve_once(b), factors.D)

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from types import MappingProxyType
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
@@ -29,7 +30,7 @@ from mbsgen.formulations.parsimony.angles import relative_entries
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.plan import Meeting
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
-from mbsgen.formulations.parsimony.residual import Load, slide_lever
+from mbsgen.formulations.parsimony.residual import Load, lengths_of, slide_lever
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
@@ -43,6 +44,11 @@ class Motion:
 
     a: Vector[Scalar]
     OMp: Vector[Scalar]
+
+    @property
+    def is_lever(self) -> bool:
+        """Return whether nothing turns."""
+        return all(x.is_zero for x in self.OMp)
 
     def work(self, load: Load) -> Scalar:
         """Form the power of a load."""
@@ -74,6 +80,67 @@ class Inertia:
         N = self.B.transposed.apply(motion.a) + self.J.apply(motion.OMp)
         return Load(F, N, N)
 
+    def weigh(self, motion: Motion) -> Scalar:
+        """Form the quadratic form of a motion: each product of two components once, doubled."""
+        s = (*motion.a, *motion.OMp)
+        total = zero = self.M[0, 0].builder.zero
+        for r in reversed(range(6)):
+            twice = zero
+            for c in range(r + 1, 6):
+                twice = twice + self._entry(r, c) * s[c]
+            total = total + s[r] * (self._entry(r, r) * s[r] + (twice + twice))
+        return total
+
+    def _entry(self, r: int, c: int) -> Scalar:
+        """Return an entry of the upper triangle of [M, B; BT, J]."""
+        if r < 3:
+            return self.M[r, c] if c < 3 else self.B[r, c - 3]
+        return self.J[r - 3, c - 3]
+
+
+@dataclass(frozen=True)
+class Freed:
+    """A body whose joint is free, as it is felt by the joints before: by `left`, or by `whole` - U UT / D."""
+
+    axis: int
+    is_revolute: bool
+    left: Inertia
+    whole: Inertia  # with the joint locked
+    U: Load  # of a unit acceleration of the joint
+    inverse: Scalar  # of D
+    is_apart: bool  # motions that turn meet `whole`; then the joint has no rotor
+
+    def parts(self, motion: Brought) -> bool:
+        """Return whether a motion meets `whole`."""
+        return self.is_apart and not motion.is_before and not motion.beyond.is_lever
+
+    def feel(self, motion: Motion) -> Scalar:
+        """Form U.s: the joint's force for a motion, with the joint locked."""
+        return self.relieve(motion).work(self.U)
+
+    def relieve(self, motion: Motion) -> Motion:
+        """Leave out what the joint takes up: the motion along its axis."""
+        zero = self.inverse.builder.zero
+        a, OMp = (
+            Vector.of(zero if r == self.axis and is_along else x for r, x in enumerate(v))
+            for v, is_along in ((motion.a, not self.is_revolute), (motion.OMp, self.is_revolute))
+        )
+        return Motion(a, OMp)
+
+    def meet(self, one: Motion, other: Motion) -> Scalar:
+        """Form the entry of two motions, of which at least one turns."""
+        if one.is_lever:
+            one, other = other, one
+        felt, turning = self.feel(one), self.relieve(one)
+        if one is other:
+            return self.whole.weigh(turning) - felt * self.inverse * felt
+        load = self.whole.resist(turning)
+        if not other.is_lever:
+            return self.relieve(other).work(load) - felt * self.inverse * self.feel(other)
+        share = felt * self.inverse
+        load = Load(load.F - self.U.F.scale(share), load.N, load.alone)
+        return self.relieve(other).work(load)
+
 
 @dataclass(frozen=True)
 class Composite:
@@ -101,7 +168,7 @@ class Part:
 
 
 def mass_matrix(
-    writing: Writing, *, absolute: bool = False, freed: Mapping[int, Inertia] = MappingProxyType({})
+    writing: Writing, *, absolute: bool = False, freed: Mapping[int, Freed] = MappingProxyType({})
 ) -> Entries:
     """Compute one triangle of M, in relative or absolute rates; bodies on different branches have no entry.
 
@@ -122,7 +189,8 @@ def mass_matrix(
     for segment in reversed(kinematics.segments):
         i = segment.number
         if i in freed:
-            add("freed", partial(_meet, kinematics, segment, freed[i], absolute=absolute), freed[i])
+            left = partial(_meet, kinematics, segment, freed[i].left, absolute=absolute, freed=freed[i])
+            add("freed", left, *(freed[i].left, freed[i].whole) if freed[i].is_apart else (freed[i].left,))
         if not freed.keys().isdisjoint(list_path(kinematics, segment)):
             continue
         body = composites[i] = compose(kinematics, segment, inertias[i], composites)
@@ -152,7 +220,7 @@ def compose(
     beyond = [c for c in children(kinematics.segments, segment.number) if c.number in composites]
     parts = (*(composites[c.number] for c in beyond), *(kinematics.frames[c.number] for c in beyond))
     return kinematics.builder.remember(
-        ("composite", *(is_met(kinematics, c) for c in beyond)),
+        ("composite", _has_levers(kinematics, segment, inertia), *(is_met(kinematics, c) for c in beyond)),
         (segment, inertia, kinematics.frames[segment.number], *parts),
         lambda: _compose(kinematics, segment, inertia, composites),
     )
@@ -164,6 +232,8 @@ def _compose(
     b, axis = kinematics.builder, segment.axis
     axes = kinematics.frames[segment.number].directions
     m, S, J = inertia.m, kinematics.fixed(segment.number, inertia.S), own_inertia(b, segment, inertia, axes)
+    if _has_levers(kinematics, segment, inertia):
+        J = _inertia_by_levers(kinematics, segment, inertia)
     beyond = [c for c in children(kinematics.segments, segment.number) if c.number in composites]
     for child in (x for x in beyond if x.counts_angle):
         carried, d = composites[child.number], link(kinematics, child)
@@ -240,6 +310,29 @@ def own_inertia(
     return total
 
 
+def _has_levers(kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia) -> bool:
+    is_turned = kinematics.frames[segment.number].rest is not None
+    return kinematics.plan.by_levers and is_turned and kinematics.plan[segment.number].scaled and inertia.radius is None
+
+
+def _inertia_by_levers(kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia) -> Matrix[Scalar]:
+    """Write the same as tr(P) 1 - P, with P by directions of the lengths that the residual gives them."""
+    (j, k), a, zero = segment.across, segment.axis, kinematics.builder.zero
+    axes, lengths = kinematics.frames[segment.number].directions, lengths_of(kinematics, segment, inertia)
+    P = Matrix.of([zero] * 3 for _ in range(3))
+    for t, u in product(range(3), repeat=2):
+        amount, levers = inertia.P[t, u], []
+        for axis, length in ((axes[t], lengths[t]), (axes[u], lengths[u])):
+            amount, lever = (amount, axis) if length is None else (amount / length, axis.scale(length))
+            levers.append(lever)
+        P = P + outer(levers[0].scale(amount), levers[1])
+    spin = inertia.half_spin + inertia.half_spin
+    J = {(r, c): -P[r, c] for r in range(3) for c in range(3)}
+    J[j, j], J[k, k] = P[k, k] + P[a, a], P[j, j] + P[a, a]
+    J[a, a] = inertia.P[j, j] + inertia.P[k, k] + spin  # at all angles
+    return Matrix.of([J[r, c] for c in range(3)] for r in range(3))
+
+
 def link(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
     """Return the link to a child, where its parent is written, including the displacement of a prismatic joint."""
     d = kinematics.fixed(child.parent, child.d)
@@ -289,7 +382,9 @@ def _sign(one: Segment, other: Segment, entry: Scalar, *, absolute: bool) -> Sca
 # -- motions that are carried up to inertia -------------------------------------------------------------------------
 
 
-def _meet(kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolute: bool) -> Entries:
+def _meet(
+    kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolute: bool, freed: Freed | None = None
+) -> Entries:
     """Compute what a body's inertia adds to the entries of M of all joints before it."""
     M, B, J = (kinematics.depart_tensor(segment, x, faithful=True) for x in (inertia.M, inertia.B, inertia.J))
     sides = {True: Inertia(M, B, J), False: inertia}
@@ -302,6 +397,9 @@ def _meet(kinematics: Kinematics, segment: Segment, inertia: Inertia, *, absolut
             side = one.is_before or other.is_before
             if kinematics.plan.first_resists:
                 one, other = other, one
+            if freed and freed.is_apart and not side and not (one.beyond.is_lever and other.beyond.is_lever):
+                entries[j.number, k.number] = _sign(j, k, freed.meet(one.beyond, other.beyond), absolute=absolute)
+                continue
             load = sides[side].resist(other.at(before=side))
             entries[j.number, k.number] = _sign(j, k, one.at(before=side).work(load), absolute=absolute)
     return entries
@@ -314,6 +412,22 @@ def _meet_load(kinematics: Kinematics, at: Segment, load: Load, segment: Segment
         (j, segment.number): _sign(kinematics.segments[j - 1], segment, work, absolute=absolute)
         for j, work in felt.items()
     }
+
+
+def meet_hooked(
+    kinematics: Kinematics, at: Segment, bias: Load, hooked: Load, residual: Scalar, freed: Freed, *, absolute: bool
+) -> dict[int, Scalar]:
+    """Compute the same for a body whose joint is free: by its hooked load; or by its bias load, and what the joint's
+    force residual adds.
+    """
+    felt = meet_load(kinematics, at, hooked, absolute=absolute)
+    one = freed.inverse.builder.number(1.0)
+    for i, motion in bring_all(kinematics, at, absolute=absolute).items():
+        if freed.parts(motion):
+            share, rest = freed.feel(motion.beyond) * freed.inverse, freed.relieve(motion.beyond)
+            along = motion.beyond + rest.scale(-one)
+            felt[i] = rest.work(bias) + share * residual + along.work(hooked)
+    return felt
 
 
 def meet_load(kinematics: Kinematics, at: Segment, load: Load, *, absolute: bool) -> dict[int, Scalar]:
@@ -351,8 +465,7 @@ def _bring(kinematics: Kinematics, joint: Segment, segment: Segment, *, absolute
     def write() -> Brought:
         before = _arrive(kinematics, joint, segment, absolute=absolute)
         beyond = before.arrive(kinematics, segment)
-        is_lever = all(x.is_zero for x in before.OMp)
-        is_beyond = meeting is Meeting.BEYOND or (meeting is Meeting.SPLIT and is_lever)
+        is_beyond = meeting is Meeting.BEYOND or (meeting is Meeting.SPLIT and before.is_lever)
         return Brought(before, beyond, not is_beyond)
 
     frames = (kinematics.frames[i] for i in list_path(kinematics, segment))

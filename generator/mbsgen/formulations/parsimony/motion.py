@@ -41,6 +41,7 @@ class Turn:
     axis: int
     sine: Scalar
     cosine: Scalar
+    by_squares: bool = False  # matrices without entries across the diagonal by products of sine and cosine
 
     def into(self, v: Vector[Scalar]) -> Vector[Scalar]:
         """Convert components to the turned frame."""
@@ -67,13 +68,22 @@ class Turn:
             (j, k): c * by_sine - B[k, j],
             (k, j): c * by_sine - B[j, k],
         }
-        if B[j, j].is_zero or B[k, k].is_zero:
+        is_flat = B[j, j].is_zero or B[k, k].is_zero
+        if is_flat:
             images = {(j, j): B[k, k] + c * by_cosine, (k, k): B[j, j] - c * by_cosine}
             if not faithful:
                 across = images | {(j, k): B[j, k] + s * by_cosine, (k, j): B[k, j] + s * by_cosine}
             elif both.is_zero:  # then each entry is a product
                 kept = (j, j) if B[k, k].is_zero else (k, k)
                 across[kept] = images[kept]
+        if self.by_squares and (change.is_zero or (both.is_zero and not is_flat)):
+            squared, mixed = s * s * (change + both), s * c * (change + both)
+            if both.is_zero:
+                across = {(j, j): B[j, j] - squared, (k, k): B[k, k] + squared}
+                across |= {(j, k): mixed - B[k, j], (k, j): mixed - B[j, k]}
+            else:
+                across = {(j, j): B[j, j] - mixed, (k, k): B[k, k] + mixed}
+                across |= {(j, k): B[j, k] - squared, (k, j): B[k, j] - squared}
         along = {
             (j, a): c * B[j, a] - s * B[k, a],
             (k, a): c * B[k, a] + s * B[j, a],
@@ -130,6 +140,17 @@ class Movement:
         """Form U v."""
         return self.U.apply(v)
 
+    def field_of_group(self, segment: Segment, v: Vector[Scalar]) -> Vector[Scalar]:
+        """Form U v for v across the axis, less what w and wp add across the axis."""
+        j, k = segment.across
+        pp, pq, qq = self.p * self.p, self.p * self.q, self.q * self.q
+        parts = {
+            j: pq * v[k] - qq * v[j],
+            k: pq * v[j] - pp * v[k],
+            segment.axis: self.U[segment.axis, j] * v[j] + self.U[segment.axis, k] * v[k],
+        }
+        return Vector.of(parts[t] for t in range(3))
+
 
 class Kinematics:
     """The frames and movements of all bodies, in order."""
@@ -140,7 +161,7 @@ class Kinematics:
         for segment in segments:
             before = None if segment.opens_group else self.frames.get(segment.parent)
             self.frames[segment.number] = builder.remember(
-                ("place", plan[segment.number].own_frame, q[segment.number - 1].ref),
+                ("place", plan[segment.number].own_frame, plan.by_squares, q[segment.number - 1].ref),
                 (segment, before),
                 partial(self._place, segment),
             )
@@ -156,7 +177,7 @@ class Kinematics:
         before = None if segment.opens_group else self.frames[segment.parent]
         if before and before.angle:
             angle, joints = before.angle + angle, f"{before.sum}{'p' if segment.sense > 0 else 'm'}{joints}"
-        turn = Turn(segment.axis, b.sin(angle), b.cos(angle))
+        turn = Turn(segment.axis, b.sin(angle), b.cos(angle), self.plan.by_squares)
         b.label((turn.sine, turn.cosine), (f"S{joints}", f"C{joints}"))
         if self.plan[segment.number].own_frame:
             return BodyFrame(segment, turn, None, None, "", axes)
@@ -321,6 +342,10 @@ class Kinematics:
     def angular_velocity(self, segment: Segment, movement: Movement) -> Vector[Scalar]:
         """Form a body's own angular velocity, where it is written."""
         return Vector.of(self._by_axis(segment, movement.p, movement.q, movement.w))
+
+    def angular_acceleration(self, segment: Segment, movement: Movement) -> Vector[Scalar]:
+        """Form a body's own angular acceleration, where it is written."""
+        return Vector.of(self._by_axis(segment, *movement.spin, movement.wp))
 
     def _axial_acceleration(self, segment: Segment, parent: Movement) -> Scalar:
         """Form the component of the parent's angular acceleration along the joint's axis."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 from mbsgen.errors import TapeError
 from mbsgen.tape.builder import Scalar
@@ -33,6 +33,14 @@ class Meeting(Enum):
     SPLIT = "split"  # displacements without rotation at the body, as of levers in a group; others before its joint
 
 
+_T = TypeVar("_T", "Choice", "Plan")
+
+
+def _flip(chosen: _T, flag: str) -> _T:
+    flipped: dict[str, Any] = {flag: not getattr(chosen, flag)}
+    return replace(chosen, **flipped)
+
+
 @dataclass(frozen=True)
 class Choice:
     """How one body is written."""
@@ -43,6 +51,12 @@ class Choice:
     spin_from: int = 1  # the transverse second moment that becomes spin: 0, 1: first, second axis after the joint's
     meeting: Meeting = Meeting.PASSED  # in M alone
     by_spin: bool = False  # U from the angular acceleration of the body before, not from its field along the axis
+    by_rates: bool = False  # second moments across the axis by rates, not by U
+    passes_spin: bool = False  # the momentum of the spin inertia turns with the body before
+
+    def flip(self, flag: str) -> Choice:
+        """Return the choice with one of its flags the other way, by its name."""
+        return _flip(self, flag)
 
 
 @dataclass(frozen=True)
@@ -54,9 +68,12 @@ class Plan:
     by_angles: bool = False  # M is written in absolute angles, and summed up
     together: int = 0  # in EXP2, joints with fewer joints before them are eliminated together, in M
     by_motions: bool = False  # in EXP2, loads and increments of bodies that M meets are by the motions brought to them
+    turns_apart: bool = False  # in EXP2, such motions that turn meet a body before its joint is free
     first_resists: bool = False  # where M meets a body, it takes the load for the motion of the earlier of two joints
     shift_first: bool = False  # in EXP2, a link along the next joint's axis is passed before this joint turns inertia
     in_series: bool = False  # in EXP2, a point mass behind two joints is in series with the rotor between them
+    by_levers: bool = False  # in M, second moments are of directions with lengths too
+    by_squares: bool = False  # inertia without products across a joint's axis is turned by squares of the sine
     at_rest: bool = False  # in EXP2, other joints do not accelerate along their axes in the bias motion
 
     def __getitem__(self, number: int) -> Choice:
@@ -69,8 +86,7 @@ class Plan:
 
     def flip(self, flag: str) -> Plan:
         """Return the plan with one of its flags the other way, by its name."""
-        flipped: dict[str, Any] = {flag: not getattr(self, flag)}
-        return replace(self, **flipped)
+        return _flip(self, flag)
 
     @property
     def carried_down(self) -> Plan:

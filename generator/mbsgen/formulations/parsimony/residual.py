@@ -7,12 +7,21 @@ fixed in a body, S = sum s_t e_t, links d = sum l_t e_t and P = sum p_tu e_t e_u
 
 So one product U e_t serves link, first and second moment. External wrenches are subtracted, and moments of children
 added; the spin inertia 2 r adds 2 r (wp e + w OM x e).
+
+*Momentum.* The axis e of a joint is fixed in both of its bodies, so OM x e is the same with OM of either. The momentum
+h = 2 r w along it may turn with the body before, OM x h e, together with the momenta of other joints there.
+
+*Rates.* A second moment p in the direction e needs e x p U e = p (OMp - (e.OMp) e) - p (e.OM) (OM x e): angular
+acceleration across e, and a momentum -p e.OM that turns. In a frame that does not turn with the body, U splits instead:
+across the axis, w and wp add -w2 r + wp e x r to U r, so that e x p U e is p wp along the axis, and the rest of U is of
+the group.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.links import AppliedWrench
@@ -30,12 +39,24 @@ class Load:
     F: Vector[Scalar]
     N: Vector[Scalar]
     alone: Vector[Scalar]  # N without the moments of bodies that have relative angles
+    momentum: Scalar | None = None  # along the joint's axis: its rate of change is not in N; it turns with the parent
 
 
-def unloaded(builder: Builder) -> Load:
-    """Make no load."""
+def unloaded(builder: Builder, momentum: Scalar | None = None) -> Load:
+    """Make no load but a momentum."""
     none = Vector(builder.zero, builder.zero, builder.zero)
-    return Load(none, none, none)
+    return Load(none, none, none, momentum)
+
+
+@dataclass(frozen=True)
+class _Inertial:
+    """A body's own load without its spin inertia."""
+
+    F: Vector[Scalar]
+    N: Vector[Scalar]
+    V: list[Vector[Scalar]]  # by direction
+    momentum: Vector[Scalar]  # in its own frame: its rate of change is not in N
+    felt: Scalar  # more inertia along the axis
 
 
 @dataclass(frozen=True)
@@ -93,21 +114,24 @@ def join_loads(
     loads: dict[int, Load],
     *,
     slack: bool = False,
+    passes: bool = True,
 ) -> Load:
     """Add to a body's own load what its joints carry, and what acts on it from outside.
 
-    slack: leave out the force of a point mass along its joint's axis.
+    slack: leave out the force of a point mass along its joint's axis. passes: momentum may turn with the parent.
     """
+    choice = kinematics.plan[segment.number]
+    passes = passes and choice.passes_spin and segment.parent != 0
 
     def write() -> Load:
-        return _join_loads(kinematics, segment, inertia, movement, loads, slack=slack)
+        return _join_loads(kinematics, segment, inertia, movement, loads, slack=slack, passes=passes)
 
     if segment.wrenches:  # components in the base frame need the frames of all bodies before
         return write()
     beyond = [c.number for c in children(kinematics.segments, segment.number)]
     parts = (*(loads[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
     return kinematics.builder.remember(
-        ("loads", slack, kinematics.plan[segment.number].scaled, kinematics.plan.by_runtime),
+        ("loads", slack, passes, choice.scaled, choice.by_rates, kinematics.plan.by_runtime),
         (segment, inertia, movement, kinematics.frames[segment.number], *parts),
         write,
     )
@@ -121,10 +145,19 @@ def _join_loads(
     loads: dict[int, Load],
     *,
     slack: bool,
+    passes: bool,
 ) -> Load:
     directions = directions_of(kinematics, segment, inertia, movement)
-    F, N, V = inertial_load(kinematics.builder, segment, inertia, movement, directions)
-    zero = kinematics.builder.zero
+    own, spin = _inertial_load(kinematics, segment, inertia, movement, directions), _double(inertia.half_spin)
+    F, N, V, zero = own.F, own.N, own.V, kinematics.builder.zero
+    along, others = _gather_momentum(kinematics, segment, loads)
+    N = N.along(segment.axis, (spin + own.felt) * movement.wp)
+    if along.is_zero and not passes:  # products of rates that U has too
+        N = N + _turn(kinematics, segment, movement, zero, others + own.momentum)
+        N = N + _turn_spin(segment, movement, spin)
+    else:
+        along = along + spin * movement.w
+        N = N + _turn(kinematics, segment, movement, zero if passes else along, others + own.momentum)
     if slack:
         F = Vector.of(zero if r == segment.axis else x for r, x in enumerate(F))
         V[inertia.direction] = F
@@ -147,7 +180,7 @@ def _join_loads(
         F, N = F - force, N - moment - kinematics.fixed(segment.number, wrench.position).cross(force)
     i = segment.number
     kinematics.builder.label((*F, *(N + grouped)), [f"{x}{r}_{i}" for x in "FN" for r in "123"])
-    return Load(F, N + grouped, N)
+    return Load(F, N + grouped, N, along if passes else None)
 
 
 def _write_part(kinematics: Kinematics, segment: Segment, wrench: AppliedWrench, v: Vector[Scalar]) -> Vector[Scalar]:
@@ -166,47 +199,110 @@ def directions_of(
 ) -> list[Direction]:
     """List a body's own axes as directions, with the lengths that the plan gives them."""
     found = []
-    for t, e in enumerate(kinematics.frames[segment.number].directions):
-        length = None
-        if inertia.radius is not None and t == inertia.direction:
-            length = inertia.radius
-        elif kinematics.plan[segment.number].scaled and t != segment.axis:
-            links = [c.d[t] for c in children(kinematics.segments, segment.number) if not c.d[t].is_zero]
-            length = links[0] if links else None
-            if length is not None:
-                kinematics.plan.check_divisor(length)
-                guard_divisor(segment, length, length.builder.zero)
-        e = e if length is None else e.scale(length)
-        found.append(Direction(e, length, movement.field(e)))
+    axes, lengths = kinematics.frames[segment.number].directions, lengths_of(kinematics, segment, inertia)
+    for e, length in zip(axes, lengths, strict=True):
+        scaled = e if length is None else e.scale(length)
+        found.append(Direction(scaled, length, movement.field(scaled)))
     return found
 
 
-def inertial_load(
-    builder: Builder, segment: Segment, inertia: RegroupedInertia, movement: Movement, directions: Sequence[Direction]
-) -> tuple[Vector[Scalar], Vector[Scalar], list[Vector[Scalar]]]:
-    """Form a body's own force, the moment of its spin inertia, and its V by direction."""
-    still = Vector(builder.zero, builder.zero, builder.zero)
-    if inertia.radius is not None:  # a point mass: its force acts at the end of its direction
-        F = (movement.a0 + directions[inertia.direction].Ue).scale(inertia.m)
-        V = [F if t == inertia.direction else still for t in range(3)]
-        return F, _spin_moment(builder, segment, inertia, movement), V
-    F, V = movement.a0.scale(inertia.m), []
-    for t, direction in enumerate(directions):
-        F = F + direction.Ue.scale(direction.share(inertia.S[t]))
-        v = movement.a0.scale(direction.share(inertia.S[t]))
-        for u, other in enumerate(directions):
-            v = v + other.Ue.scale(other.share(direction.share(inertia.P[t, u])))
-        V.append(v)
-    return F, _spin_moment(builder, segment, inertia, movement), V
+def lengths_of(kinematics: Kinematics, segment: Segment, inertia: RegroupedInertia) -> list[Scalar | None]:
+    """List the lengths of a body's directions; None: a unit vector."""
+    found: list[Scalar | None] = [None] * 3
+    for t in range(3):
+        if inertia.radius is not None and t == inertia.direction:
+            found[t] = inertia.radius
+        elif kinematics.plan[segment.number].scaled and t != segment.axis:
+            links = [c.d[t] for c in children(kinematics.segments, segment.number) if not c.d[t].is_zero]
+            found[t] = length = links[0] if links else None
+            if length is not None:
+                kinematics.plan.check_divisor(length)
+                guard_divisor(segment, length, length.builder.zero)
+    return found
 
 
-def _spin_moment(builder: Builder, segment: Segment, inertia: RegroupedInertia, movement: Movement) -> Vector[Scalar]:
-    """Form the moment of the spin inertia: 2 r (wp e + w OM x e)."""
+def _gather_momentum(
+    kinematics: Kinematics, segment: Segment, loads: Mapping[int, Load]
+) -> tuple[Scalar, Vector[Scalar]]:
+    """Sum the momenta that turn with a body: of joints that continue its group, along its axis; of others, in its own
+    frame.
+    """
+    zero = kinematics.builder.zero
+    along, others = zero, Vector(zero, zero, zero)
+    for child in children(kinematics.segments, segment.number):
+        momentum = loads[child.number].momentum
+        if momentum is None:
+            continue
+        if child.opens_group:
+            e = child.turn.column(child.axis) if child.turn else unit_vector(kinematics.builder, child.axis)
+            others = others + e.scale(momentum)
+        else:
+            along = along + momentum
+    return along, others
+
+
+def _double(x: Scalar) -> Scalar:
+    return x.builder.number(2.0) * x
+
+
+def _turn_spin(segment: Segment, movement: Movement, spin: Scalar) -> Vector[Scalar]:
+    """Form the moment of the spin inertia across the axis: spin w OM x e."""
     j, k = segment.across
-    spin = builder.number(2.0) * inertia.half_spin
     parts = {
-        segment.axis: spin * movement.wp,
+        segment.axis: spin.builder.zero,
         j: spin * (movement.w * movement.q),
         k: -(spin * (movement.w * movement.p)),
     }
     return Vector.of(parts[t] for t in range(3))
+
+
+def _turn(
+    kinematics: Kinematics, segment: Segment, movement: Movement, along: Scalar, others: Vector[Scalar]
+) -> Vector[Scalar]:
+    """Form the moment OM x h of momenta that turn with a body."""
+    j, k = segment.across
+    across = {segment.axis: kinematics.builder.zero, j: along * movement.q, k: -(along * movement.p)}
+    OM = kinematics.angular_velocity(segment, movement)
+    return Vector.of(across[t] for t in range(3)) + OM.cross(kinematics.fixed(segment.number, others))
+
+
+def _inertial_load(
+    kinematics: Kinematics,
+    segment: Segment,
+    inertia: RegroupedInertia,
+    movement: Movement,
+    directions: Sequence[Direction],
+) -> _Inertial:
+    """Form a body's own load without its spin inertia."""
+    zero = kinematics.builder.zero
+    still = Vector(zero, zero, zero)
+    if inertia.radius is not None:  # a point mass: its force acts at the end of its direction
+        F = (movement.a0 + directions[inertia.direction].Ue).scale(inertia.m)
+        return _Inertial(F, still, [F if t == inertia.direction else still for t in range(3)], still, zero)
+    F, V = movement.a0.scale(inertia.m), []
+    for direction, s in zip(directions, inertia.S, strict=True):
+        F = F + direction.Ue.scale(direction.share(s))
+        V.append(movement.a0.scale(direction.share(s)))
+    N, momentum, felt, rates = still, still, zero, _list_rates(kinematics, segment, directions)
+    OM, OMp = kinematics.angular_velocity(segment, movement), kinematics.angular_acceleration(segment, movement)
+    is_turned = kinematics.frames[segment.number].rest is not None
+    for t, u in product(range(3), repeat=2):
+        p, by_rates = inertia.P[t, u], {t, u} <= rates
+        if by_rates and t == u and not is_turned:
+            N = N + Vector.of(zero if r == t else x * p for r, x in enumerate(OMp))
+            momentum = momentum + unit_vector(kinematics.builder, t).scale(-(OM[t] * p))
+            continue
+        Ue = directions[u].Ue
+        if by_rates and is_turned:
+            Ue = movement.field_of_group(segment, directions[u].e)
+            felt = felt + p if t == u else felt
+        V[t] = V[t] + Ue.scale(directions[u].share(directions[t].share(p)))
+    return _Inertial(F, N, V, momentum, felt)
+
+
+def _list_rates(kinematics: Kinematics, segment: Segment, directions: Sequence[Direction]) -> set[int]:
+    """List the directions across a joint's axis whose second moments are by rates."""
+    if not (segment.is_revolute and kinematics.plan[segment.number].by_rates):
+        return set()
+    is_turned = kinematics.frames[segment.number].rest is not None
+    return {t for t in segment.across if is_turned or directions[t].length is None}

@@ -90,15 +90,30 @@ def _alternatives(
         yield replace(choice, own_frame=own_frame, mass=mass, spin_from=spin_from, scaled=scaled)
 
 
-def spin(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
-    """Choose the bodies whose field is from their angular acceleration, one by one from the leaves."""
+def spin(segments: Sequence[Segment], cost: Cost, plan: Plan, reductions: Reductions) -> Plan:
+    """Choose how each body takes field, second moments and momentum from rates, one by one from the leaves."""
     fewest = cost(plan)
-    for segment in (s for s in reversed(segments) if s.parent and s.is_revolute and s.opens_group):
-        trial = plan.put(segment.number, replace(plan[segment.number], by_spin=not plan[segment.number].by_spin))
-        found = cost(trial)
-        if found is not None and (fewest is None or found < fewest):
-            plan, fewest = trial, found
+    for segment in (s for s in reversed(segments) if s.parent and s.is_revolute):
+        for flags in _list_rates(segment, reductions):
+            trial = plan
+            for number, flag in flags:
+                trial = trial.put(number, trial[number].flip(flag))
+            found = cost(trial)
+            if found is not None and (fewest is None or found < fewest):
+                plan, fewest = trial, found
     return plan
+
+
+def _list_rates(segment: Segment, reductions: Reductions) -> Iterator[tuple[tuple[int, str], ...]]:
+    """List the choices of rates that may change for a body: one by one, then with a choice of the body before."""
+    field, momentum = (segment.number, "by_spin"), (segment.number, "passes_spin")
+    if reductions.spin and segment.opens_group:
+        yield (field,)
+    if reductions.momentum:
+        yield (momentum,)
+        yield ((segment.number, "by_rates"),)
+        if reductions.spin and segment.opens_group:
+            yield field, momentum, (segment.parent, "by_rates")
 
 
 def meet(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:

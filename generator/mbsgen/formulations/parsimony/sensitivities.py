@@ -118,7 +118,7 @@ class Recursion:
         loads: dict[int, Load] = {}
         for segment in reversed(self.kinematics.segments):
             i = segment.number
-            loads[i] = join_loads(self.kinematics, segment, self.inertias[i], self.movements[i], loads)
+            loads[i] = join_loads(self.kinematics, segment, self.inertias[i], self.movements[i], loads, passes=False)
             self.composites[i] = self.compose(segment, self.inertias[i])
             self.found.Phi[i] = segment.signed((loads[i].N if segment.is_revolute else loads[i].F)[segment.axis])
             self.differentiate(segment, self.composites[i], loads[i])
