@@ -101,6 +101,7 @@ static int contradict(const mbs_stages *s, const mbs_stages_phase *p)
 static int find_step(mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
+    s->exact = 0;
     if (mbs_stages_newton_factorise(s, p))
         return -1;
     mbs_stages_stationarity(s, p, 1, p->slope);

@@ -7,7 +7,8 @@
  *
  * Near a solution, rows of g that bind hardly give: they have slacks near their bounds, whose curvature takes the digits of
  * the rows' stage. Where a step has no digits, such rows are exact in the factorisation; refinement gives them back what
- * they give. Rows that follow from others are left out there, so this is no rule: where it does not converge, they give.
+ * they give. Exact rows that follow from others are left out: where there are more of these, or it does not converge, rows
+ * give again.
  *
  * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
@@ -378,11 +379,13 @@ static int solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
     return passes;
 }
 
-/* Let rows that hardly give be exact, or give again, whichever keeps digits; where neither does, they give. */
+/* Let rows that hardly give be exact, or give again, whichever keeps digits; where neither does, they give. Exact rows that
+ * follow from others have no multipliers. */
 static void solve_otherwise(mbs_stages *s, mbs_stages_phase *p, const real *c)
 {
+    const int dependent = s->recursion.dependent;
     s->exact = !s->exact;
-    if (solve_again(s, p, c) >= 0)
+    if (solve_again(s, p, c) >= 0 && !(s->exact && s->recursion.dependent > dependent))
         return;
     ++s->unhelped;
     if (!s->exact)

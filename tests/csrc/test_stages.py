@@ -102,7 +102,7 @@ def test_convex_quadratic_programs_have_the_optimum_of_ipopt(library: Library, s
 
 @pytest.mark.parametrize("seed", range(4))
 def test_solutions_keep_their_bounds_to_the_last_digits(library: Library, seed: int) -> None:
-    """Bounds give in a solve; whole steps put the solution back where the cost rises as multipliers say, else it stays."""
+    """Bounds give in a solve; whole steps put the solution back where the cost rises as multipliers say."""
     problem = random_problem(np.random.default_rng(seed), [(2, 3, 1, 2)] * 8 + [(2, 1, 0, 0)], bounds=0.6, width=0.05)
     exact, loose = Solver(library, problem).solve(), Solver(library, problem).solve(bound_relax_factor=1e-2)
     sizes = np.maximum(np.minimum(np.abs(problem.lower), np.abs(problem.upper)), 1.0)

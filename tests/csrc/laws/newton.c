@@ -6,7 +6,7 @@
 static struct {
     const real *errors; /* of the first sweep, the second, ... */
     real most;
-    int sweeps;
+    int sweeps, dependent; /* rows that follow from others, of a factorisation */
     real needed; /* curvature that makes the second stage convex */
     int tries;
     int is_plain; /* whether all variables count alike when the matrix is factorised */
@@ -17,6 +17,7 @@ int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
 {
     (void)careful;
     ++given.tries;
+    r->dependent = given.dependent;
     given.is_plain = r->plain && r->diagonal && r->diagonal[0] == 1 && r->diagonal[1] == 1 && r->stage[0].curvature == 0;
     return r->stage[1].curvature < given.needed ? 1 : -1;
 }
@@ -56,18 +57,6 @@ void mbs_stages_for_all(const mbs_stages_recursion *r, mbs_stages_task task, voi
 real mbs_stages_matrix_diagonal(const mbs_stages_matrix *m)
 {
     return given.most * (real)m->rows;
-}
-
-int mbs_stages_factorise(mbs_stages_recursion *r, int again)
-{
-    (void)r, (void)again;
-    return -1;
-}
-
-int mbs_stages_mind_growth(mbs_stages_recursion *r, int k)
-{
-    (void)r, (void)k;
-    return 0;
 }
 
 static real room[12][2];
@@ -169,6 +158,10 @@ static void choosing(void)
     given.sweeps = 2;
     solve_otherwise(s, &phase, zeros);
     LAW("and give again, where that has", s->exact == 0 && s->unhelped == 0);
+    given.sweeps = 2, given.dependent = 1;
+    solve_otherwise(s, &phase, zeros);
+    LAW("rows that follow from others need not be exact", s->exact == 0 && s->unhelped == 1);
+    s->unhelped = given.dependent = 0;
     given.errors = bad, given.sweeps = 0;
     solve_otherwise(s, &phase, zeros);
     LAW("where neither has, they give", s->exact == 0 && s->unhelped == 1);
