@@ -103,7 +103,7 @@ def test_a_quadratic_program_is_convex_and_both_find_its_cost(number: int, libra
 
 
 def test_rows_that_repeat_change_no_cost(library: Library) -> None:
-    """Without an interior, rows that give by 1e-8 decide 1.2e-6 of this cost; IPOPT finds it with rows that do not give."""
+    """Without an interior, rows that give by 1e-8 decide 1.2e-6 of this cost; IPOPT needs none that do."""
     result = quadratics.solve(169, library)
     assert result.is_solved
     assert result.is_peer_solved
@@ -112,7 +112,7 @@ def test_rows_that_repeat_change_no_cost(library: Library) -> None:
 
 @pytest.mark.parametrize(("number", "cost"), [(116, 1.75271222), (344, 32.852134), (434, 19.6061574)])
 def test_motions_to_a_wall_are_solved(number: int, cost: float, tmp_path: Path) -> None:
-    """Costs are IPOPT's, with bounds that give by 1e-8 as here; steps lost their digits where slacks are near bounds."""
+    """Costs are IPOPT's, with bounds that give by 1e-8 as here; steps lost their digits near bounds."""
     problem, plant = read_problem(draw(number).write(tmp_path), load_on_demand)
     found = ends.solve(ends.choose(problem, "mbs"), plant)
     assert isinstance(found, Solution)
