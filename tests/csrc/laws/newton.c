@@ -59,7 +59,7 @@ real mbs_stages_matrix_diagonal(const mbs_stages_matrix *m)
     return given.most * (real)m->rows;
 }
 
-static real room[12][2];
+static real room[13][2];
 static char marks[2][2];
 static const mbs_stages_problem none;
 static mbs_stages solver;
@@ -77,12 +77,12 @@ static void anew(mbs_stages *s)
     s->recursion.stage = stages, s->recursion.stages = 2;
     s->rw = room[0], s->rc = room[1], s->dw = room[2], s->dy = room[3], s->residual_w = room[4];
     s->residual_c = room[5], s->best_w = room[6], s->best_y = room[7];
-    s->recursion.compliance = room[8], s->gives = room[9];
+    s->recursion.compliance = room[8], s->gives = room[12];
     s->recursion.diagonal = room[10], phase.sigma = room[11], phase.slope = room[0];
     s->softened = marks[0], s->fixed = marks[1], s->problem = &none;
     s->variables = s->rows = 1;
     s->rw[0] = s->rc[0] = 1;
-    given.sweeps = 0, given.unit = 10;
+    given.sweeps = given.dependent = 0, given.needed = 0, given.unit = 10;
 }
 
 static void refining(void)
