@@ -48,7 +48,7 @@ class Solve:
     seconds: float
     cost: float
     nearby: float | None = None  # the cost that IPOPT finds from there, where it was asked
-    strict: float | None = None  # the same with bounds that give the least, of those that it solves
+    strict: float | None = None  # the same with the least giving bounds with which it solves
 
     @property
     def is_solved(self) -> bool:

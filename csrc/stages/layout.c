@@ -376,7 +376,7 @@ static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int wor
         lay_scratch(a, a->base ? &r->scratch[i] : &spare, e);
 }
 
-/* The most rows that hold exactly: those of e, fixed variables, those passed from the next stage. Where rows of g are
+/* The most rows that hold exactly: the rows of e, fixed variables, those passed from the next stage. Where rows of g are
  * exact in factorisations, fixed slacks are among them. */
 static int count_exact(const mbs_stages_stage *t)
 {

@@ -16,7 +16,7 @@
 /* What bounds change the cost by, to first order: multipliers times ways to the caller's bounds. */
 typedef struct {
     real rise; /* of the cost, where all went there */
-    real all;  /* sum of the largest parts: of what bounds give, and of the distance from them */
+    real all;  /* sum of the largest parts: of the amounts that bounds give, and of the distances from them */
 } share;
 
 /* Add what a bound changes the cost by, if it binds. A barrier that stays is part of the problem. */
@@ -32,7 +32,7 @@ static void add_share(share *sum, real distance, real z, real give, int stays)
         sum->all += z * mbs_stages_larger(give, distance);
 }
 
-/* The barrier parameter after a fall: as low as is worth it for the tolerance, and not below the one that is wanted. */
+/* The barrier parameter after a fall: as low as is worth it for the tolerance, and not below the requested one. */
 static real lower_barrier(const mbs_stages *s, real mu, real fall)
 {
     const real tol = s->options.tol, worth = mbs_stages_larger(MBS_STAGES_LITTLE, tol * tol / MBS_STAGES_WORTH);

@@ -106,7 +106,7 @@ struct mbs_stages {
     real left;     /* what its dependent rows lack to agree with the others */
     mbs_stages_softening softening;
     char *softened; /* rows that the factorisation lets give, although they are hard */
-    real *gives;    /* compliances of rows of the main problem: of those that the factorisation takes as exact, too */
+    real *gives;    /* compliances of rows of the main problem: also of the rows that the factorisation takes as exact */
     int exact;      /* factorisations take rows that hardly give as exact */
     int unhelped;   /* steps without digits either way */
     double began;
