@@ -144,6 +144,6 @@ def test_a_folder_of_somebody_else_is_refused_before_the_work(refuse: Refuse) ->
 def test_only_the_beginning_of_a_name_gets_the_tag() -> None:
     """A controller of the name s has functions such as s_solve_batch, whose other letters stay."""
     assert tag_names(["s_solve_batch", "s_steps"], "s", "s_0a1b") == [
-        ("s_solve_batch", "s_0a1b_solve_batch"),
-        ("s_steps", "s_0a1b_steps"),
+        ("s_solve_batch", "MBS_STAGES_NAME(s_0a1b, _solve_batch)"),
+        ("s_steps", "MBS_STAGES_NAME(s_0a1b, _steps)"),
     ]
