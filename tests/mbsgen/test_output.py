@@ -157,7 +157,9 @@ def test_what_was_compiled_in_a_folder_is_no_hindrance(tmp_path: Path) -> None:
 @pytest.mark.parametrize("write", [lambda out: write_folder(NEW, out), lambda out: write_file(b"", out)])
 def test_a_place_that_cannot_be_written_is_told(write: Callable[[Path], None], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match=r"it cannot be written: (Not a directory|File exists); give another path with -o"):
+    with pytest.raises(
+        InputError, match=r"it cannot be written: (Not a directory|File exists); give another path with -o"
+    ):
         write(tmp_path / "file" / "out")
 
 

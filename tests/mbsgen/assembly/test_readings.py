@@ -119,7 +119,9 @@ def test_between_two_readings_the_author_chooses(tilt: float) -> None:
     closure = close(four_bar("hinge", tilt, loop_tolerance=tolerance)).closure
     assert closure is not None
     assert len(closure.independent) == 1
-    with pytest.raises(AssemblyError, match="leave no joint free to move; remove a loop, or give one with fewer equations"):
+    with pytest.raises(
+        AssemblyError, match="leave no joint free to move; remove a loop, or give one with fewer equations"
+    ):
         close(four_bar("hinge", tilt, loop_tolerance=0))
 
 

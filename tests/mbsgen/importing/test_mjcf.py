@@ -539,9 +539,9 @@ def test_springs_by_times_are_those_that_mujoco_compiles(settings: str, tmp_path
     path = write(tmp_path, settings + world(TIMED) + drive)
     model = mujoco.MjModel.from_xml_path(str(path))
     imported = import_model(path, Choices(locked=(("slide", 0.1),)))
-    assert {x.text.split(" of ")[0] for x in imported.notices if x.alters and "act on a single coordinate" in x.text} == (
-        {"armature"} if "spring" in settings else {"stiffness", "armature"}
-    )
+    assert {
+        x.text.split(" of ")[0] for x in imported.notices if x.alters and "act on a single coordinate" in x.text
+    } == ({"armature"} if "spring" in settings else {"stiffness", "armature"})
     laws = {step.name: step.joint.law for step in list_joints(imported.model)}
     assert "slide" not in laws
     for name in ("one", "two"):

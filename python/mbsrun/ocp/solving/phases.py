@@ -52,7 +52,7 @@ from mbsrun.ocp.solving.margins import find_wrong_start
 from mbsrun.ocp.solving.polishing import Equations, polish
 from mbsrun.ocp.solving.preparation import describe_unreachable, find_crossed_bounds, find_wrong_states, settle
 from mbsrun.ocp.solving.resimulation import resimulate
-from mbsrun.ocp.solving.runs import Watch, call, report, search
+from mbsrun.ocp.solving.runs import Watch, call, join, report, search
 from mbsrun.ocp.solving.singularities import Cause, find_cause, find_in_links
 from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.ocp.statement.phase_checks import check_phases, name_phase
@@ -62,6 +62,8 @@ from mbsrun.ocp.transcription.linking import Defined
 from mbsrun.ocp.transcription.phases import PhasedTranscription, transcribe_phases
 
 OPENED = 1e-8  # the largest gap of loops in a solution [m, 1], unless the tolerance is larger
+SIZABLE = 1e-5  # of the cost: where small changes may lower it by more, a solve goes on
+SHARPER = 1e-4  # of the tolerance: what it goes on with
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
 
@@ -123,7 +125,29 @@ class PhasedSolver:
         outcome = appeal(self.program, outcome, problem.solver, problem.weight)
         if outcome.run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(outcome.x).all():
             return self._explain(problem, outcome, known)
-        return self._answer(problem, outcome)
+        return self._sharpen(problem, outcome, self._answer(problem, outcome))
+
+    def _sharpen(
+        self, problem: PhasedProblem, outcome: Outcome, found: PhasedSolution | Failure
+    ) -> PhasedSolution | Failure:
+        """Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it.
+
+        The tolerance is for a cost over its largest weight, and a cost may be small beside that.
+        """
+        options, run = problem.solver, found.run
+        if not isinstance(found, PhasedSolution) or run.status != SOLVED or not run.decrease or not self._is_judged:
+            return found
+        cost, worth = abs(found.cost), 1 / options.objective_scaling if options.objective_scaling else problem.weight
+        if cost <= options.tolerance * worth or run.decrease <= SIZABLE * cost:
+            return found
+        finer = replace(problem, solver=replace(options, tolerance=SHARPER * options.tolerance))
+        again = self._call(finer, replace(outcome.start, x=outcome.x))
+        if again.run.status != SOLVED or not np.isfinite(again.x).all():
+            return found
+        better = self._answer(finer, again)
+        if isinstance(better, Failure) or better.run.decrease is None or better.run.decrease >= run.decrease:
+            return found
+        return replace(better.with_solver(options), run=join(run, better.run))
 
     def _check(self, problem: PhasedProblem) -> PhasedProblem:
         """Return a problem with the loops that were settled. Raises ProblemError, or ValueError for another structure.

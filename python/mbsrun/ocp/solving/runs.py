@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,18 @@ def call(solver: methods.Solver, start: Instance) -> Outcome:
     cpu_seconds = time.process_time() - cpu_begin - answer.cpu_preparing
     run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
     return Outcome(run, answer.x, answer.clash, answer.multipliers, start)
+
+
+def join(first: Run, last: Run) -> Run:
+    """Return the last run, with the iterations and times of both."""
+    return replace(
+        last,
+        iterations=first.iterations + last.iterations,
+        seconds=first.seconds + last.seconds,
+        seconds_evaluating=first.seconds_evaluating + last.seconds_evaluating,
+        cpu_seconds=first.cpu_seconds + last.cpu_seconds,
+        cpu_seconds_evaluating=first.cpu_seconds_evaluating + last.cpu_seconds_evaluating,
+    )
 
 
 def report(watch: Watch) -> Callable[[Iterate], None]:

@@ -1,0 +1,48 @@
+"""Costs that are small beside their largest weight, for which the tolerance is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mbsrun.external import load_on_demand
+from mbsrun.ocp.ground.status import SOLVED
+from mbsrun.ocp.solution.solution import Solution
+from mbsrun.ocp.solving.solve import solve
+from mbsrun.ocp.statement.statement import read_problem
+
+MASS = """
+name: mass
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, joint: {type: prismatic, axis: x, max_force: 1}, mass: 1}
+"""
+PROBLEM = """
+model: model.yaml
+horizon: {guess: 3, range: [0.5, 10]}
+intervals: 20
+scheme: radau
+degree: 3
+start: {pose: {}}
+end: {pose: {a: null}, velocity: zero}
+guess: {motion: line, end: {a: 1}}
+cost:
+  terminal:
+    - {expression: T, weight: 0.001}
+    - {expression: (q_a - 1)**2, weight: 1000}
+"""
+
+
+def test_a_small_cost_is_found_to_its_own_digits(tmp_path: Path) -> None:
+    """A mass goes 1 - e m to rest in 2 sqrt(1 - e) s at least, by the force 1 N and then -1 N.
+
+    The least of 2e-3 sqrt(1 - e) + 1000 e^2 has e = 5e-7, and is 2e-3 - 2.5e-10.
+    """
+    (tmp_path / "model.yaml").write_text(MASS, encoding="utf-8")
+    (tmp_path / "one.ocp.yaml").write_text(PROBLEM, encoding="utf-8")
+    solution = solve(*read_problem(tmp_path / "one.ocp.yaml", load_on_demand))
+    assert isinstance(solution, Solution)
+    assert (solution.run.method, solution.run.status) == ("mbs", SOLVED)
+    assert solution.cost.total == pytest.approx(2e-3 - 2.5e-10, rel=1e-5)
+    assert solution.problem.solver.tolerance == 1e-8
