@@ -17,23 +17,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbsgen.approximation.choice import approximate
+from mbsgen.approximation.states import draw as draw_states
 from mbsgen.errors import InputError
 from mbsgen.expressions import Number
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.changes.locking import lock
 from mbsgen.model.changes.reduction import build_tree
-from mbsgen.model.construction import Setting, body, free, make_model, revolute
+from mbsgen.model.changes.releasing import with_runtime_numbers
+from mbsgen.model.changes.scene import EVERYTHING
+from mbsgen.model.construction import Setting, body, frame, free, make_model, revolute, runtime
 from mbsgen.model.model import Model
 from mbsgen.model.reader import read_model
 from mbsgen.model.symbols import exact
-from mbsgen.model.tree import Coupling, Tree
+from mbsgen.model.tree import Coupling, Kind, Tree
 from mbsgen.model.writer import write_model
-from mbsgen.pipeline import Options, write_families
-from mbsgen.request import Request
+from mbsgen.pipeline import Options, make, write_families
+from mbsgen.request import Request, merge
 from mbsgen.tape.interpreter import DIGITS, evaluate
 from mbsgen.tape.types import Tape
 from tests.mbsgen.failures.mechanisms import spatial_chain
+from tests.mbsgen.targets.compilation import Requires, run
+from tests.random_scenes import random_model
 from tests.random_trees import Pinocchio, law_forces, random_tree, values_of, with_laws, with_rotors, with_wrenches
 
 Array = NDArray[np.float64]
@@ -344,3 +350,92 @@ def test_no_error_is_larger_than_condition_estimates(seed: int, ratio: int, sums
             if name == "exp1":
                 shares.append(error / told)
     assert max(shares) >= 1 / 50
+
+
+def test_a_tolerance_is_kept_where_joints_follow_others() -> None:
+    """Cuts are judged by the equations of the coupled tree: the residual keeps the tolerance at other states."""
+    tree = couple_some(build_tree(random_model(1, 4)), 0, 1)
+    options = Options(functions=("impl", "semi"), reductions=replace(FEW, factor=False))
+    found = approximate(tree, 0.05, merge(options, EVERYTHING))
+    assert found.taken
+    states = draw_states(tree, 50, 77)
+    states["u"] = np.zeros((50, sum(joint.actuated for joint in tree.joints)))
+
+    def residuals(tree: Tree) -> Array:
+        tape, values = FUNCTIONS["impl"].build(tree, FEW), {"p": np.array(values_of(tree))}
+        given = [values | {name: entries[k] for name, entries in states.items()} for k in range(50)]
+        return np.array([compute(tape, state)["Phi"][:, 0] for state in given])
+
+    expected = residuals(tree)
+    assert (np.abs(residuals(found.tree) - expected).max(axis=0) <= 0.05 * np.abs(expected).max(axis=0)).all()
+
+
+def test_bounds_that_would_change_at_run_time_are_refused() -> None:
+    """They would bind the other joint by a number that the manifest does not know."""
+    with pytest.raises(
+        InputError, match=r"joint\.max_speed: .* ratio that may change at run time; bound the other joint"
+    ):
+        make_model(
+            "geared",
+            [
+                body("1", revolute("z", name="a"), mass=1, com=(0.1, 0, 0)),
+                body("2", revolute("z", name="b", max_speed=1, follows=("a", "r", 0)), mass=1, com=(0.1, 0, 0)),
+            ],
+            gravity=(0, 0, 0),
+            parameters={"r": runtime(2)},
+        )
+
+
+_SOLID = "mass: 1, com: [0.1, 0, 0.2], inertia: [0.1, 0.1, 0.1]"
+_LINKED = {
+    "a follower": "{name: b, type: revolute, axis: x, follows: {joint: a, ratio: -k/2, offset: k/5}}",
+    "a screw": "{name: b, type: helical, axis: x, pitch: k/5}",
+    "a follower with limits": "{name: b, type: revolute, axis: x, follows: {joint: a, ratio: -k/2}, limits: [-k, k]}",
+    "a constraint": "{name: b, type: revolute, axis: x, actuated: false}",
+    "limits alone": "{name: b, type: revolute, axis: x, limits: [-0.1, k]}",
+}
+
+
+@pytest.mark.parametrize("linked", _LINKED)
+def test_constants_of_rules_and_limits_change_everywhere_or_stay(linked: str, tmp_path: Path) -> None:
+    """With all numbers at run time, `k` is a parameter that the rule reads, or a constant that it needs."""
+    path = tmp_path / "hand.yaml"
+
+    def read(k: float) -> Model:
+        lines = [
+            f"name: hand\ngravity: [0, 0, -9.81]\nparameters: {{k: {k}}}\nbodies:",
+            f"  - {{name: one, joint: {{name: a, type: revolute, axis: y}}, {_SOLID}}}",
+            f"  - {{name: two, parent: one, joint: {_LINKED[linked]}, {_SOLID}}}",
+            "  - {name: end, parent: two, joint: {name: c, type: revolute, axis: z}, mass: k, com: [0, 0.1, 0]}",
+            *(["constraints:", "  - {name: rule, equation: 2*b + k*a}"] if linked == "a constraint" else []),
+        ]
+        path.write_text("\n".join(lines), "utf-8")
+        return read_model(path)
+
+    loose, other = build_tree(with_runtime_numbers(read(1.5))), build_tree(read(1.2))
+    parameters = {p.name: p.value for p in loose.parameters if p.kind is Kind.RUNTIME}
+    assert ("k" in parameters) is (linked in ("a follower", "a screw", "limits alone"))
+    if "k" in parameters:
+        n = len(other.coordinates)
+        state = {"q": np.linspace(0.2, 0.9, n), "qd": np.linspace(1, -1, n), "u": np.linspace(0.1, 0.5, n)}
+        values = state | {"p": np.array([*(parameters | {"k": 1.2}).values()])}
+        for name in ("semi", "exp1", "exp2"):
+            expected = compute(FUNCTIONS[name].build(other, Options().reductions), state)
+            found = compute(FUNCTIONS[name].build(loose, Options().reductions), values)
+            for result, value in expected.items():
+                assert_close(result, found[result], value)
+
+
+def test_a_whole_folder_is_written_and_agrees_with_itself(tmp_path: Path, requires: Requires) -> None:
+    """The report counts every formulation, and the check program that comes with the C finds no fault."""
+    arm = [
+        body("1", revolute("z", name="a"), mass=1, com=(0.1, 0, 0)),
+        body("2", revolute("y", name="b", follows=("a", -1, 0.5)), parent="1", mass=1, com=(0.1, 0, 0)),
+    ]
+    model = make_model("arm", arm, gravity=(0, -9.81, 0), frames=[frame("tip", "2", position=(0, 0, 0.2))])
+    files = make(model, Options(derivatives=1)).files
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert "EXP2" in files["report.md"]
+    run(requires("gcc"), "-std=c99", "-O0", *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "check")
+    assert " 0 of " in f" {run(tmp_path / 'check')}".replace("\n", "\n ")

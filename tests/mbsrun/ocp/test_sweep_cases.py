@@ -134,7 +134,7 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
             "1000000 cases; give at most",
         ),
         "two lists": (["--over", "horizon", "1", "--cases", "x.csv"], "give one of them"),
-        "options of targets": (["--over", "horizon", "1", "--radius", "1"], "--radius: of targets"),
+        "options of targets": (["--over", "horizon", "1", "--radius", "1"], "--radius: for a grid of targets"),
         "two kinds of workers": (
             ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"],
             "a cluster has its own workers",
