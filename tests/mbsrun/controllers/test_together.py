@@ -130,6 +130,27 @@ def test_libraries_of_one_name_keep_their_numbers(place: Path, tmp_path: Path, k
     assert read_numbers(tmp_path / "program") == pytest.approx([expect(LIGHT), expect(HEAVY)], rel=1e-6)
 
 
+@pytest.mark.parametrize("order", ["double first", "single first"])
+def test_a_controller_in_both_precisions_makes_one_program(place: Path, tmp_path: Path, order: str) -> None:
+    """Linkers take the first library that has a name; the names of each precision are separate."""
+    units, libraries = [], []
+    for function, flags in (("heavy", ()), ("light", ("-DMBS_STAGES_FLOAT",))):
+        unit = tmp_path / f"{function}.c"
+        unit.write_text(UNIT.format(folder="b", prefix="reach", function=function))
+        objects = compile_folder(place, "b", tmp_path / function, *flags)
+        units.append(tmp_path / f"{function}.o")
+        libraries.append(tmp_path / f"lib{function}.a")
+        assert run("ar", "rc", libraries[-1], *objects, cwd=tmp_path).returncode == 0
+        done = run(*CC, *flags, f"-I{place}", "-c", unit, "-o", units[-1], cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    done = link(place, tmp_path, (), [*units, *(libraries if order == "double first" else reversed(libraries))])
+    assert done.returncode == 0, done.stderr
+    single, double = read_numbers(tmp_path / "program")
+    assert double == pytest.approx(expect(HEAVY), rel=1e-6)
+    assert single == pytest.approx(expect(HEAVY), rel=1e-3)
+    assert abs(single - double) > 1e-7 * double
+
+
 def test_headers_of_one_name_and_other_content_stop_the_compiler(place: Path, tmp_path: Path) -> None:
     """The guard of the first header would hide the second one."""
     unit = tmp_path / "unit.c"
