@@ -62,7 +62,7 @@ from mbsrun.ocp.transcription.linking import Defined
 from mbsrun.ocp.transcription.phases import PhasedTranscription, transcribe_phases
 
 OPENED = 1e-8  # the largest gap of loops in a solution [m, 1], unless the tolerance is larger
-SIZABLE = 1e-5  # of the cost: where small changes may lower it by more, a solve goes on
+SIZABLE = 1e-4  # of the cost: where small changes may lower it by more, a solve goes on
 SHARPER = 1e-4  # of the tolerance: what it goes on with
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
@@ -132,7 +132,8 @@ class PhasedSolver:
     ) -> PhasedSolution | Failure:
         """Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it.
 
-        The tolerance is for a cost over its largest weight, and a cost may be small beside that.
+        The tolerance is for a cost over its largest weight, and a cost may be small beside that. Where the solve
+        comes to another minimum, the first one stays.
         """
         options, run = problem.solver, found.run
         if not isinstance(found, PhasedSolution) or run.status != SOLVED or not run.decrease or not self._is_judged:
@@ -146,6 +147,8 @@ class PhasedSolver:
             return found
         better = self._answer(finer, again)
         if isinstance(better, Failure) or better.run.decrease is None or better.run.decrease >= run.decrease:
+            return found
+        if not 0 <= found.cost - better.cost <= 2 * run.decrease:  # another minimum
             return found
         return replace(better.with_solver(options), run=join(run, better.run))
 
