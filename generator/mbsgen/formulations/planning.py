@@ -27,9 +27,8 @@ from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.brackets import take_brackets
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import PAPER
 from mbsgen.tape.factoring import factor
-from mbsgen.tape.replay import find_constants
+from mbsgen.tape.replay import count_varying
 from mbsgen.tape.sums import rewrite
 from mbsgen.tape.types import Tape
 
@@ -362,6 +361,4 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
 
 def count_own(tape: Tape) -> tuple[int, int]:
     """Count the operations of a kernel, and then its operations together with the setup's."""
-    is_fixed = find_constants(tape, FIXED)[tape.first_operation :]
-    own = sum(op in PAPER and not fixed for (op, _, _), fixed in zip(tape.operations, is_fixed, strict=True))
-    return own, len(tape.operations)
+    return count_varying(tape, FIXED), len(tape.operations)

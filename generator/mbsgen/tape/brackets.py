@@ -15,8 +15,9 @@ from itertools import combinations
 
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import PAPER, count_uses
-from mbsgen.tape.replay import declare_inputs, find_constants, leaves, replay_guards
+from mbsgen.tape.counts import count_uses
+from mbsgen.tape.replay import count_varying, declare_inputs, find_constants, leaves, replay_guards
+from mbsgen.tape.sums import SUMS, find_inner, list_terms
 from mbsgen.tape.types import Op, Tape
 from mbsgen.tape.writer import Ref
 
@@ -31,12 +32,12 @@ _Place = tuple[int, int, int]  # a sum, and two of its terms
 
 def take_brackets(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
     """Take out brackets that several sums share; inputs of the roles `constant` count as constants."""
-    fewest, refused = _count(tape, constant), 0
+    fewest, refused = count_varying(tape, constant), 0
     while refused < TRIED:
         found = _Brackets(tape, constant)
         for places in found.list_shared()[refused:TRIED]:
             trial = found.write(places)
-            count = _count(trial, constant)
+            count = count_varying(trial, constant)
             if count < fewest:
                 tape, fewest = trial, count
                 break
@@ -46,48 +47,20 @@ def take_brackets(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
     return tape
 
 
-def _count(tape: Tape, constant: Set[Role]) -> int:
-    """Count the operations that are not on constants alone."""
-    is_fixed = find_constants(tape, constant)[tape.first_operation :]
-    return sum(op in PAPER and not fixed for (op, _, _), fixed in zip(tape.operations, is_fixed, strict=True))
-
-
 class _Brackets:
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape, self.first, self.uses = tape, tape.first_operation, count_uses(tape)
         self.is_constant = find_constants(tape, constant)
         self.sums: dict[int, list[tuple[int, int]]] = {}  # terms and their signs, of sums that no sum continues
-        self.inner = self._find_inner()
+        self.inner = find_inner(tape, self.is_constant, SUMS)
         several = [v for v, (op, _, _) in enumerate(tape.operations, self.first) if op is Op.MUL and self.uses[v] > 1]
         taken = {self._take_apart(v): v for v in several if not self.is_constant[v]}
         self.products = sorted(taken.items(), key=lambda found: (-len(found[0]), found))  # with several uses
         for value, (op, _, _) in enumerate(tape.operations, self.first):
             if op in (Op.ADD, Op.SUB) and value not in self.inner and not self.is_constant[value]:
-                terms = self._list_terms(value)
+                terms = list_terms(tape, value, self.inner)
                 if len(terms) <= MOST_TERMS:
                     self.sums[value] = terms
-
-    def _find_inner(self) -> set[int]:
-        """Find the sums that belong to another sum alone."""
-        found = set()
-        for op, a, b in self.tape.operations:
-            for x in (a, b) if op in (Op.ADD, Op.SUB) else ():
-                is_sum = x >= self.first and self.tape.operations[x - self.first][0] in (Op.ADD, Op.SUB)
-                if is_sum and self.uses[x] == 1 and not self.is_constant[x]:
-                    found.add(x)
-        return found
-
-    def _list_terms(self, value: int) -> list[tuple[int, int]]:
-        terms: list[tuple[int, int]] = []
-        waiting = [(value, 1)]
-        while waiting:
-            place, sign = waiting.pop()
-            if place != value and place not in self.inner:
-                terms.append((place, sign))
-                continue
-            op, a, b = self.tape.operations[place - self.first]
-            waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
-        return terms
 
     def _take_apart(self, value: int) -> _Product:
         """List the factors of a product; of another value, itself."""

@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence, Set
 from mbsgen.manifest import FIRST_LENGTH
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import PAPER
 from mbsgen.tape.types import Op, Tape
+
+
+def count_varying(tape: Tape, constant: Set[Role]) -> int:
+    """Count the operations that are not on constants alone; inputs of the roles `constant` count as constants."""
+    is_fixed = find_constants(tape, constant)[tape.first_operation :]
+    return sum(op in PAPER and not fixed for (op, _, _), fixed in zip(tape.operations, is_fixed, strict=True))
 
 
 def declare_inputs(tape: Tape, builder: Builder) -> dict[str, list[Scalar]]:

@@ -12,7 +12,7 @@ terms. So the term that is ready last is added last, where this ends the sum ear
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import partial, reduce
 from heapq import heapify, heappop, heappush
 from itertools import combinations
@@ -28,7 +28,8 @@ LONGEST = 48  # terms; a longer sum shares nothing, since its pairs would be tho
 CLOCKS = {Op.ADD: 4, Op.SUB: 4, Op.MUL: 4, Op.DIV: 14, Op.SQRT: 18}  # until a result is ready; of today's processors
 CLOCKS_OF_FUNCTION = 40
 
-_KINDS = {Op.ADD: Op.ADD, Op.SUB: Op.ADD, Op.MUL: Op.MUL}  # a difference is a sum
+SUMS: Mapping[Op, Op] = {Op.ADD: Op.ADD, Op.SUB: Op.ADD}  # a difference is a sum
+_KINDS: Mapping[Op, Op] = {**SUMS, Op.MUL: Op.MUL}
 _Term = tuple[int, int]  # a value and its sign; of a product, always 1
 _Pair = tuple[int, int, int]  # two values in order, and the product of their signs
 
@@ -49,42 +50,44 @@ def rewrite(
     return sums.write()
 
 
+def find_inner(tape: Tape, is_constant: Sequence[bool], kinds: Mapping[Op, Op]) -> set[int]:
+    """Find the operations that are written only as part of the sum or product that they belong to, by their `kinds`."""
+    first, operations, uses = tape.first_operation, tape.operations, count_uses(tape)
+    found = set()
+    for op, a, b in operations:
+        kind = kinds.get(op)
+        for x in (a, b) if kind else ():
+            is_single = x >= first and uses[x] == 1 and not is_constant[x]
+            if is_single and kinds.get(operations[x - first][0]) is kind:
+                found.add(x)
+    return found
+
+
+def list_terms(tape: Tape, value: int, inner: Set[int]) -> list[tuple[int, int]]:
+    """List the terms of a whole sum with their signs, or the factors of a whole product, from left to right."""
+    terms: list[tuple[int, int]] = []
+    waiting = [(value, 1)]
+    while waiting:
+        place, sign = waiting.pop()
+        if place != value and place not in inner:
+            terms.append((place, sign))
+            continue
+        op, a, b = tape.operations[place - tape.first_operation]
+        waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
+    return terms
+
+
 class _Sums:
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape = tape
         self.is_constant = find_constants(tape, constant)
-        self.inner = self._find_inner()
+        self.inner = find_inner(tape, self.is_constant, _KINDS)
         self.handed_on = False
         self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value
         for value, (op, _, _) in enumerate(tape.operations, tape.first_operation):
             if op in _KINDS and value not in self.inner and not self.is_constant[value]:
-                self.wholes[_KINDS[op]][value] = self._list_terms(value)
+                self.wholes[_KINDS[op]][value] = list_terms(tape, value, self.inner)
         self.pairs: dict[int, tuple[Op, _Term, _Term]] = {}  # the values of pairs follow the values of the tape
-
-    def _find_inner(self) -> set[int]:
-        """Find the operations that are written only as part of the sum or product that they belong to."""
-        first, operations, uses = self.tape.first_operation, self.tape.operations, count_uses(self.tape)
-        found = set()
-        for op, a, b in operations:
-            kind = _KINDS.get(op)
-            for x in (a, b) if kind else ():
-                is_single = x >= first and uses[x] == 1 and not self.is_constant[x]
-                if is_single and _KINDS.get(operations[x - first][0]) is kind:
-                    found.add(x)
-        return found
-
-    def _list_terms(self, value: int) -> list[_Term]:
-        """List the terms of a whole sum, or the factors of a whole product, from left to right."""
-        terms: list[_Term] = []
-        waiting = [(value, 1)]
-        while waiting:
-            place, sign = waiting.pop()
-            if place != value and place not in self.inner:
-                terms.append((place, sign))
-                continue
-            op, a, b = self.tape.operations[place - self.tape.first_operation]
-            waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
-        return terms
 
     # -- sharing ------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbsgen.help import ModelCommand
-from mbsrun.commands.console import keep_grid, open_console, show_progress
+from mbsrun.commands.console import keep_grid, open_console, output_folder, show_progress
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import load
 from mbsrun.measuring import motions, solves
@@ -56,13 +56,7 @@ NOTHING_GOOD = 1  # exit code
     default="simulate",
     help="See above; by default simulate.",
 )
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.advice.",
-)
+@output_folder("advice", "a model NAME")
 @click.option(
     "--settings",
     "settings",

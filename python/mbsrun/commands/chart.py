@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from mbsgen.help import CommandsBySubject
-from mbsrun.commands.console import Report, choose_format, keep_grid, say, show_progress
+from mbsrun.commands.console import Report, choose_format, keep_grid, output_folder, say, show_progress
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism, load
 from mbsrun.measuring import fidelity, kernels, motions, optima, solves, surveys
@@ -109,13 +109,7 @@ def chart_command() -> None:
 
 @chart_command.command("kernels", help=KERNELS_HELP, short_help="Time of a call against lost digits.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.chart.",
-)
+@output_folder("chart", "a model NAME")
 @click.option("--size", "sizes", type=click.IntRange(1, 50), multiple=True, help="Joints of a chain; 2 5 10 20.")
 @click.option("--rounds", type=click.IntRange(1), help="Rounds of timing; 40.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
@@ -136,13 +130,7 @@ def chart_kernels_command(
 
 @chart_command.command("simulation", help=SIMULATION_HELP, short_help="Processor time of a motion against its error.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.chart.",
-)
+@output_folder("chart", "a model NAME")
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="Start, inputs and duration of the motion.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="Without a settings file [s]; 2.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
@@ -170,13 +158,7 @@ def chart_simulation_command(
     "optimisation", help=OPTIMISATION_HELP, short_help="Time of a solve against the error of its optimum."
 )
 @click.argument("problem", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.chart.",
-)
+@output_folder("chart")
 @click.option(
     "--intervals", type=click.IntRange(1, 10_000), multiple=True, help="A number of intervals; by default 5 10 20 40."
 )
@@ -234,13 +216,7 @@ def chart_optimisation_command(
 
 @chart_command.command("fidelity", help=FIDELITY_HELP, short_help="Time that simpler models save, against their error.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.chart.",
-)
+@output_folder("chart", "a model NAME")
 @click.option("--scene", "scenes", type=click.Path(path_type=Path), multiple=True, help="A scene to measure.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")
 @choose_format
@@ -260,13 +236,7 @@ def chart_fidelity_command(model: Path, out: Path | None, scenes: tuple[Path, ..
 
 @chart_command.command("fronts", help=FRONTS_HELP, short_help="All layers of a model, with the advised choices.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.chart.",
-)
+@output_folder("chart", "a model NAME")
 @click.option("--accuracy", type=click.FloatRange(0, min_open=True), default=1e-6, help="The largest error; 1e-6.")
 @click.option("--problem", type=click.Path(path_type=Path), help="The problem to be solved; by default see above.")
 @click.option("--quick", is_flag=True, help="Measure little, as a preview.")

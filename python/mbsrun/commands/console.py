@@ -69,9 +69,9 @@ class NameType(click.ParamType[str]):
         return [CompletionItem(name) for name in self.known if name.startswith(incomplete)]
 
 
-def output_folder(kind: str) -> Callable[[F], F]:
-    """Return the option for the folder that a command on a problem file writes to."""
-    told = f"The folder to write to; by default NAME.{kind} here, for a problem file NAME.ocp.yaml."
+def output_folder(kind: str, of: str = "a problem file NAME.ocp.yaml") -> Callable[[F], F]:
+    """Return the option for the folder that a command writes to; `of` is the file whose name it takes by default."""
+    told = f"The folder to write to; by default NAME.{kind} here, for {of}."
     return click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help=told)
 
 

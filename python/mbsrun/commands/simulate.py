@@ -16,14 +16,7 @@ from mbsgen.expressions import Expression, Number, parse, substitute
 from mbsgen.help import ModelCommand
 from mbsgen.manifest import Manifest
 from mbsrun.commands.columns import more_columns
-from mbsrun.commands.console import (
-    NOT_SOLVED,
-    NameType,
-    choose_format,
-    list_written,
-    say,
-    show_status,
-)
+from mbsrun.commands.console import NOT_SOLVED, NameType, choose_format, list_written, output_folder, say, show_status
 from mbsrun.commands.robots import accept_robots
 from mbsrun.commands.starts import Wish, simulate_starts
 from mbsrun.external import load
@@ -145,13 +138,7 @@ SECTIONS = {
     help=SIMULATE_HELP.replace("METHODS", list_methods()).replace("KEEPING", list_keeping()),
 )
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder to write to; by default NAME.simulation here, for a model NAME.",
-)
+@output_folder("simulation", "a model NAME")
 @click.option("--settings", "file", type=click.Path(path_type=Path), help="A file with settings; see above.")
 @click.option("--duration", metavar="T", help="The length of the motion [s].")
 @click.option("--method", type=NameType(METHODS), help="How to integrate; by default dop853.")

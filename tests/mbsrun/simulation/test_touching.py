@@ -228,7 +228,14 @@ def test_wheels_that_slip_in_a_plane_come_to_roll() -> None:
     q, qd = np.zeros(9), np.zeros(9)
     q[2], qd[0], qd[4], qd[6], qd[8] = 0.3, 5, 0.5, 5 / 0.3, 5 / 0.35
     motion = simulate(bicycle, hold([]), q, qd, Settings(4e-3, output_step=4e-4))
-    assert [event.joint for event in motion.events if event.kind is Kind.STICK] == ["front", "rear"]
+    front, rear = (event for event in motion.events if event.kind is Kind.STICK)
+    assert (front.joint, rear.joint) == ("front", "rear")
+    others = [
+        event.time for event in motion.events if event not in (front, rear)
+    ]  # friction turns at the rear, and may
+    assert all(abs(time - rear.time) < 1e-8 for time in others)  # lift the front for an instant, as rounding decides
+    last = {event.joint: event.kind for event in motion.events}
+    assert Kind.LEAVE not in last.values()
     slide = bicycle("touching", q=motion.q[-1:])["slide"][0]
     assert np.abs(slide @ motion.qd[-1]).max() < 1e-14
     assert motion.energy is not None

@@ -30,9 +30,7 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-11  # m: a point that is as near touches
 STILL = 1e-11  # of the fastest velocity of a point: a slower one is at rest
-CREEP = (
-    1e-9  # the same, of a point whose slip has just turned round: in a plane it seldom vanishes, and turns ever faster
-)
+CREEP = 1e-9  # the same, where the slip has just turned round: in a plane it turns ever faster, and seldom vanishes
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
