@@ -686,7 +686,7 @@ static int begin(mbs_run *r, casadi_real t, const casadi_real *x, casadi_real *h
     d[2] = sqrt(d[2] / (casadi_real)size) / guess;
     d[1] = sqrt(d[1] / (casadi_real)size);
     most = d[1] > d[2] ? d[1] : d[2];
-    *h = most <= 1e-15 ? (1e-3 * guess > 1e-6 ? 1e-3 * guess : 1e-6) : pow(0.01 / most, 1 / (casadi_real)r->how->order);
+    *h = most <= 1e-15 ? 1e-6 : pow(0.01 / most, 1 / (casadi_real)r->how->order);
     if (*h > 100 * guess)
         *h = 100 * guess;
     return status;
@@ -794,12 +794,8 @@ static casadi_real find_dip(casadi_real h, casadi_real a, casadi_real da, casadi
 {
     const casadi_real c3 = 2 * (a - b) + h * (da + db), c2 = 3 * (b - a) - h * (2 * da + db), c1 = h * da;
     const casadi_real root = c2 * c2 - 3 * c3 * c1;
-    casadi_real s, value;
-    if (!(da < 0 && db > 0) || !(root >= 0))
-        return 0;
-    s = c2 + sqrt(root) != 0 ? -c1 / (c2 + sqrt(root)) : 0;
-    value = a + s * (c1 + s * (c2 + s * c3));
-    return s > 0 && s < 1 && value < 0.25 * (a < b ? a : b) ? s : 0;
+    const casadi_real s = -c1 / (c2 + sqrt(root)), value = a + s * (c1 + s * (c2 + s * c3));
+    return da < 0 && db > 0 && s > 0 && s < 1 && value < 0.25 * (a < b ? a : b) ? s : 0;
 }
 
 /* After a step from x to y: look for an event in it. Leaves the rates at the end in stage 0 if there is none; else returns

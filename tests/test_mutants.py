@@ -10,7 +10,7 @@ import pytest
 from tests.mutants.__main__ import EQUIVALENT, choose_drawn, run
 from tests.mutants.drawn import Change, draw, list_changes
 from tests.mutants.faults import GOLDEN, ROOT, Fault, list_files, read_equivalent, read_faults
-from tests.mutants.sights import Measured, choose, list_functions, summarise
+from tests.mutants.sights import Measured, Summary, choose, join, list_functions, summarise
 from tests.mutants.trial import BROKEN, KILLED, REFUSED, SAME, SURVIVED, Outcome, Trial
 
 
@@ -128,10 +128,19 @@ def test_a_function_keeps_tests_named_after_its_file_and_then_the_shortest() -> 
     assert found.functions[name][1] == ["}"]
 
 
+def test_what_further_tests_execute_is_added_to_what_is_known() -> None:
+    """A line is missed where neither missed it."""
+    known = Summary(["a", "b"], {"f": ([0, 1], ["x", "y"]), "g": ([1], ["z"])})
+    further = Summary(["c", "b"], {"f": ([0, 1], ["y", "z"]), "h": ([0], [])})
+    found = join(further, known)
+    tests = {name: ([found.tests[k] for k in kept], missed) for name, (kept, missed) in found.functions.items()}
+    assert tests == {"f": (["c", "b", "a"], ["y"]), "g": (["b"], ["z"]), "h": (["c"], [])}
+
+
 def test_tokens_of_comments_strings_and_imports_stay(tmp_path: Path) -> None:
     texts = {
         "a.c": '#define A (1 < 2)\n/* a < b */ const char *s = "x + 1"; // 2 > 1\nint f(int a) { return a < 3; }\n',
-        "a.py": "from a import b  # 1 < 2\nWORD = '1 + 1'\n\ndef f(a: int) -> bool:\n    return a < 3\n",
+        "a.py": "from a import b  # 1 < 2\nWORD = '1 + 1'\n\ndef f(*a):\n    return [c < 3 for *_, c in a]\n",
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text, encoding="utf-8")

@@ -20,9 +20,13 @@ LAWS = sorted((Path(__file__).parent / "laws").glob("*.c"))
 
 @pytest.mark.parametrize("path", LAWS, ids=lambda path: path.stem)
 def test_decisions_keep_their_laws(path: Path, compiled: Path, tmp_path: Path) -> None:
-    """Files without stand-ins are linked as they are; the linker takes the first of two functions of one name."""
+    """Files without stand-ins are linked as they are; the linker takes the first of two functions of one name.
+
+    No law reads or writes beyond an array.
+    """
     others = [str(each) for each in sorted(compiled.parent.glob("*.o")) if each.stem not in {path.stem, "quadratic"}]
-    command = [*find_compiler(os.environ).command, *STRICT, "-O0", f"-I{sources()[0].parent}", str(path), *others]
+    flags = [*STRICT, "-O0", "-fsanitize=address", f"-I{sources()[0].parent}"]
+    command = [*find_compiler(os.environ).command, *flags, str(path), *others]
     program = tmp_path / path.stem
     subprocess.run([*command, "-Wl,-z,muldefs", "-lm", "-o", str(program)], check=True)
     done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=False)

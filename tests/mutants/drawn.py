@@ -13,6 +13,7 @@ import re
 import tokenize
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from keyword import iskeyword
 from pathlib import Path
 
 from tests.mutants.faults import ROOT, Fault, list_files
@@ -103,7 +104,7 @@ def _read_python(text: str) -> Iterator[tuple[int, str]]:
         line, ahead, last, before = token.line.lstrip(), last, before, token.string
         if line.startswith(("import ", "from ", "@")) or not token.string:
             continue
-        if token.string in ("*", "/") and not re.search(r"[\w\])'\"]$", last):
+        if token.string in ("*", "/") and (iskeyword(last) or not re.search(r"[\w\])'\"]$", last)):
             continue  # of arguments, not a product
         if (ahead, last) == ("strict", "="):
             continue  # of zip: an assertion

@@ -247,6 +247,18 @@ def summarise(measured: Measured) -> Summary:
     return Summary([measured.tests[k][0] for k in used], functions)
 
 
+def join(new: Summary, old: Summary) -> Summary:
+    """Add what is new to what is known: tests of either, and the lines that neither executes."""
+    places: dict[str, int] = {}
+    functions: dict[str, tuple[list[int], list[str]]] = {}
+    for name in sorted({*new.functions, *old.functions}):
+        found = [(told, *told.functions[name]) for told in (new, old) if name in told.functions]
+        kept = dict.fromkeys(told.tests[k] for told, tests, _ in found for k in tests)
+        missed = set.intersection(*(set(texts) for _, _, texts in found))
+        functions[name] = [places.setdefault(test, len(places)) for test in kept], sorted(missed)
+    return Summary(list(places), functions)
+
+
 def _keep(own: Lines, tests: Sequence[tuple[str, float]], stem: str) -> list[int]:
     """Choose tests that execute lines which too few others do, by names like the file's, then by length."""
     of_test: dict[int, set[int]] = defaultdict(set)
@@ -269,14 +281,20 @@ def _keep(own: Lines, tests: Sequence[tuple[str, float]], stem: str) -> list[int
 
 @click.command()
 @click.option(
-    "--notes", multiple=True, type=click.Path(path_type=Path, exists=True), help="Folders with the notes of runs."
+    "--notes",
+    multiple=True,
+    type=click.Path(path_type=Path, exists=True),
+    help="Folders with the notes of runs, which are added to what is known.",
 )
 def main(notes: tuple[Path, ...]) -> None:
     """Watch the tests, or read the notes of runs, and write `sights.json`."""
     with tempfile.TemporaryDirectory() as place:
         if not notes:
             watch(Path(place), WATCHED)
-        text = json.dumps(asdict(summarise(read_notes(notes or (Path(place),)))), indent=0, sort_keys=True)
+        found = summarise(read_notes(notes or (Path(place),)))
+    if notes:
+        found = join(found, Summary(**json.loads(FILE.read_text("utf-8"))))
+    text = json.dumps(asdict(found), indent=0, sort_keys=True)
     FILE.write_text(re.sub(r",\n(?=\d)|\n(?=[\d\]])|(?<=\[)\n", lambda m: m[0].strip(), text) + "\n", encoding="utf-8")
 
 

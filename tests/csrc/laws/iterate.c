@@ -7,13 +7,15 @@
 /* Stand-ins: errors that do not depend on the point, and what Newton's method and the search return. */
 static struct {
     mbs_stages_errors errors;
-    real least, boundary, dual, step;
-    int factorised, searched, soft, restored, corrected;
+    real least, boundary, dual, step, mu;
+    int factorised, searched, soft, restored, corrected, derivatives, hessian, farther, back, after, polished, without;
+    int searches, reports, statuses[3];
 } given;
 
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu)
 {
-    (void)s, (void)p, (void)mu;
+    (void)s, (void)p;
+    given.mu = mu;
     return given.errors;
 }
 
@@ -53,7 +55,9 @@ void mbs_stages_correct_products(mbs_stages *s, mbs_stages_phase *p)
 
 int mbs_stages_search(mbs_stages *s, mbs_stages_phase *p)
 {
-    (void)s, (void)p;
+    (void)s;
+    ++given.searches;
+    p->x[0] += given.searched ? 0 : p->step.x[0];
     return given.searched;
 }
 
@@ -79,6 +83,77 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 {
     (void)s, (void)p, (void)d;
     return given.dual;
+}
+
+int mbs_stages_search_without_step(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    return given.without;
+}
+
+int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    return given.derivatives;
+}
+
+int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    return given.hessian;
+}
+
+real mbs_stages_barrier(const mbs_stages *s, const mbs_stages_phase *p, const real *x, real cost)
+{
+    (void)s, (void)p;
+    return x[0] + cost;
+}
+
+void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+}
+
+int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    return given.farther;
+}
+
+void mbs_stages_report(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    (void)s, (void)p, (void)e;
+    ++given.reports;
+}
+
+int mbs_stages_restored(mbs_stages *s)
+{
+    (void)s;
+    return given.back;
+}
+
+int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    (void)p, (void)e;
+    return given.statuses[s->result.iterations < 2 ? s->result.iterations : 2];
+}
+
+void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    ++given.polished;
+}
+
+int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
+{
+    (void)s, (void)p;
+    given.after = status;
+    return status + 100;
+}
+
+static void watch(void *context, const mbs_stages_progress *progress)
+{
+    (void)context, (void)progress;
 }
 
 static real room[12][2], pairs[2][MBS_STAGES_ENTRIES];
@@ -266,11 +341,89 @@ static void deciding(void)
     LAW("and a search has all its means", !p->cautious && p->alpha == 0);
 }
 
+static void advancing(void)
+{
+    mbs_stages *s = &solver;
+    mbs_stages_phase *p = &phase;
+    anew(s, p);
+    p->x[0] = 0.25, p->cost = 3, p->c[0] = -2, given.errors.scaled = 1e9;
+    LAW("an iteration searches along a step", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 1 && p->x[0] == 1.25);
+    LAW("from the violation and barrier function at its point", p->theta == 2 && p->phi == 3.25);
+    LAW("and is counted", s->result.iterations == 1 && s->result.restorations == 0);
+    p->elastic = 1;
+    advance(s, p);
+    LAW("apart in restoration", s->result.iterations == 2 && s->result.restorations == 1);
+    p->elastic = 0, given.searched = given.soft = -1, given.restored = MBS_STAGES_INFEASIBLE;
+    LAW("a search that fails leaves", advance(s, p) == MBS_STAGES_INFEASIBLE && s->result.iterations == 2);
+    given.restored = MBS_STAGES_RUNNING;
+    LAW("and may come back", advance(s, p) == MBS_STAGES_RUNNING && s->result.iterations == 3);
+    given.searched = given.searches = 0, given.factorised = 1;
+    LAW("without a step there is another search", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 0);
+    given.without = -1, given.restored = MBS_STAGES_TIME_LIMIT;
+    LAW("which may fail, too", advance(s, p) == MBS_STAGES_TIME_LIMIT);
+    given.hessian = -1;
+    LAW("curvature may have no result", advance(s, p) == MBS_STAGES_CALLBACK_FAILED);
+    p->tiny = p->tiny_before = 1, p->mu = 1e-9;
+    LAW("and tiny steps end it", advance(s, p) == MBS_STAGES_OUT_OF_DIGITS);
+    anew(s, p);
+    given.errors.scaled = 1e9, p->lower[0] = p->x[0] = -1, p->upper[0] = 1e20, given.searched = 0, given.step = 0;
+    advance(s, p);
+    LAW("bounds that are reached move away", p->lower[0] < -1);
+}
+
+static void warming(void)
+{
+    mbs_stages *s = &solver;
+    mbs_stages_phase *p = &phase;
+    anew(s, p);
+    given.errors.scaled = 1e9, s->farther = 1e-3, given.farther = 1, given.boundary = 0.4;
+    LAW("a warm start that is far begins anew", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 0);
+    LAW("which is no iteration", s->result.iterations == 0 && s->farther == 1e-3);
+    given.farther = -1;
+    LAW("it may have no values", advance(s, p) == MBS_STAGES_CALLBACK_FAILED);
+    given.farther = 0;
+    LAW("or need none", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 1 && s->farther == 0);
+    given.farther = 1;
+    LAW("later steps may be short", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 2);
+    s->farther = 1e-3, given.boundary = 1;
+    LAW("a long first step goes on", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 3 && s->farther == 0);
+}
+
+static void running(void)
+{
+    mbs_stages *s = &solver;
+    mbs_stages_phase *p = &phase;
+    mbs_stages_problem problem;
+    anew(s, p);
+    memset(&problem, 0, sizeof problem);
+    s->problem = &problem, given.errors.scaled = 1e9, given.least = 0.125;
+    given.statuses[0] = given.statuses[1] = MBS_STAGES_RUNNING, given.statuses[2] = MBS_STAGES_SOLVED;
+    LAW("iterations go on until there is a status", mbs_stages_run(s, p) == 100 + MBS_STAGES_SOLVED && given.searches == 2);
+    LAW("a solution is polished", given.polished == 1 && given.after == MBS_STAGES_SOLVED);
+    LAW("errors are those of the caller's barrier parameter", given.mu == 0.125);
+    LAW("nobody watches", given.reports == 0);
+    given.statuses[2] = MBS_STAGES_TIME_LIMIT, given.back = 1, problem.watch = watch;
+    LAW("other ends are not polished", mbs_stages_run(s, p) == 100 + MBS_STAGES_TIME_LIMIT && given.polished == 1);
+    LAW("somebody watches", given.reports == 1);
+    p->elastic = 1;
+    LAW("restoration ends where the caller's problem can go on", mbs_stages_run(s, p) == MBS_STAGES_RESTORED);
+    LAW("and has no least barrier parameter", given.mu == 0);
+    given.back = 0, given.statuses[2] = MBS_STAGES_SOLVED;
+    LAW("a least violation is not polished", mbs_stages_run(s, p) == 100 + MBS_STAGES_SOLVED && given.polished == 1);
+    given.derivatives = -1;
+    LAW("derivatives may have no result", mbs_stages_run(s, p) == MBS_STAGES_CALLBACK_FAILED);
+    given.derivatives = 0, given.hessian = -1, given.statuses[2] = MBS_STAGES_RUNNING;
+    LAW("an iteration may fail", mbs_stages_run(s, p) == 100 + MBS_STAGES_CALLBACK_FAILED);
+}
+
 int main(void)
 {
     lowering();
     following();
     mending();
     deciding();
+    advancing();
+    warming();
+    running();
     return broken > 0;
 }
