@@ -191,7 +191,7 @@ class _Desk:
             if type(array) is not np.ndarray:
                 try:
                     array = np.asarray(array)
-                except ValueError:
+                except (ValueError, RuntimeError):
                     return False
             if array.shape != shape or array.dtype.kind not in "fiu":
                 return False

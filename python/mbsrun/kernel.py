@@ -158,7 +158,9 @@ class Kernels:
         The status, shape () or (batch,), is 0, or a number that `find_place` reads where the kernel failed; the results
         of such a state are not a number. Raises ArgumentError.
         """
-        return self.batch(name, sparse=sparse, threads=1, lanes=None, out=None, **inputs)
+        if taken := [word for word in ("threads", "lanes", "out") if word in inputs]:
+            raise ArgumentError("\n".join(f"{name}: {word}: there is no such input; `batch` takes it" for word in taken))
+        return self.batch(name, sparse=sparse, **inputs)
 
     def batch(
         self,
@@ -405,7 +407,7 @@ def _read(value: ArrayLike) -> Array | None:
     """Return an array of real numbers; None if the value is none."""
     try:
         array = np.asarray(value)
-    except ValueError:
+    except (ValueError, RuntimeError):  # ragged rows; a tensor of PyTorch that requires a gradient
         return None
     return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else None
 

@@ -134,6 +134,11 @@ def test_only_real_numbers_are_taken(k: Kernels, value: object) -> None:
         k.impl(x=value, y=[1, 2], z=[0])
 
 
+def test_words_of_batch_are_no_inputs(k: Kernels) -> None:
+    with pytest.raises(ArgumentError, match="impl: threads: there is no such input; `batch` takes it"):
+        k.impl(x=np.ones((2, 3)), y=[1, 2], z=[0], threads=2)
+
+
 def test_batches_of_two_sizes_are_told(k: Kernels) -> None:
     with pytest.raises(ArgumentError, match=r"batches of \[2, 3\] states"):
         k.impl(x=np.ones((2, 3)), y=np.ones((3, 2)), z=[0])

@@ -230,6 +230,11 @@ def test_misuse_has_one_clear_sentence(sample: Mechanism, misuse: Callable[[Any]
     assert message in str(caught.value)
 
 
+def test_kernels_of_numpy_refuse_tensors_that_require_a_gradient(sample: Mechanism) -> None:
+    with pytest.raises(ArgumentError, match="x: not an array of real numbers"):
+        sample.impl(x=torch.ones(3, requires_grad=True), y=[1, 2], z=[0])
+
+
 def test_tensors_that_require_a_gradient_that_is_not_generated_are_refused(tmp_path: Path) -> None:
     face = mbsrun.torch.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
     x = torch.ones(2, dtype=torch.float64, requires_grad=True)

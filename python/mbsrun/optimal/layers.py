@@ -76,10 +76,19 @@ class Differentiable:
     def pull(self, values: Any, weights: Mapping[str, Any]) -> Array:
         """Return the derivatives of sums of weights times results by the numbers, (..., numbers).
 
-        They are NaN where there are none.
+        They are NaN where there are none. Raises ProblemError for weights of other names and shapes.
         """
         rows, leading = self._split(values)
-        given = {name: np.asarray(x, dtype=np.float64) for name, x in weights.items()}
+        given = {name: self._read_array(name, x) for name, x in weights.items()}
+        shapes = {name: (*leading, *shape) for name, shape in self.shapes.items()}
+        faults = [(name, "it is no result", f"there are {', '.join(shapes)}") for name in given if name not in shapes]
+        faults += [
+            (name, f"the shape {x.shape}", f"give {shapes[name]}")
+            for name, x in given.items()
+            if name in shapes and x.shape != shapes[name]
+        ]
+        if faults:
+            raise ProblemError(self.name, faults)
         parts = {name: x.reshape((len(rows), *self.shapes[name])) for name, x in given.items()}
         found = [self._pull(row, {name: x[k] for name, x in parts.items()}) for k, row in enumerate(rows)]
         return np.array(found).reshape((*leading, len(self.names)))
@@ -152,11 +161,17 @@ class Differentiable:
         return self.family.answer.guess.trajectories[0]
 
     def _split(self, values: Any) -> tuple[Array, tuple[int, ...]]:
-        given = np.asarray(values, dtype=np.float64)
+        given = self._read_array("values", values)
         if given.ndim == 0 or given.shape[-1] != len(self.names):
             remedy = f"give (..., {len(self.names)}): {', '.join(self.names)}"
             raise ProblemError(self.name, [("values", f"the shape {given.shape}", remedy)])
         return given.reshape(-1, len(self.names)), given.shape[:-1]
+
+    def _read_array(self, name: str, given: Any) -> Array:
+        try:
+            return np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ProblemError(self.name, [(name, "no array of numbers", "give one")]) from None
 
     def _read(self, member: Member) -> dict[str, Any]:
         """Read results off a solve."""

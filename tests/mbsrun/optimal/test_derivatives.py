@@ -312,6 +312,19 @@ def test_a_layer_has_no_numbers_where_there_are_none() -> None:
         products.differentiable(["constants.b", "constants.c"])
 
 
+def test_misfits_of_a_layer_are_told_at_once() -> None:
+    layer = slide().differentiable(["states.x.end"], ["controls", "cost"])
+    with pytest.raises(ProblemError, match="values: no array of numbers"):
+        layer("a")
+    with pytest.raises(ProblemError) as told:
+        layer.pull([1.0], {"force": 1.0, "controls": np.ones(20), "cost": "a"})
+    assert "cost: no array of numbers" in str(told.value)
+    with pytest.raises(ProblemError) as told:
+        layer.pull([1.0], {"force": 1.0, "controls": np.ones(20), "cost": 1.0})
+    for line in ("force: it is no result; there are controls, cost", "controls: the shape (20,); give (20, 1)"):
+        assert line in str(told.value)
+
+
 # --- no derivative ---
 
 
