@@ -159,8 +159,10 @@ class Kernels:
         of such a state are not a number. Raises ArgumentError.
         """
         if taken := [word for word in ("threads", "lanes", "out") if word in inputs]:
-            raise ArgumentError("\n".join(f"{name}: {word}: there is no such input; `batch` takes it" for word in taken))
-        return self.batch(name, sparse=sparse, **inputs)
+            raise ArgumentError(
+                "\n".join(f"{name}: {word}: there is no such input; `batch` takes it" for word in taken)
+            )
+        return self.batch(name, sparse=sparse, threads=1, lanes=None, out=None, **inputs)
 
     def batch(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from mbsrun.quaternions import find_rates
 from mbsrun.recordings import Recording, find_column, name_coordinate, read_column, read_recording
 from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.recording import Column
+from mbsrun.recordings.tables import read_cells
 
 Array = NDArray[np.float64]
 
@@ -203,14 +203,10 @@ def _read_inputs(recording: Recording, manifest: Manifest) -> tuple[Array, Array
 
 def _read_track(file: Path) -> Recording:
     """Read the numbers of a track's table, which has a column of words."""
-    try:
-        with file.open(encoding="utf-8", newline="") as stream:
-            header, *rows = list(csv.reader(stream)) or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError([Fault(str(file), 0, "", f"cannot be read: {error}", "track the problem again")]) from None
+    _, ((_, header), *rows) = read_cells(file)
     wanted = [k for k, name in enumerate(header) if name == "t" or name.startswith(("q[", "qd[", "acting["))]
     values = []
-    for line, row in enumerate(rows, 2):
+    for line, row in rows:
         try:
             values.append([float(row[k]) for k in wanted])
         except (ValueError, IndexError):

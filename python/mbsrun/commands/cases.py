@@ -30,6 +30,7 @@ from mbsrun.ocp.searching.multistart import end_at_interrupt
 from mbsrun.ocp.solution.record import open_record
 from mbsrun.optimal.control import read_problem
 from mbsrun.optimal.many import Family, Values
+from mbsrun.recordings.tables import read_cells
 
 MANY_CASES = 100_000
 SHOWN = 30  # cases that are printed one by one
@@ -116,24 +117,21 @@ def _spell_whole(x: float) -> Value:
 
 def read_table(path: Path) -> tuple[Values, ...]:
     """Read a table with keys on top; an empty cell leaves the problem's own value. Raises InputError."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error}", "give a table in CSV")]) from None
+    _, rows = read_cells(path)
     if len(rows) < 2 or len(rows) - 1 > MANY_CASES:
         remedy = f"give keys on top, and 1 to {MANY_CASES} cases below"
         raise InputError([Fault(str(path), 0, "", f"found {max(0, len(rows) - 1)} cases", remedy)])
-    keys = [key.strip() for key in rows[0]]
+    top, labels = rows[0]
+    keys = [key.strip() for key in labels]
     faults = [
         Fault(str(path), number, "", f"found {len(row)} cells", f"give {len(keys)}, one for each key")
-        for number, row in enumerate(rows[1:], 2)
+        for number, row in rows[1:]
         if len(row) != len(keys)
     ]
     if faults or len(set(keys)) < len(keys):
-        raise InputError(faults or [Fault(str(path), 1, "", "a key is given twice", "give each key one column")])
+        raise InputError(faults or [Fault(str(path), top, "", "a key is given twice", "give each key one column")])
     return tuple(
-        {key: _read_value(cell) for key, cell in zip(keys, row, strict=True) if cell.strip()} for row in rows[1:]
+        {key: _read_value(cell) for key, cell in zip(keys, row, strict=True) if cell.strip()} for _, row in rows[1:]
     )
 
 

@@ -23,6 +23,7 @@ from mbsrun.external import Mechanism
 from mbsrun.motions import Motions, simulate_many
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import normalise
+from mbsrun.recordings.tables import read_cells
 from mbsrun.simulation.closing import Start, close_start
 from mbsrun.simulation.course import is_constrained, place_driven
 from mbsrun.simulation.motion import Halt
@@ -129,29 +130,26 @@ def _read_range(text: str, known: dict[str, tuple[str, int]]) -> tuple[str, floa
 
 def _read_table(path: Path, known: dict[str, tuple[str, int]]) -> tuple[tuple[str, ...], Array]:
     """Read a table with names on top, and a number in each cell. Raises InputError with all faults."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            lines = [line for line in csv.reader(file, strict=True) if line]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError([Fault(str(path), 0, "", f"cannot be read: {error}", "give a table in CSV")]) from None
+    _, lines = read_cells(path)
     if not 2 <= len(lines) <= MANY + 1:
         remedy = f"give names on top, and 1 to {MANY} starts below"
         raise InputError([Fault(str(path), 0, "", f"found {max(0, len(lines) - 1)} starts", remedy)])
-    names = tuple(cell.strip() for cell in lines[0])
+    top, cells = lines[0]
+    names = tuple(cell.strip() for cell in cells)
     faults = [
-        Fault(str(path), 1, "", f"{name or 'an empty cell'} names nothing", f"there are {', '.join(known)}")
+        Fault(str(path), top, "", f"{name or 'an empty cell'} names nothing", f"there are {', '.join(known)}")
         for name in names
         if name not in known
     ]
     if len(set(names)) < len(names):
-        faults.append(Fault(str(path), 1, "", "a name is given twice", "give each name one column"))
+        faults.append(Fault(str(path), top, "", "a name is given twice", "give each name one column"))
     rows = np.zeros((len(lines) - 1, len(names)))
-    for number, line in enumerate(lines[1:], 2):
+    for k, (number, line) in enumerate(lines[1:]):
         try:
             values = [evaluate(parse(cell), {}, FLOATS) for cell in line]
             if len(values) != len(names) or not all(map(math.isfinite, values)):
                 raise ValueError
-            rows[number - 2] = values
+            rows[k] = values
         except (ExpressionError, ValueError):
             finding = f"found {', '.join(line)!s:.60}"
             faults.append(Fault(str(path), number, "", finding, f"give {len(names)} numbers, one for each name"))

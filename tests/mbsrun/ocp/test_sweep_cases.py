@@ -140,7 +140,7 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
             "a cluster has its own workers",
         ),
         "options of cases": (["--workers", "2"], "--workers needs --over or --cases; give one of them"),
-        "no table": (["--cases", "nowhere.csv"], "nowhere.csv: cannot be read"),
+        "no table": (["--cases", "nowhere.csv"], "nowhere.csv: there is no such file"),
         "an empty table": (["--cases", "swing.ocp.yaml.csv"], "found 0 cases"),
         "ragged rows": (["--cases", "ragged.csv"], "ragged.csv:3: found 1 cells; give 2"),
         "a column twice": (["--cases", "twice.csv"], "twice.csv:1: a key is given twice"),
@@ -154,6 +154,13 @@ def test_bad_arguments_get_one_sentence(sweep: Sweep, arguments: list[str], told
     assert result.exit_code == 2
     assert told in result.stderr.replace("\n", " ")
     assert not Path("swing.sweep").exists()
+
+
+def test_tables_of_spreadsheets_are_read(tmp_path: Path) -> None:
+    """With a mark of their encoding, semicolons and remarks; a row of empty cells is a case, too."""
+    table = tmp_path / "cases.csv"
+    table.write_text("\ufeff# cases\nhorizon;end.pose.cart\r\n2;1.1\n;\n\n", encoding="utf-8")
+    assert cases.read_table(table) == ({"horizon": 2, "end.pose.cart": 1.1}, {})
 
 
 def test_values_are_numbers_expressions_or_names() -> None:

@@ -152,7 +152,7 @@ def order(tmp_path: Path) -> Any:
 
 def test_the_command_reads_a_table(order: Any, tmp_path: Path) -> None:
     table = tmp_path / "starts.csv"
-    table.write_text("q_hinge,qd_hinge,m_boom\n0,0.1,1\n0.5,0,3\npi/4,0.2,5\n", encoding="utf-8")
+    table.write_text("\ufeffq_hinge,qd_hinge,m_boom\n0,0.1,1\n0.5,0,3\npi/4,0.2,5\n", encoding="utf-8")
     code, said, out = order("satellite.yaml", "--duration", "0.2", "--starts", str(table))
     assert code == 0, said
     arrays = np.load(out / "motions.npz")
@@ -181,7 +181,7 @@ def test_the_command_draws_starts_and_closes_them(order: Any) -> None:
         (("--starts", "3", "--vary", "q_nix=0:1"), "q_nix': there are q_q1, qd_q1"),
         (("--starts", "3", "--vary", "q_q1=1:0"), "give NAME=LOW:HIGH, LOW first"),
         (("--starts", "0", "--vary", "q_q1=0:1"), "0 starts; give 1 to"),
-        (("--starts", "no.csv"), "no.csv: cannot be read"),
+        (("--starts", "no.csv"), "no.csv: there is no such file"),
         (("--threads", "2"), "--threads belongs to many motions"),
         (("--starts", "3", "--columns", "energy"), "--columns belongs to the table of one motion"),
     ],
@@ -194,7 +194,7 @@ def test_misuse_of_the_command_is_told(order: Any, arguments: tuple[str, ...], f
 
 def test_every_fault_of_a_table_is_told(order: Any, tmp_path: Path) -> None:
     table = tmp_path / "starts.csv"
-    table.write_text("q_q1,x\n1,2\n1\n", encoding="utf-8")
+    table.write_text("q_q1,x\n1,2\n\n1\n", encoding="utf-8")
     _, said, _ = order("pendulum.yaml", "--duration", "0.1", "--starts", str(table))
     assert "starts.csv:1: x names nothing; there are q_q1, qd_q1" in said
-    assert "starts.csv:3: found 1; give 2 numbers" in said
+    assert "starts.csv:4: found 1; give 2 numbers" in said
