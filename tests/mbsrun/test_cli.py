@@ -328,7 +328,7 @@ def test_a_sweep_without_time_is_not_through(run: Run) -> None:
 BAD = {
     "a sweep that bumps what there is not": (["sweep", "task.ocp.yaml", "--bump", "q9"], COARSE, "no coordinate 'q9'"),
     "a missing file": (["solve", "nowhere.ocp.yaml"], COARSE, "there is no such file"),
-    "a bad file": (["solve", "task.ocp.yaml"], "horizon: 2\n", "task.ocp.yaml:1: intervals: missing"),
+    "a bad file": (["solve", "task.ocp.yaml"], "intervals: 2\n", "task.ocp.yaml:1: horizon: missing"),
     "a target that is no number": (["solve", "task.ocp.yaml", "--target", "1", "2", "up"], COARSE, "unknown name"),
     "a guess that is missing": (
         ["solve", "task.ocp.yaml", "--guess", "none.json"],

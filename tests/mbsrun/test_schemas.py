@@ -78,6 +78,7 @@ PHASED = GOOD | {"phases": [{"name": "one"}, {"name": "two", "end": {"velocity":
     ("kind", "data"),
     [
         ("problem", GOOD),
+        ("problem", {key: GOOD[key] for key in ("model", "horizon", "cost", "start")}),
         ("problem", PHASED),
         ("problem", {"phases": [{"name": "one", "horizon": {"guess": 1}}], "horizon": {"range": [0, 2]}}),
         ("problem", {k: v for k, v in GOOD.items() if k != "cost"} | {"links": [{}]}),
@@ -92,7 +93,7 @@ def test_good_files_are_valid(kind: str, data: Any) -> None:
     ("kind", "data"),
     [
         ("problem", GOOD | {"colour": "red"}),
-        ("problem", {k: v for k, v in GOOD.items() if k != "degree"}),
+        ("problem", {k: v for k, v in GOOD.items() if k != "horizon"}),
         ("problem", {k: v for k, v in GOOD.items() if k != "cost"}),
         ("problem", GOOD | {"inputs": "quadratic"}),
         ("problem", GOOD | {"inputs": {"delay": [1]}}),

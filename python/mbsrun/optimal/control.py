@@ -51,13 +51,7 @@ from mbsrun.optimal.scenarios import state_scenarios
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
 
-DEFAULTS: Mapping[str, Data] = {  # of problems in Python; a file states these itself
-    "intervals": 50,
-    "scheme": "radau",
-    "degree": 4,
-    "cost": {},
-    "start": {"pose": {}},
-}
+DEFAULTS: Mapping[str, Data] = {"cost": {}, "start": {"pose": {}}}  # of problems in Python; a file states these itself
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -415,8 +409,7 @@ def _make_phases(model: str | Path | Plant | None, name: str | None, keys: Mappi
         remedy = "give the files of models"
         raise ProblemError(known, [("model", "loaded kernels, for a problem in phases", remedy)])
     own: dict[str, Data] = {} if model is None else {"model": str(model)}
-    defaults = {key: value for key, value in DEFAULTS.items() if key not in ("cost", "start")}
-    data = {**defaults, **own, **make_plain(known, keys)}
+    data = {**own, **make_plain(known, keys)}
     value, plants = state_phases(data, known, Path(), load)
     return PhasedControl(value, plants, data, Path())
 

@@ -201,6 +201,11 @@ def test_a_bad_rich_file_is_refused_at_the_place(
     assert 0 <= fault.line - (RICH[: RICH.index(old)].count("\n") + 1) <= new.count("\n")
 
 
+def test_problems_have_a_grid_of_their_own(tmp_path: Path, arm: Peer) -> None:
+    problem = read(tmp_path, "model: arm.yaml\nhorizon: 1\ncost: {}\nstart: {pose: {}}\n", arm)
+    assert (problem.intervals, problem.family, problem.degree) == (50, Family.RADAU, 4)
+
+
 def test_shooting_is_asked_for(tmp_path: Path, arm: Peer) -> None:
     """A contradiction is reported at the key that causes it; here two faults."""
     text = (Path(__file__).parents[3] / "models" / "arm_reach.ocp.yaml").read_text("utf-8")
@@ -239,6 +244,7 @@ def test_the_model_is_looked_for_beside_the_file(tmp_path: Path, arm: Peer) -> N
 BAD = {  # what is changed in the good file: path, finding, remedy
     "unknown key": ("accuracy: 1e-4", "acuracy: 1e-4", "acuracy", "unknown key", "did you mean `accuracy`?"),
     "missing key": ("horizon: 4/2\n", "", "horizon", "missing", "give it"),
+    "a range of horizons": ("horizon: 4/2", "horizon: [1, 2]", "horizon", "found [1, 2]", "a mapping of guess, range"),
     "no model file": ("arm.yaml", "arm", "model", '"arm"', "give a model file"),
     "folder of C": ("arm.yaml", "../generated/arm", "model", "../generated/arm", "give a model file"),
     "code": ("4/2", '__import__("os")', "horizon", "has no meaning", "use numbers"),

@@ -149,7 +149,8 @@ class HorizonSection(Section):
 
 
 HorizonField = Annotated[
-    Annotated[NumberField, Tag("list")] | Annotated[HorizonSection, Tag("mapping")], Discriminator(_form)
+    Annotated[NumberField, Tag("number")] | Annotated[HorizonSection, Tag("mapping")],
+    Discriminator(lambda value: "mapping" if isinstance(value, dict | list) else "number"),
 ]
 
 
@@ -458,9 +459,9 @@ class ProblemSection(Section):
     parameters: dict[str, NumberField] = Field(default={}, examples=[{}])
     unknowns: dict[str, UnknownSection] = Field(default={}, examples=[{}])
     horizon: HorizonField = Field(examples=[1.0])
-    intervals: IntervalsField = Field(examples=[100])
-    scheme: Family = Field(examples=["radau"])
-    degree: int = Field(ge=DEGREES[0], le=DEGREES[-1], examples=[4])
+    intervals: IntervalsField = Field(default=50, examples=[100])
+    scheme: Family = Field(default=Family.RADAU, examples=["radau"])
+    degree: int = Field(default=4, ge=DEGREES[0], le=DEGREES[-1], examples=[4])
     representation: Representation = Field(default=Problem.representation, examples=["IMPL"])
     loops: Loops | None = Field(default=Problem.loops, examples=["reduced"])
     form: Form = Field(default=Problem.form, examples=["standard"])

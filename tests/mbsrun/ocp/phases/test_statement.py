@@ -117,7 +117,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # the text that is replaced, the ne
         "phases[1].interval: unknown key; did you mean `intervals`?",
     ),
     "unknown key of the file": ("intervals: 10", "interval: 10", "interval: unknown key; did you mean `intervals`?"),
-    "missing key": ("scheme: radau\n", "", "phases[0].scheme: missing; give it"),
+    "missing key": ("horizon: 1\n", "", "phases[0].horizon: missing; give it"),
     "solver of a phase": (
         "    intervals: 4",
         "    solver: {}",
