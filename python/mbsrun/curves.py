@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 NAMED = 12  # curves of a panel that a legend still names
 TALL, LOW = 3.0, 2.2  # inches: the height of a panel, of a few and of many
 FEW = 4
+NEAR = 1e-3  # a limit so near to a curve, relative to what it spans, is reached
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,19 @@ class Curve:
 def plot(t: Array, values: Array, **style: Any) -> Callable[[Axes, str], Any]:
     """Return a function that draws values over time as a line."""
     return lambda axes, label: axes.plot(t, values, label=plain(label), **style)
+
+
+def within(draw: Callable[[Axes, str], Any], values: Array, limits: Iterable[float], color: Any) -> Callable[..., Any]:
+    """Return a function that draws a curve of these values, and the limits that it reaches, dotted."""
+    span = float(np.ptp(values)) if values.size else 0.0
+    reached = [x for x in limits if np.isfinite(x) and np.abs(values - x).min(initial=np.inf) <= NEAR * span]
+
+    def draw_both(axes: Axes, label: str) -> None:
+        draw(axes, label)
+        for limit in reached:
+            axes.axhline(limit, color=color, linestyle=":", linewidth=1)
+
+    return draw_both
 
 
 def list_panels(curves: Iterable[Curve]) -> tuple[Panel, ...]:

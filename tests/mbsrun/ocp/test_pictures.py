@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
@@ -67,6 +68,20 @@ def test_trajectories_are_those_of_the_solution(arm: Peer, reached: Solution, fi
     assert len(t) == 100 * 5
     assert np.diff(np.asarray(t)).min() > -1e-15
     assert np.array_equal(np.asarray(q)[::5], reached.trajectory.q[:-1, 2])
+
+
+def test_limits_that_a_motion_reaches_are_dotted(arm: Peer, reached: Solution, figures: list[Figure]) -> None:
+    """Each in the color of its curve, at its value; limits that are far away are left out."""
+    most = float(reached.trajectory.u[:, 1].max())
+    bounds = reached.problem.bounds
+    u = (bounds.u[0], (-1e3, most), *((-1e4, 1e4) for _ in bounds.u[2:]))
+    free = tuple((-np.inf, np.inf) for _ in bounds.q)
+    problem = replace(reached.problem, bounds=replace(bounds, q=free, qd=free, u=((-np.inf, np.inf), *u[1:])))
+    plot(replace(reached, problem=problem), arm, Path("unwritten.png"))
+    dotted = [line for axes in figures[0].axes for line in axes.lines if line.get_linestyle() == ":"]
+    assert [np.unique(line.get_ydata()).tolist() for line in dotted] == [[most]]
+    (elbow,) = (part for part in figures[0].axes[2].patches if part.get_label() == "q2")
+    assert same_color(dotted[0].get_color(), elbow.get_edgecolor())
 
 
 def test_inputs_of_polynomials_are_drawn_one_by_one(arm: Peer, reached: Solution, figures: list[Figure]) -> None:

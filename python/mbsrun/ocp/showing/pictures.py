@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from mbsgen.manifest import Frame, Manifest
 from mbsgen.style import BAD, GOOD, PALETTE, save_plot, styled
 from mbsrun.animation import Marker, Motion, Part, Wanted, make_film, write_page
-from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
+from mbsrun.curves import Curve, Panel, draw_curves, plain, plot, within
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.design import equip
-from mbsrun.ocp.problem.problem import Target
+from mbsrun.ocp.problem.problem import Range, Target
 from mbsrun.ocp.solution.solution import Rounds, Solution, Starts
 from mbsrun.quantities import Quantity, find_unit, name_components
 from mbsrun.quaternions import find_rates
@@ -35,6 +36,7 @@ WIDE = 5.0  # ratio of the highest cost to the lowest from which on the axis is 
 SMALLEST = 1e-15  # a defect that is shown
 POSES = 9  # of the mechanism, evenly in time
 COLORS = PALETTE
+UNBOUNDED = (-np.inf, np.inf)
 TIME = ListedColormap(colormaps["viridis_r"](np.linspace(0.2, 1, 256)))  # without its pale end
 
 
@@ -71,7 +73,7 @@ def list_curves(solution: Solution, manifest: Manifest, colors: Mapping[str, str
 
 def _list_motion(solution: Solution, manifest: Manifest, colors: Mapping[str, str]) -> list[Curve]:
     """List coordinates, velocities, inputs and forces of driven joints."""
-    trajectory, t = solution.trajectory, read_times(solution.trajectory)
+    trajectory, t, bounds = solution.trajectory, read_times(solution.trajectory), solution.problem.bounds
     q, qd = (
         np.concatenate((mesh[:-1, None], points), axis=1).reshape(len(t), -1)
         for mesh, points in ((trajectory.q, trajectory.point_q), (trajectory.qd, trajectory.point_qd))
@@ -85,21 +87,24 @@ def _list_motion(solution: Solution, manifest: Manifest, colors: Mapping[str, st
         return {"color": colors[name], "linestyle": lines.get(name, "-")}
 
     units = [find_unit(Quantity("q", i), manifest) for i in range(len(manifest.positions))]
+
+    def draw(name: str, values: Array, limits: Range) -> Callable[..., Any]:
+        return within(plot(t, values, **style(name)), values, limits, colors[name])
+
     curves = [
-        Curve(Panel("Joint coordinates", "q", unit), name + kinds.get(name, ""), plot(t, values, **style(name)))
-        for name, unit, values in zip(manifest.positions, units, q.T, strict=True)
+        Curve(Panel("Joint coordinates", "q", unit), name + kinds.get(name, ""), draw(name, values, limits))
+        for name, unit, values, limits in zip(manifest.positions, units, q.T, bounds.q, strict=True)
     ]
     curves += [
         Curve(
-            Panel("Joint velocities", r"\dot{q}", f"{c.unit}/s"),
-            c.name + kinds[c.name],
-            plot(t, values, **style(c.name)),
+            Panel("Joint velocities", r"\dot{q}", f"{c.unit}/s"), c.name + kinds[c.name], draw(c.name, values, limits)
         )
-        for c, values in zip(joints, qd.T, strict=True)
+        for c, values, limits in zip(joints, qd.T, bounds.qd, strict=True)
     ]
     for k, c in enumerate(joints[i] for i in manifest.actuated):
         points = trajectory.point_u[:, :, k : k + 1]
         drawn = _draw_input(trajectory, trajectory.u[:, k], points, color=colors[c.name])
+        drawn = within(drawn, points if points.size else trajectory.u[:, k], bounds.u[k], colors[c.name])
         curves.append(Curve(Panel("Inputs", "u", c.force_unit), c.name, drawn))
     if solution.driving is not None:
         times = trajectory.point_t.ravel()
@@ -119,14 +124,16 @@ def _list_additions(solution: Solution) -> list[Curve]:
     trajectory, problem, t = solution.trajectory, solution.problem, read_times(solution.trajectory)
     states = np.concatenate((trajectory.states[:-1, None], trajectory.point_states), axis=1).reshape(len(t), -1)
     names = [*(state.name for state in problem.states), *(part.expression for part in problem.integrals)]
+    ranges = [*(state.bounds for state in problem.states), *(UNBOUNDED for _ in problem.integrals)]
     curves = [
-        Curve(Panel("Further states"), name, plot(t, values, color=COLORS[k % len(COLORS)]))
-        for k, (name, values) in enumerate(zip(names, states.T, strict=True))
+        Curve(Panel("Further states"), name, within(plot(t, values, color=color), values, limits, color))
+        for color, (name, values, limits) in zip(cycle(COLORS), zip(names, states.T, ranges, strict=True), strict=False)
     ]
-    for k, control in enumerate(problem.controls):
-        points = trajectory.point_controls[:, :, k : k + 1]
+    for k, (color, control) in enumerate(zip(cycle(COLORS), problem.controls, strict=False)):
+        points, values = trajectory.point_controls[:, :, k : k + 1], trajectory.controls[:, k]
         name = f"slack of {control.softens}" if control.softens else control.name
-        drawn = _draw_input(trajectory, trajectory.controls[:, k], points, color=COLORS[k % len(COLORS)])
+        drawn = _draw_input(trajectory, values, points, color=color)
+        drawn = within(drawn, points if points.size else values, control.bounds, color)
         curves.append(Curve(Panel("Slacks" if control.softens else "Further controls"), name, drawn))
     return curves
 
