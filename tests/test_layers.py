@@ -215,7 +215,7 @@ MBSRUN = Package(
         "ocp",
         "optimal.display optimal.plain optimal.describing optimal.recalling",
         "optimal.progress optimal.result",
-        "optimal.quantities optimal.guessing",
+        "optimal.quantities optimal.guessing optimal.simulation",
         "optimal.expressions optimal.naming",
         "optimal.many optimal.derivatives",
         "optimal.layers optimal.continuation optimal.scenarios",

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mbsrun.motions import Motions, simulate_many
     from mbsrun.ocp.statement.checks import ProblemError
     from mbsrun.optimal.control import OptimalControl, problem, read_problem
+    from mbsrun.optimal.simulation import Simulated, simulate
     from mbsrun.rollouts import rollout
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "Motions",
     "OptimalControl",
     "ProblemError",
+    "Simulated",
     "controller",
     "excite",
     "identify",
@@ -28,6 +30,7 @@ __all__ = [
     "problem",
     "read_problem",
     "rollout",
+    "simulate",
     "simulate_many",
 ]
 
@@ -39,6 +42,7 @@ _MODULES = {
     "identify": "identification.identify",
     **dict.fromkeys(("OptimalControl", "problem", "read_problem"), "optimal.control"),
     **dict.fromkeys(("Motions", "simulate_many"), "motions"),
+    **dict.fromkeys(("Simulated", "simulate"), "optimal.simulation"),
     "rollout": "rollouts",
 }
 
