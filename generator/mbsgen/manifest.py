@@ -119,11 +119,12 @@ class Friction(_Entry):
 
 
 class RigidPoint(_Entry):
-    """A point of a rigid contact, whose force no kernel has."""
+    """A point of a rigid contact, or a rigid stop of a number, whose force no kernel has."""
 
     name: str
     restitution: float
     coefficient: float  # of dry friction
+    is_stop: bool = False  # at a limit of a number, which has no place
 
 
 class Coordinate(_Entry):

@@ -34,7 +34,7 @@ from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.symbols import exact, to_double, total
-from mbsgen.model.tree import IDENTITY, NO_FORCE, Kind, Motion, Tree, Vector
+from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, Kind, Motion, Rigid, Tree, Vector
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
@@ -375,6 +375,11 @@ def identify_mechanism(model: Model) -> str:
     return hashlib.sha256(write_model(bare).encode()).hexdigest()
 
 
+def _describe_rigid(name: str, point: Rigid | Barrier) -> RigidPoint:
+    law = {"restitution": point.restitution, "coefficient": point.coefficient}
+    return RigidPoint(name=name, **law, is_stop=isinstance(point, Barrier))
+
+
 def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:
     return tuple(Parameter(name=p.name, value=p.value) for p in tree.parameters if p.kind is kind)
 
@@ -418,7 +423,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         ),
         signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
-        rigid=tuple(RigidPoint(name=x, restitution=p.restitution, coefficient=p.coefficient) for x, p in tree.rigid),
+        rigid=tuple(_describe_rigid(name, point) for name, point in tree.rigid),
         elements=tree.elements,
         lengths=tuple(x.length.label for x in tree.definitions if x.length is not None),
         loops=loops,

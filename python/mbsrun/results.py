@@ -106,10 +106,12 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     yield "pennation", {f"pennation_{name}": "rad" for name in muscles}
     arms = {f"arm_{force}_{c.name}": "m" if c.unit == "rad" else "" for force in manifest.elements for c in joints}
     yield "arm", arms
-    yield "gap", {f"gap_{name}": "m" for name in manifest.contacts}
+    stops = {point.name for point in manifest.rigid if point.is_stop}  # of numbers in any unit
+    yield "gap", {f"gap_{name}": "" if name in stops else "m" for name in manifest.contacts}
     if len(manifest.rigid) in (0, len(manifest.contacts)):  # no function has forces of both kinds of contacts
-        yield "normal", {f"normal_{name}": "N" for name in manifest.contacts}
-        yield "contact_force", {f"f{axis}_{name}": "N" for name in manifest.contacts for axis in AXES}
+        yield "normal", {f"normal_{name}": "" if name in stops else "N" for name in manifest.contacts}
+        placed = [name for name in manifest.contacts if name not in stops]
+        yield "contact_force", {f"f{axis}_{name}": "N" for name in placed for axis in AXES}
     equations = zip(manifest.equations, list_multiplier_units(manifest), strict=True)
     yield "lam", {f"lam_{name}": unit for name, unit in equations}
     is_known = manifest.appearance is not None and not manifest.rigid

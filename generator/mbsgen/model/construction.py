@@ -27,6 +27,7 @@ from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import (
     BASE,
     GROUND,
+    STOPS,
     WIDTH,
     ZERO,
     Block,
@@ -55,6 +56,7 @@ from mbsgen.model.model import (
     Plane,
     Rotation,
     Sphere,
+    Stop,
     Stops,
     Triple,
     Wheel,
@@ -328,6 +330,15 @@ def contact(
     return Contact(*body_part, other, *law, circle, tyre)
 
 
+def stop(name: str, quantity: Quantity, limits: Limits, **law: Quantity) -> Stop:
+    """Make stops at limits of a number of the pose, such as "q1 - 2*z_tip".
+
+    `law` is the restitution of rigid stops, or the stiffness of compliant ones, and perhaps their dissipation.
+    """
+    lower, upper = (None if x is None else number(x) for x in limits)
+    return Stop(name, number(quantity), lower, upper, Stops(**_read_keys(law, STOPS)))
+
+
 def brush(longitudinal: Quantity, lateral: Quantity, friction: Quantity, length: Quantity = 0.0) -> Tyre:
     """Make a tyre of bristles: its stiffnesses [N], its friction, and half the length of its contact [m]."""
     values = longitudinal, lateral, friction, length
@@ -374,6 +385,7 @@ def make_model(
     wrenches: Sequence[Wrench] = (),
     forces: Sequence[ForceElement] = (),
     contacts: Sequence[Contact] = (),
+    stops: Sequence[Stop] = (),
     signals: Sequence[str] = (),
     loops: Sequence[Loop] = (),
     constraints: Sequence[Constraint] = (),
@@ -397,6 +409,7 @@ def make_model(
         tuple(wrenches),
         tuple(forces),
         tuple(contacts),
+        tuple(stops),
         tuple(signals),
         tuple(loops),
         tuple(constraints),
@@ -443,7 +456,7 @@ def _make_joint(
 ) -> Joint:
     lower, upper, speed, effort = (None if x is None else number(x) for x in (*limits, max_speed, max_force))
     smooth, dry = (None, None) if friction is None else _read_friction(friction)
-    ends = None if stops is None else Stops(**_read_keys(stops, ("restitution", "stiffness", "dissipation")))
+    ends = None if stops is None else Stops(**_read_keys(stops, STOPS))
     law = Law(number(stiffness), number(rest), number(damping), smooth, number(force))
     direction = _direct(axis)
     place = _place(position, orientation)

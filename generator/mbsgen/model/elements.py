@@ -64,11 +64,25 @@ from itertools import combinations
 
 from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
-from mbsgen.expressions import Expression, parse
+from mbsgen.expressions import Expression, Name, names, parse
 from mbsgen.model import model
-from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere
+from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere, Stop, press
+from mbsgen.model.quantities import name_lengths
 from mbsgen.model.symbols import total
-from mbsgen.model.tree import ONE, ZERO, Definition, Distance, Length, Probe, Reading, Rigid, Vector, Wrench
+from mbsgen.model.tree import (
+    IDENTITY,
+    ONE,
+    ZERO,
+    Barrier,
+    Definition,
+    Distance,
+    Length,
+    Probe,
+    Reading,
+    Rigid,
+    Vector,
+    Wrench,
+)
 from mbsgen.model.triples import add, cross, dot, scale, subtract
 from mbsgen.model.tyres import Tyre
 from mbsgen.model.wrapping import Round, Turn, holds, make_turn
@@ -151,6 +165,18 @@ class Surface:
         return self.first <= first and last <= self.last
 
 
+Define = Callable[[str, Vector], Vector]  # gives a vector that two forces share a name
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The line of a force element, and what a tension does along it."""
+
+    length: Symbol
+    rate: Symbol
+    pull: Callable[[str, Expr, Define], None]  # the owner of the force, and the tension
+
+
 @dataclass(frozen=True)
 class _Part:
     """A part of a line between two points."""
@@ -183,6 +209,17 @@ class Side:
 
     anchor: Anchor
     axes: tuple[Vector, ...]  # in the frame of that body, of length 1: the normal of a plane; the axes of a box
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A number of the pose that stops may read: the coordinate of a joint, or of a frame's origin."""
+
+    symbol: Symbol
+    rate: Symbol
+    joint: str = ""
+    anchor: Anchor | None = None  # of a frame
+    axis: int = 0  # of the base, likewise
 
 
 @dataclass(frozen=True)
@@ -224,9 +261,15 @@ class Loads:
         self.wrenches: list[Wrench] = []
         self.distances: list[Distance] = []
         self.pushes: list[tuple[str, Expr]] = []  # forces in joints, by their names
+        self._lines: dict[str, _Line] = {}
 
-    def add_element(self, element: ForceElement, path: Sequence[Spot], around: Sequence[Surface] = ()) -> None:
-        """Add the wrenches of a force element, at its points that can move, and on surfaces around which it wraps."""
+    def add_element(
+        self, element: ForceElement, path: Sequence[Spot], around: Sequence[Surface] = (), *, is_read: bool = False
+    ) -> None:
+        """Add the wrenches of a force element, at its points that can move, and on surfaces around which it wraps.
+
+        Stops may read its length if `is_read`.
+        """
         name = element.name
         if not element.is_straight:
             self._add_path(element, path, around)
@@ -234,7 +277,13 @@ class Loads:
         first, second = (spot.anchor for spot in path)
         a, b = (self._probe(name, k, Reading.POSITION, end) for k, end in (("a", first), ("b", second)))
         d = self._define_vector(name, "d", subtract(b, a))
-        if (element.rest, element.damping, element.cable, element.law) == (model.ZERO, model.ZERO, None, model.ZERO):
+        rests = (element.rest, element.damping, element.cable, element.law) == (
+            model.ZERO,
+            model.ZERO,
+            None,
+            model.ZERO,
+        )
+        if rests and not is_read:
             pull = self._read(element.stiffness, {})  # a spring of length 0 at rest has no division by its length
         else:
             v, w = (self._probe(name, k, Reading.VELOCITY, end) for k, end in (("a", first), ("b", second)))
@@ -242,7 +291,12 @@ class Loads:
             length = self._define(name, "length", sqrt(square))
             rate = self._define(name, "rate", dot(d, subtract(w, v)) / length)
             pull = self._define(name, "pull", self._tension(element, length, rate) / length)
-        F = self._define_vector(name, "F", scale(pull, d))
+            self._lines[name] = _Line(length, rate, partial(self._pull_ends, first, second, scale(1 / length, d)))
+        self._pull_ends(first, second, d, name, pull, partial(self._define_vector, name))
+
+    def _pull_ends(self, first: Anchor, second: Anchor, way: Vector, name: str, tension: Expr, define: Define) -> None:
+        """Pull two points together, by multiples of the way from the first to the second."""
+        F = define("F", scale(tension, way))
         self._act(name, first, F, _NOTHING)
         self._act(name, second, scale(-1, F), _NOTHING)
 
@@ -284,12 +338,17 @@ class Loads:
         length = self._define(name, "length", total(shares))
         rate = self._define(name, "rate", total(rates))
         tension = self._define(name, "tension", self._tension(element, length, rate))
-        for part, share in zip(parts, straights, strict=True):
-            F = self._define_vector(name, f"F{part.number}", scale(tension * share, part.d))
-            self._pull(name, part.a, F)
-            self._pull(name, part.b, scale(-1, F))
-        for bend in bends.values():
-            self._pull_around(name, bend, tension)
+
+        def pull(owner: str, tension: Expr, define: Define) -> None:
+            for part, share in zip(parts, straights, strict=True):
+                F = define(f"F{part.number}", scale(tension * share, part.d))
+                self._pull(owner, part.a, F)
+                self._pull(owner, part.b, scale(-1, F))
+            for bend in bends.values():
+                self._pull_around(owner, bend, tension)
+
+        pull(name, tension, partial(self._define_vector, name))
+        self._lines[name] = _Line(length, rate, pull)
 
     def _bend(self, name: str, number: int, surface: Surface, parts: Sequence[_Part]) -> Iterator[_Bend]:
         """Define the ways of a line around a surface: of all parts, one wraps at most.
@@ -335,7 +394,7 @@ class Loads:
 
     def _pull_around(self, name: str, bend: _Bend, tension: Expr) -> None:
         """Add the forces of a line on the points of a bend, and on the surface."""
-        push = self._define(name, f"push{bend.part.number}", tension * bend.weight)
+        push = tension * bend.weight
         for seen, slope in zip((bend.part.a, bend.part.b), bend.turn.slopes, strict=True):
             self._pull(name, seen, scale(-push, slope))
         self._act(name, bend.anchor, scale(push, bend.force), scale(push, bend.moment))
@@ -400,6 +459,59 @@ class Loads:
             c = self._probe(name, "centre", Reading.POSITION, centre)
             bodies = centre.body, side.anchor.body
             self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, add(c, met.arm), *law)))
+
+    def add_stop(
+        self, stop: Stop, sights: Sequence[Sight], limits: tuple[Expr | None, Expr | None], restitution: float | None
+    ) -> None:
+        """Add stops at limits of a number of the pose: forces of compliant ones, distances of rigid ones.
+
+        `sights` are the numbers that it may read beside lengths; `restitution` is None where the stops are compliant.
+        """
+        name, lines = stop.name, {key: self._lines[own] for key, own in name_lengths([*self._lines]).items()}
+        read = {key: line for key, line in lines.items() if key in names(stop.quantity)}
+        quantity = self._read(stop.quantity, {key: line.length for key, line in lines.items()})
+        value = self._note(name, "value", quantity)
+        slopes = {
+            symbol: self._note(name, f"by {symbol}", _differentiate(quantity, symbol))
+            for symbol in (*(x.symbol for x in sights), *(line.length for line in read.values()))
+            if quantity.has(symbol)
+        }
+        seen = [x for x in sights if x.symbol in slopes]
+        pulled = [x for x in read.values() if x.length in slopes]
+        terms = [slopes[x.symbol] * x.rate for x in seen] + [slopes[x.length] * x.rate for x in pulled]
+        rate = self._note(name, "rate", total(terms))
+
+        def push(force: Expr) -> None:
+            for x in seen:
+                part = force * slopes[x.symbol]
+                if x.anchor is None:
+                    self.pushes.append((x.joint, part))
+                else:
+                    self._act(name, x.anchor, scale(part, IDENTITY[x.axis]), _NOTHING)
+            for line in pulled:
+                line.pull(name, -force * slopes[line.length], lambda _, vector: vector)
+
+        elements = tuple(own for key, own in name_lengths([*self._lines]).items() if key in read)
+        for key, way, limit in zip(("lower", "upper"), (1, -1), limits, strict=True):
+            if limit is None:
+                continue
+            own = f"{name}.{key}"
+            gap, away = self._note(own, "gap", way * (value - limit)), self._note(own, "rate", way * rate)
+            if restitution is None:
+                given = {"depth": -gap, "speed": -away}
+                push(way * self._note(own, "force", self._read(press(stop.law, Name("depth"), Name("speed")), given)))
+            else:
+                wrenches, joints = self._collect(partial(push, Integer(way)))
+                self.distances.append(Distance(own, gap, Barrier(wrenches, joints, away, elements, restitution)))
+
+    def _collect(self, act: Callable[[], None]) -> tuple[tuple[Wrench, ...], tuple[tuple[str, Expr], ...]]:
+        """Return the wrenches and forces in joints that a function adds, instead of adding them."""
+        kept = self.wrenches, self.pushes
+        self.wrenches, self.pushes = [], []
+        act()
+        found = tuple(self.wrenches), tuple(self.pushes)
+        self.wrenches, self.pushes = kept
+        return found
 
     def _touch(
         self, contact: Contact, name: str, centre: Anchor, side: Side, exponent: float, circle: Circle | None
@@ -539,6 +651,12 @@ class Loads:
     def _define(self, name: str, key: str, value: Expr, length: Length | None = None) -> Symbol:
         symbol = Symbol(f"force[{name}] {key}", real=True)
         self.definitions.append(Definition(symbol, value, length, name, key))
+        return symbol
+
+    def _note(self, name: str, key: str, value: Expr) -> Symbol:
+        """Define a number of a stop, which is no force element."""
+        symbol = Symbol(f"stop[{name}] {key}", real=True)
+        self.definitions.append(Definition(symbol, value))
         return symbol
 
     def _define_within(self, name: str, part: str, key: str, value: Expr) -> Symbol:

@@ -8,7 +8,7 @@ file (`writer`). `reduction.build_tree` makes of it the Tree that the recursions
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation, names
@@ -137,6 +137,9 @@ class Stops:
     dissipation: Expression = ZERO  # of a compliant one, over the speed of entry [s/rad or s/m]
 
 
+STOPS = tuple(x.name for x in fields(Stops))  # the keys of a file
+
+
 @dataclass(frozen=True)
 class Follow:
     """The rule of a joint without a coordinate: its q is ratio times the q of another joint, plus offset."""
@@ -178,15 +181,15 @@ class Joint:
             return self.law
         q, qd, force = Name(COORDINATE), Name(RATE), self.law.force
         if self.lower is not None:
-            pressed = _press(self.stops, Operation("-", self.lower, q), Negation(qd))
+            pressed = press(self.stops, Operation("-", self.lower, q), Negation(qd))
             force = pressed if force == ZERO else Operation("+", force, pressed)
         if self.upper is not None:
-            pressed = _press(self.stops, Operation("-", q, self.upper), qd)
+            pressed = press(self.stops, Operation("-", q, self.upper), qd)
             force = Negation(pressed) if force == ZERO else Operation("-", force, pressed)
         return replace(self.law, force=force)
 
 
-def _press(stops: Stops, depth: Expression, rate: Expression) -> Expression:
+def press(stops: Stops, depth: Expression, rate: Expression) -> Expression:
     """Return the force of a compliant stop."""
     assert stops.stiffness is not None, "a compliant stop has a stiffness"
     force = Operation("*", stops.stiffness, Call("max", (depth, ZERO)))
@@ -485,6 +488,17 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Stop:
+    """Stops at the limits of a number of the pose."""
+
+    name: str
+    quantity: Expression  # over coordinates, places of frames, lengths of force elements, and parameters
+    lower: Expression | None  # None: no stop there
+    upper: Expression | None
+    law: Stops
+
+
+@dataclass(frozen=True)
 class Constraint:
     """An equation of coordinates: the expression is 0."""
 
@@ -504,6 +518,7 @@ class Model:
     wrenches: tuple[Wrench, ...] = ()
     forces: tuple[ForceElement, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    stops: tuple[Stop, ...] = ()
     signals: tuple[str, ...] = ()  # numbers that forces read, and that a use gives: inputs of the code
     loops: tuple[Loop, ...] = ()
     constraints: tuple[Constraint, ...] = ()

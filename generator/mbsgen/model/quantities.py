@@ -11,7 +11,7 @@ Dots and blanks of a name are written _. A joint with a quaternion has velocitie
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sympy import Symbol
@@ -19,7 +19,7 @@ from sympy import Symbol
 from mbsgen.expressions import Expression, Name, names, spell
 from mbsgen.manifest import TIME
 from mbsgen.model.following import list_joints
-from mbsgen.model.model import Model
+from mbsgen.model.model import BASE, Model
 from mbsgen.model.tree import Reading, coordinate_symbol, rate_symbol, signal_symbol
 
 _READINGS: Mapping[str, Reading] = {"": Reading.POSITION, "v": Reading.VELOCITY}
@@ -86,10 +86,37 @@ def list_laws(model: Model) -> Iterator[Expression]:
             yield from () if point.presence is None else (Name(point.presence.number),)
 
 
+def find_stopped(model: Model) -> frozenset[str]:
+    """Return all names in the quantities that stops limit."""
+    return frozenset[str]().union(*(names(x.quantity) for x in model.stops))
+
+
+def name_lengths(elements: Sequence[str]) -> dict[str, str]:
+    """Return the force elements by the names that stops have for their lengths."""
+    return {f"length_{word}": own for own, word in zip(elements, spell(elements), strict=True) if word is not None}
+
+
+def list_poses(model: Model) -> dict[str, Quantity]:
+    """Return the numbers of the state that are of the pose alone: coordinates, and places of frames."""
+    return {
+        name: x
+        for name, x in list_quantities(model).items()
+        if x.reading is Reading.POSITION or (x.joint is not None and x.symbol == coordinate_symbol(x.joint))
+    }
+
+
+def find_moving(quantity: Expression, model: Model, carriers: Mapping[str, str]) -> bool:
+    """Return whether a number of the pose may change; `carriers` are the bodies that move others."""
+    own, poses, frames = names(quantity), list_poses(model), {x.name: x.body for x in model.frames}
+    found = [poses[name] for name in own & poses.keys()]
+    lengths = name_lengths([x.name for x in model.forces])
+    return any(x.joint or carriers.get(frames[x.source]) != BASE for x in found) or not own.isdisjoint(lengths)
+
+
 def find_read_frames(model: Model) -> frozenset[str]:
     """Name the frames that forces read."""
     known = list_quantities(model)
-    read = frozenset[str]().union(*map(names, list_laws(model)))
+    read = find_stopped(model).union(*map(names, list_laws(model)))
     return frozenset(known[name].source for name in read & known.keys() if known[name].reading is not None)
 
 

@@ -101,6 +101,7 @@ def _make_model(section: schema.ModelSection, tyres: Mapping[int, TyreFile]) -> 
         wrenches=tuple(map(_make_wrench, section.wrenches)),
         forces=tuple(element.make() for element in section.forces),
         contacts=tuple(contact.make(tyres.get(i)) for i, contact in enumerate(section.contacts)),
+        stops=tuple(stop.make() for stop in section.stops),
         signals=section.signals,
         loops=tuple(loop.make() for loop in section.loops),
         constraints=tuple(constraint.make() for constraint in section.constraints),

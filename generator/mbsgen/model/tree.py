@@ -258,15 +258,6 @@ class Rigid:
     coefficient: float  # of dry friction
 
 
-@dataclass(frozen=True)
-class Distance:
-    """The distance of a point of contact from its plane, or of two spheres; below 0 inside."""
-
-    name: str
-    symbol: Symbol  # of its definition
-    rigid: Rigid | None = None  # None: a compliant contact, whose forces are wrenches
-
-
 def rate_symbol(joint: str) -> Symbol:
     """Return the symbol of a joint's velocity in forces; no parameter has it."""
     return Symbol(f"qd[{joint}]", real=True)
@@ -311,6 +302,35 @@ class Wrench:
     force: Vector | None  # [N]; None: three entries of the input w
     moment: Vector | None  # [N m]; None: three more entries of w
     orientation: Matrix = IDENTITY  # columns: the axes of the components, in the body's frame
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """A number of the pose that rigid stops keep at 0 or above, by a force that no kernel has.
+
+    Its derivatives by the velocities are the generalised forces of wrenches and forces in joints, by virtual power.
+    """
+
+    wrenches: tuple[Wrench, ...]
+    joints: tuple[tuple[str, Expr], ...]  # forces in joints, by their names
+    rate: Symbol  # of the number over time
+    elements: tuple[str, ...]  # the force elements whose lengths it reads
+    restitution: float
+    coefficient: float = 0.0  # of friction, which a stop does not have
+
+
+@dataclass(frozen=True)
+class Distance:
+    """The distance of a point of contact from its plane, or of two spheres, or from a stop; below 0 inside."""
+
+    name: str
+    symbol: Symbol  # of its definition
+    rigid: Rigid | Barrier | None = None  # None: a compliant contact, whose forces are wrenches
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Name the forces whose lengths it divides by."""
+        return self.rigid.elements if isinstance(self.rigid, Barrier) else (self.name,)
 
 
 @dataclass(frozen=True)
@@ -359,8 +379,8 @@ class Tree:
         return 3 * sum(vector is None for x in self.wrenches for vector in (x.force, x.moment)) + len(self.signals)
 
     @property
-    def rigid(self) -> tuple[tuple[str, Rigid], ...]:
-        """The points of rigid contacts by their names."""
+    def rigid(self) -> tuple[tuple[str, Rigid | Barrier], ...]:
+        """The points of rigid contacts, and rigid stops, by their names."""
         return tuple((x.name, x.rigid) for x in self.distances if x.rigid is not None)
 
     @property

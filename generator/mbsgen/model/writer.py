@@ -20,6 +20,7 @@ from mbsgen.model.model import (
     HERTZ,
     ONE,
     ORIGIN,
+    STOPS,
     UNITS,
     WIDTH,
     ZERO,
@@ -43,6 +44,7 @@ from mbsgen.model.model import (
     PathPoint,
     Placement,
     Sphere,
+    Stop,
     Stops,
     Triple,
     Visual,
@@ -73,6 +75,8 @@ def write_model(model: Model) -> str:
         content["forces"] = [_write_element(element) for element in model.forces]
     if model.contacts:
         content["contacts"] = [_write_contact(contact) for contact in model.contacts]
+    if model.stops:
+        content["stops"] = [_write_stop(stop) for stop in model.stops]
     if model.loops:
         content["loops"] = [_write_loop(loop) for loop in model.loops]
     if model.constraints:
@@ -167,7 +171,7 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
     if joint.actuated != (actuated and joint.follows is None):
         content["actuated"] = _write_truth(joint.actuated)
     if (joint.lower, joint.upper) != (None, None):
-        content["limits"] = ["null" if x is None else _write_number(x) for x in (joint.lower, joint.upper)]
+        content["limits"] = _write_limits(joint)
     for key, bound in (("max_speed", joint.max_speed), ("max_force", joint.max_force)):
         if bound is not None:
             content[key] = _write_number(bound)
@@ -175,10 +179,14 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
     if joint.dry is not None:
         content["friction"] = _write_given(joint.dry, ("torque", "static", "stribeck", "one_way"))
     if joint.stops is not None:
-        content["stops"] = _write_given(joint.stops, ("restitution", "stiffness", "dissipation"))
+        content["stops"] = _write_given(joint.stops, STOPS)
     if joint.armature != ZERO:
         content["armature"] = _write_number(joint.armature)
     return content
+
+
+def _write_limits(part: Joint | Stop) -> list[str]:
+    return ["null" if x is None else _write_number(x) for x in (part.lower, part.upper)]
 
 
 def _write_follow(follow: Follow) -> Mapped:
@@ -287,6 +295,11 @@ def _write_muscle(muscle: Muscle) -> Mapped:
         strain = {"strain": _write_number(muscle.tendon_strain)} if muscle.tendon_strain != usual.tendon_strain else {}
         content["elastic"] = {"force": _write_number(muscle.tendon_force), **strain}
     return content
+
+
+def _write_stop(stop: Stop) -> Mapped:
+    quantity, limits = _write_number(stop.quantity), _write_limits(stop)
+    return {"name": _quote(stop.name), "quantity": quantity, "limits": limits} | _write_given(stop.law, STOPS)
 
 
 def _write_contact(contact: Contact) -> Mapped:

@@ -20,6 +20,7 @@ from mbsgen.formulations.chain import assign_symbols, joint_forces, write_chain
 from mbsgen.formulations.states import declare_state
 from mbsgen.model.elements import list_end_symbols
 from mbsgen.model.tree import (
+    Barrier,
     Coupling,
     Kind,
     Probe,
@@ -590,17 +591,22 @@ def _attitudes(truth: Truth, _: Computation, results: Results) -> Iterator[Compa
 
 
 def _touching(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
-    """Compare distances, normals, and the velocity at each point, from the velocities of both bodies."""
+    """Compare distances, normals, and the velocity at each point, from both bodies' velocities; rates of stops."""
     truth = truth.moving
     rigid = [x for _, x in truth.tree.rigid]
     gaps = [x.symbol for x in truth.tree.distances if x.rigid is not None]
     yield Comparison("clearance", results["clearance"], truth.read(gaps), Decimal(1))
-    normals = [x for contact in rigid for x in truth.read(contact.normal)]
+    along = (Decimal(1), ZERO, ZERO)  # of stops, which have no normal
+    normals = [x for one in rigid for x in (along if isinstance(one, Barrier) else truth.read(one.normal))]
     yield Comparison("direction", results["direction"], normals, Decimal(1))
     found, expected, scale = [ZERO] * (3 * len(rigid)), list[Decimal](), truth.swing
     for (r, c), value in zip(tape.output("slide").sparsity.entries, results["slide"], strict=True):
         found[r] += value * truth.qd[c]
     for contact in rigid:
+        if isinstance(contact, Barrier):
+            expected += [*truth.read([contact.rate]), ZERO, ZERO]
+            scale = max(scale, abs(expected[-3]))
+            continue
         place = truth.read(contact.point)
         first, other = (truth.carry(body, place) for body in contact.bodies)
         expected += [a - b for a, b in zip(first, other, strict=True)]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
+from mbsgen.manifest import RigidPoint
 from mbsgen.roles import Order, name_kernel
 from mbsrun.closure import Closure
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
@@ -51,10 +52,13 @@ STIFF = 500.0  # times that a fast motion decays within a simulation; slower one
 
 
 class InsideError(MbsError):
-    """A start at which a rigid contact is within the other side."""
+    """A start at which a rigid contact is within the other side, or a number beyond a rigid stop."""
 
-    def __init__(self, contact: str, depth: float) -> None:
-        super().__init__(f"contact {contact} starts {depth:.4g} m inside the other side; start outside or in touch")
+    def __init__(self, point: RigidPoint, depth: float) -> None:
+        finding = f"contact {point.name} starts {depth:.4g} m inside the other side; start outside or in touch"
+        if point.is_stop:
+            finding = f"stop {point.name} starts {depth:.4g} beyond its limit; start within its limits"
+        super().__init__(finding)
 
 
 def simulate(
@@ -164,7 +168,7 @@ def _check_outside(kernels: Kernels, q: Array) -> None:
         clearance = kernels("touching", q=q)["clearance"].ravel()
         k = int(clearance.argmin())
         if clearance[k] < -BEYOND:
-            raise InsideError(kernels.manifest.rigid[k].name, -float(clearance[k]))
+            raise InsideError(kernels.manifest.rigid[k], -float(clearance[k]))
 
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
@@ -184,7 +188,8 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
         switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
         needed |= {"semi", "semi_res"} if switches and is_explicit else set()
-        needed |= {"touching"} if kernels.manifest.rigid else set()
+        if kernels.manifest.rigid:
+            needed |= {"touching", "jac_touching"} if is_explicit else {"touching"}
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
@@ -311,13 +316,14 @@ class _Record:
         return self.forces.find_all(t, q, qd, inputs, modes)[0]
 
     def _find_contacts(self, q: Array) -> tuple[Array, Array] | None:
-        """Return the forces of rigid contacts, and their normal parts."""
+        """Return the forces of rigid contacts, without stops, and normal parts of all."""
         if not self.kernels.manifest.rigid:
             return None
         points = len(self.kernels.manifest.rigid)
         forces = np.array(self.pushes).reshape(-1, 3 * points) if self.pushes else np.full((len(q), 3 * points), np.nan)
         normals = self.kernels("touching", q=q)["direction"]
-        return forces, np.einsum("kip,kpi->kp", normals, forces.reshape(-1, points, 3))
+        split, placed = forces.reshape(-1, points, 3), [not x.is_stop for x in self.kernels.manifest.rigid]
+        return split[:, placed].reshape(len(forces), -1), np.einsum("kip,kpi->kp", normals, split)
 
     def _add_pushes(self, chunk: Chunk, push: Push, chosen: NDArray[np.intp]) -> None:
         """Note accelerations and forces of rigid contacts between events."""

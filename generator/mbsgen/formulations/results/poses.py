@@ -70,7 +70,7 @@ def build_distances(tree: Tree) -> Tape:
     state = declare_state(tree, builder, rates=False, accelerations=False, forces=False, wrenches=False)
     still = replace(state, qd=[builder.zero] * len(tree.bodies))
     chain = write_chain(tree, builder, still)
-    chain.guard_lengths({distance.name for distance in tree.distances})
+    chain.guard_lengths({name for distance in tree.distances for name in distance.owners})
     builder.output_dense(ports.DISTANCE, [[chain.force(distance.symbol)] for distance in tree.distances])
     return builder.build("distances")
 

@@ -21,8 +21,10 @@ from mbsgen.model.model import (
     Body,
     Constraint,
     Fixed,
+    ForceElement,
     Joint,
     Model,
+    PathPoint,
     Placement,
     Rotation,
     Triple,
@@ -45,12 +47,14 @@ def lock(model: Model, coordinates: Mapping[str, Expression]) -> Model:
         return model
     coordinates = _place_tied(model, coordinates)
     fixed = _fix_quantities(model, coordinates)
+    valuation = Valuation(model.parameters, ())
     bodies = [part for i, body in enumerate(model.bodies) for part in _lock_body(i, body, coordinates, fixed)]
     return replace(
         model,
         bodies=tuple(bodies),
         wrenches=tuple(_lock_wrench(wrench, fixed) for wrench in model.wrenches),
-        forces=tuple(replace(x, force=substitute(x.force, fixed)) for x in model.forces),
+        forces=tuple(_lock_element(x, fixed, valuation) for x in model.forces),
+        stops=tuple(replace(x, quantity=substitute(x.quantity, fixed)) for x in model.stops),
         constraints=tuple(_lock_constraints(model, coordinates)),
         driven=tuple(name for name in model.driven if name not in coordinates),
         independent=tuple(name for name in model.independent if name not in coordinates),
@@ -94,6 +98,30 @@ def _lock_wrench(wrench: Wrench, fixed: Mapping[str, Expression]) -> Wrench:
         for vector in (wrench.force, wrench.moment)
     )
     return replace(wrench, force=force, moment=moment)
+
+
+def _lock_element(element: ForceElement, fixed: Mapping[str, Expression], valuation: Valuation) -> ForceElement:
+    """Fix what a line reads of locked joints; points that it does not pass then are left out."""
+
+    def is_passed(point: PathPoint) -> bool:
+        own = point.presence
+        if own is None or own.number not in fixed:
+            return True
+        lower, q, upper = (valuation.number((), x) for x in (own.lower, fixed[own.number], own.upper))
+        return lower <= q <= upper
+
+    def settle(point: PathPoint) -> PathPoint:
+        own = point.presence
+        presence = None if own is None or own.number in fixed else own
+        return replace(point, shift=_triple(substitute(x, fixed) for x in point.shift), presence=presence)
+
+    return replace(
+        element,
+        first=settle(element.first),
+        second=settle(element.second),
+        via=tuple(settle(x) for x in element.via if is_passed(x)),
+        force=substitute(element.force, fixed),
+    )
 
 
 def _triple(components: Iterable[Expression]) -> Triple:

@@ -10,7 +10,7 @@ in the model file. The axis of a loop is the z axis of its two frames. Linear co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -19,13 +19,22 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Circle, Loads, Side, Spot, Surface
+from mbsgen.model.elements import Anchor, Circle, Loads, Side, Sight, Spot, Surface
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
 from mbsgen.model.model import BASE, Model
 from mbsgen.model.placements import centre_inertia
-from mbsgen.model.quantities import find_read_frames, find_read_signals, list_quantities, probe_symbols
+from mbsgen.model.quantities import (
+    Quantity,
+    find_read_frames,
+    find_read_signals,
+    find_stopped,
+    list_poses,
+    list_quantities,
+    name_lengths,
+    probe_symbols,
+)
 from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
 from mbsgen.model.tree import (
@@ -529,10 +538,13 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         at = seats[body].carry(placement, reader)
         return Anchor(at.number, at.position)
 
+    known, frames = list_poses(description), {x.name: x for x in description.frames}
+    lengths, read = name_lengths([x.name for x in description.forces]), find_stopped(description)
+    measured = {own for key, own in lengths.items() if key in read}
     for element in description.forces:
         path = [_make_spot(point, seats[point.body], reader, description) for point in element.path]
         around = [_make_surface(x, seats[x.body], reader, len(path)) for x in element.wraps]
-        loads.add_element(element, path, around)
+        loads.add_element(element, path, around, is_read=element.name in measured)
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
@@ -549,7 +561,22 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
             continue
         grip = 0.0 if contact.friction is None else reader.constant(contact.friction.coefficient)
         loads.add_rigid(contact, points, side, (reader.constant(contact.restitution), grip), circle)
+    sights = [_make_sight(x, frames, anchor) for key, x in known.items() if key in read]
+    for stop in description.stops:
+        lower, upper = (None if x is None else reader.number(x) for x in (stop.lower, stop.upper))
+        loads.add_stop(stop, sights, (lower, upper), reader.limit(stop.law.restitution))
     return loads
+
+
+def _make_sight(
+    quantity: Quantity, frames: Mapping[str, model.Frame], anchor: Callable[[str, model.Placement], Anchor]
+) -> Sight:
+    if quantity.joint is not None:
+        return Sight(quantity.symbol, rate_symbol(quantity.joint), quantity.joint)
+    frame = frames[quantity.source]
+    axis = probe_symbols(frame.name, Reading.POSITION).index(quantity.symbol)
+    rate = probe_symbols(frame.name, Reading.VELOCITY)[axis]
+    return Sight(quantity.symbol, rate, "", anchor(frame.body, frame.placement), axis)
 
 
 def _make_spot(point: model.PathPoint, seat: _Seat, reader: _Reader, description: model.Model) -> Spot:

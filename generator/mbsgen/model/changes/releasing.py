@@ -47,6 +47,7 @@ from mbsgen.model.model import (
     Plane,
     Row,
     Sphere,
+    Stop,
     Stops,
     Triple,
     Wrap,
@@ -109,6 +110,7 @@ class _Release:
             wrenches=tuple(map(self._wrench, model.wrenches)),
             forces=tuple(map(self._element, model.forces)),
             contacts=tuple(map(self._contact, model.contacts)),
+            stops=tuple(map(self._stop, model.stops)),
             loops=tuple(map(self._loop, model.loops)),
             constraints=tuple(map(self._constraint, model.constraints)),
         )
@@ -196,7 +198,7 @@ class _Release:
             max_force=self._keep(step.joint.max_force),
             law=self._law(step.joint.law, step.name),
             dry=self._dry(step.joint.dry),
-            stops=self._stops(step.joint.stops, step.name),
+            stops=step.joint.stops and self._law_of_stops(step.joint.stops, f"{step.name}.stops"),
             armature=self._number(f"{step.name}.armature", step.joint.armature),
         )
 
@@ -209,14 +211,14 @@ class _Release:
         torque = Number(self._valuation.number((), dry.torque))
         return DryFriction(torque, *map(self._keep, (dry.static, dry.stribeck, dry.one_way)))
 
-    def _stops(self, stops: Stops | None, joint: str) -> Stops | None:
+    def _law_of_stops(self, stops: Stops, path: str) -> Stops:
         """Release compliant stops; a restitution stays."""
-        if stops is None or stops.stiffness is None:
-            return stops and replace(stops, restitution=self._keep(stops.restitution))
+        if stops.stiffness is None:
+            return replace(stops, restitution=self._keep(stops.restitution))
         return replace(
             stops,
-            stiffness=self._number(f"{joint}.stops.stiffness", stops.stiffness),
-            dissipation=self._number(f"{joint}.stops.dissipation", stops.dissipation),
+            stiffness=self._number(f"{path}.stiffness", stops.stiffness),
+            dissipation=self._number(f"{path}.dissipation", stops.dissipation),
         )
 
     def _law(self, law: Law, joint: str) -> Law:
@@ -319,6 +321,14 @@ class _Release:
             friction=grip,
             tyre=contact.tyre and self._tyre(f"{path}.tyre", contact.tyre),
         )
+
+    def _stop(self, stop: Stop) -> Stop:
+        path = f"stops.{stop.name}"
+        lower, upper = (
+            x and self._number(f"{path}.{key}", x) for key, x in (("lower", stop.lower), ("upper", stop.upper))
+        )
+        quantity = replace_counted(stop.quantity, path, self._number)
+        return replace(stop, quantity=quantity, lower=lower, upper=upper, law=self._law_of_stops(stop.law, path))
 
     def _tyre(self, path: str, tyre: Tyre) -> Tyre:
         """Release the numbers of a brush, and the factors of a Magic Formula; its other coefficients stay."""

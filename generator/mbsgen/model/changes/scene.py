@@ -21,7 +21,7 @@ from mbsgen.model.changes.locking import lock
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.following import list_joints
 from mbsgen.model.model import BASE, ORIGIN, Frame, Model
-from mbsgen.model.quantities import find_read_frames
+from mbsgen.model.quantities import find_moving, find_read_frames
 from mbsgen.model.sections import NumberField
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
@@ -112,6 +112,7 @@ def stage(model: Model, scene: Scene) -> Model:
     forces = tuple(x for x in kept.forces if len({carriers[body] for body in x.bodies}) > 1)
     contacts = tuple(x for x in kept.contacts if carriers[x.body] != carriers[x.other.body])
     kept = replace(kept, wrenches=wrenches, forces=forces, contacts=contacts)
+    kept = replace(kept, stops=tuple(x for x in kept.stops if find_moving(x.quantity, kept, carriers)))
     return replace(
         kept,
         gravity=kept.gravity if scene.gravity else ORIGIN,

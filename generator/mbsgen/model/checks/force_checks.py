@@ -28,7 +28,7 @@ from mbsgen.model.model import (
     Wrench,
 )
 from mbsgen.model.muscles import Muscle
-from mbsgen.model.quantities import list_quantities
+from mbsgen.model.quantities import find_moving, find_stopped, list_quantities, name_lengths
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tyres import MAGIC, NEEDED, POSITIVE, Tyre
 from mbsgen.model.valuation import Valuation
@@ -43,11 +43,12 @@ def list_state(model: Model) -> State:
 
 def check_forces(model: Model, valuation: Valuation) -> Iterator[Finding]:
     """Find what is wrong with the values of wrenches, force elements and contacts."""
-    state = list_state(model)
+    state, lengths = list_state(model), name_lengths([x.name for x in model.forces])
+    read = {own for name, own in lengths.items() if name in find_stopped(model)}
     for i, wrench in enumerate(model.wrenches):
         yield from _check_wrench(("wrenches", i), wrench, valuation, state)
     for i, element in enumerate(model.forces):
-        yield from _check_element(("forces", i), element, valuation, state)
+        yield from _check_element(("forces", i), element, valuation, state, is_read=element.name in read)
     for i, contact in enumerate(model.contacts):
         yield from _check_contact(("contacts", i), contact, valuation)
 
@@ -84,7 +85,10 @@ def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation, state: Sta
         yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
 
 
-def _check_element(place: Place, element: ForceElement, valuation: Valuation, state: State) -> Iterator[Finding]:
+def _check_element(
+    place: Place, element: ForceElement, valuation: Valuation, state: State, *, is_read: bool
+) -> Iterator[Finding]:
+    """Find what is wrong with a force element, whose length a stop may read."""
     points = [
         (("from",), element.first),
         *((("via", k), x) for k, x in enumerate(element.via)),
@@ -122,8 +126,9 @@ def _check_element(place: Place, element: ForceElement, valuation: Valuation, st
             f"{write(element.rest)} at rest without a spring" if key == "rest" else "a cable without stiffness",
             "give a stiffness too",
         )
-    elif (element.stiffness, element.damping, element.force) == (ZERO, ZERO, ZERO):
-        yield Finding(place, "a force element without force", "give a stiffness, a damping or a force")
+    elif (element.stiffness, element.damping, element.force) == (ZERO, ZERO, ZERO) and not is_read:
+        remedy = "give a stiffness, a damping or a force, or a stop for its length"
+        yield Finding(place, "a force element without force", remedy)
 
 
 def _check_point(place: Place, point: PathPoint, valuation: Valuation, state: State) -> Iterator[Finding]:
@@ -318,6 +323,10 @@ def _check_not_negative(place: Place, number: Expression, valuation: Valuation) 
 def check_bodies(model: Model) -> Iterator[Finding]:
     """Find forces that do nothing, because their bodies do not move, or not relative to each other."""
     carriers = find_carriers(model)
+    for i, stop in enumerate(model.stops):
+        if not find_moving(stop.quantity, model, carriers):
+            finding = f"{write(stop.quantity)} does not change"
+            yield Finding(("stops", i, "quantity"), finding, "let it depend on a coordinate, or take the stop away")
     for i, wrench in enumerate(model.wrenches):
         if carriers.get(wrench.body) == BASE:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"

@@ -44,6 +44,7 @@ def _check_names(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     loops += trusted([(("constraints", i, "name"), constraint.name) for i, constraint in enumerate(model.constraints)])
     forces = trusted([(("forces", i, "name"), element.name) for i, element in enumerate(model.forces)])
     forces += trusted([(("contacts", i, "name"), contact.name) for i, contact in enumerate(model.contacts)])
+    forces += trusted([(("stops", i, "name"), stop.name) for i, stop in enumerate(model.stops)])
     whole = trusted([(("name",), model.name)])
     for place, name in [*whole, *bodies, *between, *joints, *frames, *wrenches, *forces, *loops]:
         yield from _check_form(place, name)

@@ -1,13 +1,18 @@
-"""Checks of stops and dry friction of joints."""
+"""Checks of stops, and of dry friction of joints."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
+from sympy import Symbol
+
 from mbsgen.documents import Finding, Place, abbreviate
+from mbsgen.expressions import names
+from mbsgen.model.checks.force_checks import State, check_law, list_state
 from mbsgen.model.following import list_joints
-from mbsgen.model.model import ZERO, DryFriction, Joint, Model, Stops
+from mbsgen.model.model import LENGTH, ZERO, DryFriction, Joint, Model, Stop, Stops
+from mbsgen.model.quantities import list_poses, name_lengths
 from mbsgen.model.valuation import Valuation
 
 
@@ -16,7 +21,7 @@ def check_stops(model: Model, valuation: Valuation) -> Iterator[Finding]:
     for step in list_joints(model):
         joint, place = step.joint, step.place
         if joint.stops is not None:
-            yield from _check_stops((*place, "stops"), joint, joint.stops, valuation)
+            yield from _check_joint_stops(place, joint, joint.stops, valuation)
         if joint.dry is not None:
             yield from _check_dry((*place, "friction"), joint, joint.dry, valuation)
         keys = [key for key, is_own in (("friction", joint.dry), ("stops", _is_rigid(joint.stops))) if is_own]
@@ -29,16 +34,34 @@ def check_stops(model: Model, valuation: Valuation) -> Iterator[Finding]:
                 finding = f"{what} on a joint whose motion is given (driven)"
                 yield Finding((*place, key), finding, "leave it out: the given motion needs the force that it needs")
 
+    known = {name: x.symbol for name, x in list_poses(model).items()}
+    known |= {
+        name: Symbol(f"{LENGTH} {own}", real=True) for name, own in name_lengths([x.name for x in model.forces]).items()
+    }
+    for i, stop in enumerate(model.stops):
+        yield from _check_stop(("stops", i), stop, known, valuation, list_state(model))
+
 
 def _is_rigid(stops: Stops | None) -> bool:
     return stops is not None and stops.restitution is not None
 
 
-def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation) -> Iterator[Finding]:
+def _check_joint_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation) -> Iterator[Finding]:
+    yield from _check_law((*place, "stops"), stops, valuation)
     if joint.lower is None and joint.upper is None:
-        yield Finding(
-            place, "stops of a joint without limits", "give limits: [-1, 1], or null at an end without a stop"
+        finding = "stops of a joint without limits"
+        yield Finding((*place, "stops"), finding, "give limits: [-1, 1], or null at an end without a stop")
+    if stops.restitution is not None:
+        lower, upper = (
+            math.nan if x is None else valuation.constant((*place, "limits", k), x)
+            for k, x in enumerate((joint.lower, joint.upper))
         )
+        if lower == upper:
+            finding = f"both stops are at {lower:g}"
+            yield Finding((*place, "limits"), finding, "leave the joint room, or make it fixed")
+
+
+def _check_law(place: Place, stops: Stops, valuation: Valuation) -> Iterator[Finding]:
     if (stops.restitution is None) == (stops.stiffness is None):
         found = "neither restitution nor stiffness" if stops.stiffness is None else "both restitution and stiffness"
         yield Finding(place, found, "give restitution of rigid stops, or stiffness of compliant ones")
@@ -48,13 +71,6 @@ def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation)
             yield Finding((*place, "restitution"), f"found {value:g}", "give 0, where nothing rebounds, to 1")
         if stops.dissipation != ZERO:
             yield Finding((*place, "dissipation"), "the dissipation of rigid stops", "leave it out, or give stiffness")
-        lower, upper = (
-            math.nan if x is None else valuation.constant((*place[:-1], "limits", k), x)
-            for k, x in enumerate((joint.lower, joint.upper))
-        )
-        if lower == upper:
-            finding = f"both stops are at {lower:g}"
-            yield Finding((*place[:-1], "limits"), finding, "leave the joint room, or make it fixed")
     elif stops.stiffness is not None:
         value = valuation.number((*place, "stiffness"), stops.stiffness)
         if value <= 0:
@@ -62,6 +78,26 @@ def _check_stops(place: Place, joint: Joint, stops: Stops, valuation: Valuation)
         value = valuation.number((*place, "dissipation"), stops.dissipation)
         if value < 0:
             yield Finding((*place, "dissipation"), f"found {value:g}", "give 0 or more")
+
+
+def _check_stop(place: Place, stop: Stop, known: State, valuation: Valuation, state: State) -> Iterator[Finding]:
+    """Find what is wrong with stops at limits of a number of the pose; `known` are the numbers that it may read."""
+    yield from _check_law(place, stop.law, valuation)
+    at = (*place, "quantity")
+    for name in sorted(names(stop.quantity) & (state.keys() - known.keys()) - valuation.names):
+        remedy = "use q_NAME of joints, x_, y_, z_NAME of frames, length_NAME of forces, and parameters"
+        yield Finding(at, f"{name} is no number of the pose", remedy)
+        return
+    yield from check_law(at, stop.quantity, valuation, known)
+    lower, upper = (
+        math.nan if x is None else valuation.number((*place, "limits", k), x)
+        for k, x in enumerate((stop.lower, stop.upper))
+    )
+    if stop.lower is None and stop.upper is None:
+        yield Finding((*place, "limits"), "no limit", "give one or two numbers: [0, null], [null, 1], [0, 1]")
+    elif lower >= upper:
+        finding = f"limits from {lower:g} to {upper:g}"
+        yield Finding((*place, "limits"), finding, "give the lower one first, and leave room between them")
 
 
 def _check_dry(place: Place, joint: Joint, dry: DryFriction, valuation: Valuation) -> Iterator[Finding]:

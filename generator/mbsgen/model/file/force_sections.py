@@ -29,11 +29,20 @@ from mbsgen.model.model import (
     Plane,
     Presence,
     Sphere,
+    Stop,
+    Stops,
     Wheel,
     Wrap,
 )
 from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
-from mbsgen.model.sections import DirectionField, NumberField, PlacementSection, TripleField
+from mbsgen.model.sections import (
+    DirectionField,
+    LimitField,
+    NumberField,
+    OptionalNumberField,
+    PlacementSection,
+    TripleField,
+)
 from mbsgen.model.tyres import BRUSH, FADING, MAGIC, Tyre
 
 
@@ -202,6 +211,30 @@ class OtherBoxSection(PlacementSection):
 
     body: str = Field(BASE, examples=[BASE], description="a body, or base")
     size: TripleField = Field(examples=[[0.3, 0.2, 0.1]], description="its edges, m; its centre is its origin")
+
+
+class StopSection(Section):
+    """Stops at limits of a number of the pose: rigid, or compliant."""
+
+    name: str = Field(examples=["strap"])
+    quantity: NumberField = Field(
+        examples=["q_drum - 2*z_pan"], description="over q_, x_, y_, z_ and length_NAME, and parameters"
+    )
+    limits: tuple[LimitField, LimitField] = Field(examples=[[None, 0.5]], description="in the quantity's unit")
+    restitution: OptionalNumberField = Field(
+        None, examples=[0.5], description="of rigid stops: the part of the speed that is kept, 0 to 1"
+    )
+    stiffness: OptionalNumberField = Field(
+        None, examples=[None], description="of compliant stops, in place of a restitution: force over depth"
+    )
+    dissipation: NumberField = Field(
+        ZERO, examples=[0.0], description="of compliant stops: Hunt and Crossley's factor of the speed, s/m or s/rad"
+    )
+
+    def make(self) -> Stop:
+        """Make the part of a Model."""
+        law = Stops(self.restitution, self.stiffness, self.dissipation)
+        return Stop(self.name, self.quantity, *self.limits, law)
 
 
 class GripSection(Section):

@@ -17,7 +17,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from mbsgen.documents import Section
 from mbsgen.expressions import Number
 from mbsgen.model import joints
-from mbsgen.model.file.force_sections import ContactSection, ForceSection
+from mbsgen.model.file.force_sections import ContactSection, ForceSection, StopSection
 from mbsgen.model.file.loops import ConstraintSection, LoopSection
 from mbsgen.model.file.visual_sections import VisualField
 from mbsgen.model.joints.elementary import ElementarySection
@@ -134,6 +134,7 @@ class ModelSection(Section):
     wrenches: tuple[WrenchSection, ...] = Field((), examples=[[]])
     forces: tuple[ForceSection, ...] = Field((), examples=[[]], description="springs and cables between two frames")
     contacts: tuple[ContactSection, ...] = Field((), examples=[[]], description="compliant contacts")
+    stops: tuple[StopSection, ...] = Field((), examples=[[]], description="at limits of numbers of the pose")
     signals: tuple[str, ...] = Field((), examples=[[]], description="numbers that forces read, as inputs of the code")
     loops: tuple[LoopSection, ...] = Field((), examples=[[]], description="joints that close loops of bodies")
     constraints: tuple[ConstraintSection, ...] = Field((), examples=[[]], description="equations of coordinates")

@@ -37,8 +37,6 @@ NEAR = 1e-9  # of the size of a condition's terms: what is as near to 0 may be e
 TURNS = 60  # of the direction in which a point starts to slip
 FIXED = 1e-13  # a change of the direction that ends them
 MOST = 729  # modes that are tried, to see whether there are several
-STRIDE = 0.02  # rad, m: of coordinates, for time derivatives by differences of order 8
-WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 
 
 class State(IntEnum):
@@ -114,19 +112,12 @@ class Contacts:
         """Describe the points in states (K, nq), (K, n)."""
         gap, normal, slide = self._place(q)
         velocity = np.einsum("kpin,kn->kpi", slide, qd)
-        pull, drift = np.zeros_like(gap), np.zeros_like(velocity)
-        rates = self.dynamics.rates(q, qd)
-        fastest = np.abs(rates).max(axis=1)
-        moving = np.flatnonzero(fastest > 0)
-        if moving.size:
-            h = (STRIDE / fastest[moving])[:, None, None]
-            shifts = np.array([1, -1, 2, -2, 3, -3, 4, -4])[None, :, None]
-            places = q[moving, None] + shifts * h * rates[moving, None]
-            _, n, S = self._place(places.reshape(-1, q.shape[1]))
-            v = np.einsum("kpin,kn->kpi", S, np.repeat(qd[moving], 8, axis=0)).reshape(len(moving), 8, -1, 3)
-            w = (n.reshape(v.shape) * v).sum(axis=3)
-            drift[moving] = np.einsum("j,kjpi->kpi", WEIGHTS, v[:, ::2] - v[:, 1::2]) / h
-            pull[moving] = np.einsum("j,kjp->kp", WEIGHTS, w[:, ::2] - w[:, 1::2]) / h[:, 0]
+        rates, slopes = self.dynamics.rates(q, qd), self.dynamics.kernels("jac_touching", q=q)
+        K, points, _, n = slide.shape
+        by_q = slopes["jac_slide_q"].reshape(K, n, points, 3, q.shape[1])  # column by column
+        turn = np.einsum("kpiq,kq->kpi", slopes["jac_direction_q"].reshape(K, points, 3, q.shape[1]), rates)
+        drift = np.einsum("knpiq,kq,kn->kpi", by_q, rates, qd, optimize=True)
+        pull = (turn * velocity).sum(axis=2) + (normal * drift).sum(axis=2)
         return Touch(gap, normal, slide, velocity, pull, drift)
 
     def _place(self, q: Array) -> tuple[Array, Array, Array]:

@@ -164,9 +164,11 @@ class _Course(Course):
         rebound = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
         rebounding = [k for k in points if restitution[k] > 0 > speed[k] and 0 < rebound[k] < SLOW]
         if rebounding:
-            free = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])[1]
+            inertia = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])
             found = self.contacts.touch(q[None], after[None])
-            fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], free[0]) + found.pull[0]
+            rest = [k for k in points if rebound[k] <= STILL * self.fastest]  # they hold while others rebound
+            qdd = Search(self.contacts, found, inertia, rest, self.find_slipping(found, rest)).find()[1].qdd[0]
+            fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], qdd) + found.pull[0]
             for k in rebounding:
                 if fall[k] < 0 and rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
                     last[k] = time - 2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k])
