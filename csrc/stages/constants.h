@@ -12,10 +12,15 @@
 #define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
 #define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
+#define MBS_STAGES_EXACT 1e-4f     /* compliance, beside the inverse of the curvature, that takes digits */
 #define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
 #define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
 #define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
-#define MBS_STAGES_DEAR 1e-3f      /* share of the cost that the last digits of bounds should not decide */
+#define MBS_STAGES_SHARP 1e-5f     /* share of the cost that bounds that give, and the barrier, may decide: polished once, */
+#define MBS_STAGES_DULL 1e-4f      /* and polished again */
+#define MBS_STAGES_FALL 0.1f       /* that both fall by, when a solution is polished, */
+#define MBS_STAGES_LITTLE 1e-6f    /* but the barrier no farther than here, */
+#define MBS_STAGES_WORTH 1e-4f     /* or than the square of the tolerance over this */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
@@ -23,10 +28,15 @@
 #define MBS_STAGES_LOW 1e-7
 #define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-8
+#define MBS_STAGES_EXACT 1e-10
 #define MBS_STAGES_ZERO 1.5e-8
 #define MBS_STAGES_GROWTH 5e4
 #define MBS_STAGES_SMALL 1e-4
-#define MBS_STAGES_DEAR 1e-4
+#define MBS_STAGES_SHARP 1e-12
+#define MBS_STAGES_DULL 1e-8
+#define MBS_STAGES_LITTLE 1e-12
+#define MBS_STAGES_WORTH 1e-4
+#define MBS_STAGES_FALL 1e-3
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
 #define MBS_STAGES_INFINITE ((real)1e19)
@@ -44,6 +54,7 @@
 /* steps, and their corrections */
 #define FREE_COMPLIANCE ((real)1e20)  /* of an elastic variable without curvature */
 #define MANY_REFINEMENTS 2            /* show a loss of digits */
+#define MOST_UNHELPED 3               /* steps that have no digits whether rows give or not, before that is given up */
 #define SUM_ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
 #define REFINED_SHARE ((real)1e-2)    /* of the tolerance, that no step needs to be refined to */
 #define CORRECTED_BELOW ((real)1e-2)  /* the barrier parameter, at most, for corrections of products, */
@@ -51,7 +62,11 @@
 #define CORRECTION_GAIN ((real)0.1)   /* that a correction must lengthen by as much */
 #define PRODUCT_LEAST ((real)0.1)     /* products beside mu that are good enough: from here */
 #define PRODUCT_MOST ((real)10)       /* to here; and the most that is corrected */
-#define POLISHING_STEPS 3
+#define POLISHING_STEPS 4             /* of Newton's method, in each of */
+#define POLISHING_GAIN ((real)0.1)    /* that a further step must lower the errors to */
+#define POLISHING_TRIES 6             /* falls of bounds that give and of the barrier, */
+#define POLISHED_RIGHT ((real)0.1)    /* of a change of the cost: how wrong its first order may be, */
+#define POLISHED_COST ((real)1e-2)    /* for a cost of this size at least */
 
 /* the line search */
 #define CUT_LENGTH ((real)0.02)       /* step lengths that show too little curvature, */

@@ -78,7 +78,7 @@ static void mend_bound(real *x, real *bound, real *z, real mu, real kappa, real 
         *z = mu / (kappa * distance);
 }
 
-static void mend_bounds(mbs_stages *s, mbs_stages_phase *p)
+void mbs_stages_mend_bounds(mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
     for (i = 0; i < p->size; ++i) {
@@ -101,6 +101,7 @@ static int contradict(const mbs_stages *s, const mbs_stages_phase *p)
 static int find_step(mbs_stages *s, mbs_stages_phase *p)
 {
     int i;
+    s->exact = 0;
     if (mbs_stages_newton_factorise(s, p))
         return -1;
     mbs_stages_stationarity(s, p, 1, p->slope);
@@ -158,7 +159,7 @@ static int advance(mbs_stages *s, mbs_stages_phase *p)
         if (status != MBS_STAGES_RUNNING)
             return status;
     }
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     ++s->result.iterations;
     s->result.restorations += p->elastic;
     return MBS_STAGES_RUNNING;

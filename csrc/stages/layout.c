@@ -376,6 +376,13 @@ static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int wor
         lay_scratch(a, a->base ? &r->scratch[i] : &spare, e);
 }
 
+/* The most rows that hold exactly: the rows of e, fixed variables, those passed from the next stage. Where rows of g are
+ * exact in factorisations, fixed slacks are among them. */
+static int count_exact(const mbs_stages_stage *t)
+{
+    return t->dense.ne + t->inner.spare + t->equal + t->next + (SEARCHES ? t->ng : 0);
+}
+
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
@@ -389,8 +396,7 @@ static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *pro
         lane = k > 0 && are_alike(problem, k, k - 1) ? (lane + 1) % MBS_STAGES_TOGETHER : 0;
         lay_stage(a, s, problem, k, lane, t);
         t->equal = count_equal(problem, t);
-        lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, t->dense.ne + t->inner.spare + t->equal + t->next,
-                 t->next);
+        lay_step(a, p, t->nx, t->dense.nv + t->inner.spare, count_exact(t), t->next);
         lay_soft(a, q, SEARCHES ? t->next : 0);
         if (k == 0)
             lay_step(a, &r->root, 0, t->nx, 2 * t->nx, 0); /* rows passed to it, and fixed states */
@@ -430,6 +436,7 @@ static void lay_solver(arena *a, mbs_stages *s)
         *of_rows[i] = numbers(a, m, 1);
     for (i = 0; i < sizeof of_slacks / sizeof *of_slacks; ++i)
         *of_slacks[i] = numbers(a, s->slacks, 1);
+    s->gives = SEARCHES ? numbers(a, m, 1) : s->recursion.compliance;
     s->least.elastic = 1;
     s->main.options = s->least.options = &s->options;
     s->recursion.zero_pivot = MBS_STAGES_ZERO;

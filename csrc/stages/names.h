@@ -61,6 +61,7 @@
 #define mbs_stages_matrix_spread mbs_stages_matrix_spread_float
 #define mbs_stages_mean_product mbs_stages_mean_product_float
 #define mbs_stages_measure_errors mbs_stages_measure_errors_float
+#define mbs_stages_mend_bounds mbs_stages_mend_bounds_float
 #define mbs_stages_mind_growth mbs_stages_mind_growth_float
 #define mbs_stages_mirror mbs_stages_mirror_float
 #define mbs_stages_newton_factorise mbs_stages_newton_factorise_float

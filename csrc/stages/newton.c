@@ -5,6 +5,11 @@
  * they get a small compliance, which refinement takes back (Bertsekas: Constrained optimization and Lagrange multiplier
  * methods, 1982, the method of multipliers). Where that does not converge, rows are hard again.
  *
+ * Near a solution, rows of g that bind hardly give: they have slacks near their bounds, whose curvature takes the digits of
+ * the rows' stage. Where a step has no digits, such rows are exact in the factorisation; refinement gives them back what
+ * they give. Exact rows that follow from others are left out: where there are more of these, or it does not converge, rows
+ * give again.
+ *
  * Slacks and elastic variables appear in one row each. They are eliminated: their curvature becomes the compliance of
  * that row, and the recursion solves for w and y. Where the reduced Hessian is not positive definite, a multiple of the
  * identity is added to the curvature of variables (Waechter, Biegler, 2006, algorithm IC). Inner variables follow the
@@ -76,6 +81,8 @@ static void find_compliance(mbs_stages *s, const mbs_stages_phase *p)
         for (i = 0; i < t->ng; ++i)
             compliance[t->g + i] += yield(s, p, at + t->s + i);
     }
+    if (MBS_STAGES_SEARCHES)
+        memcpy(s->gives, compliance, (size_t)s->rows * sizeof *compliance);
 }
 
 /* The diagonal beside the Hessian: of the barrier, and in restoration of the distance from the reference. */
@@ -119,6 +126,18 @@ static void soften_rows(mbs_stages *s)
         s->softening = MBS_STAGES_HARD_FOR_GOOD;
 }
 
+/* Take rows of g that hardly give as exact. */
+static void harden_rows(mbs_stages *s)
+{
+    mbs_stages_recursion *r = &s->recursion;
+    const real least = MBS_STAGES_EXACT / largest_curvature(r);
+    int k, i;
+    for (k = 0; k < r->stages; ++k)
+        for (i = r->stage[k].g; i < r->stage[k].g + r->stage[k].ng; ++i)
+            if (r->compliance[i] < least)
+                r->compliance[i] = 0;
+}
+
 /* Factorise with added curvature in stages from `first` on, by `inner` of all variables; returns -1, or the stage that
  * lacks curvature. */
 static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real regular, int inner)
@@ -131,6 +150,8 @@ static int factorise_with(mbs_stages *s, mbs_stages_phase *p, int first, real re
     s->recursion.plain = 0;
     if (MBS_STAGES_SEARCHES && s->softening == MBS_STAGES_SOFTENED && !p->elastic)
         soften_rows(s);
+    if (MBS_STAGES_SEARCHES && s->exact && !p->elastic)
+        harden_rows(s);
     s->recursion.soft_dynamics = p->elastic;
     ++s->result.factorisations;
     k = mbs_stages_factorise(&s->recursion, regular > 0 && !inner);
@@ -222,7 +243,7 @@ static void find_stage_residual(mbs_stages *s, int k)
     for (i = t->w; i < w; ++i)
         s->residual_w[i] = s->fixed[i] ? 0 : s->residual_w[i] + r->diagonal[i] * s->dw[i];
     for (i = t->e; i < rows; ++i)
-        s->residual_c[i] -= s->softened[i] ? 0 : r->compliance[i] * s->dy[i];
+        s->residual_c[i] -= s->softened[i] ? 0 : s->gives[i] * s->dy[i];
 }
 
 static void find_residuals(void *solver, int from, int to, int worker)
@@ -246,7 +267,7 @@ static residuals measure(const mbs_stages *s, const real *w, const real *c)
     most.w = mbs_stages_largest(s->variables, w);
     most.c = 0;
     for (i = 0; i < s->rows; ++i) {
-        const real give = s->recursion.compliance[i];
+        const real give = s->gives[i];
         const real a = real_abs(c[i]) / (give > 1 ? give : 1);
         most.c = a > most.c ? a : most.c;
     }
@@ -340,28 +361,45 @@ static int solve_again(mbs_stages *s, mbs_stages_phase *p, const real *c)
 }
 
 /* Solve with hard rows or soft ones, whichever keeps digits. */
-static void solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
+static int solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
 {
     int passes = solve_reduced(s);
     if ((passes < 0 || passes >= MANY_REFINEMENTS) && mbs_stages_mind_growth(&s->recursion, 0))
         passes = solve_again(s, p, c);
     if (!MBS_STAGES_SEARCHES || p->elastic)
-        return;
+        return passes;
     if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY_REFINEMENTS)) {
         s->softening = MBS_STAGES_SOFTENED;
         passes = passes < 0 ? solve_again(s, p, c) : passes;
     }
     if (s->softening == MBS_STAGES_SOFTENED && passes < 0) {
         s->softening = MBS_STAGES_HARD_FOR_GOOD;
-        solve_again(s, p, c);
+        passes = solve_again(s, p, c);
     }
+    return passes;
+}
+
+/* Let rows that hardly give be exact, or give again, whichever keeps digits; where neither does, they give. Exact rows that
+ * follow from others have no multipliers. */
+static void solve_otherwise(mbs_stages *s, mbs_stages_phase *p, const real *c)
+{
+    const int dependent = s->recursion.dependent;
+    s->exact = !s->exact;
+    if (solve_again(s, p, c) >= 0 && !(s->exact && s->recursion.dependent > dependent))
+        return;
+    ++s->unhelped;
+    if (!s->exact)
+        return;
+    s->exact = 0;
+    solve_again(s, p, c);
 }
 
 /* The step for rows c. `slope` holds the derivatives with the barrier's. */
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
 {
     reduce_right(s, p, c);
-    solve_well(s, p, c);
+    if (solve_well(s, p, c) < 0 && MBS_STAGES_SEARCHES && !p->elastic && s->unhelped < MOST_UNHELPED)
+        solve_otherwise(s, p, c);
     memcpy(d->x, s->best_w, (size_t)s->variables * sizeof *d->x);
     memcpy(d->y, s->best_y, (size_t)s->rows * sizeof *d->y);
     mbs_stages_spread(s, p, d);

@@ -1,59 +1,86 @@
-/* Bounds that give, and a solution that is put back on them.
+/* A solution, brought nearer to the optimum: bounds that give and the barrier fall together.
  *
  * Bounds, and rows beside them, may leave one point alone: where a motion ends at a limit, for instance. There is no
- * interior then, and multipliers have no bound. So bounds give by the option `bound_relax_factor`, as in IPOPT: multipliers of the
- * barrier problem stay below mu / that factor, and fall with mu.
+ * interior then, and multipliers have no bound. So bounds give by the option `bound_relax_factor`, as in IPOPT:
+ * multipliers of the barrier problem stay below mu / that factor.
  *
- * Where this changes the cost little, whole steps of Newton's method then bring back all that lies beyond the caller's
- * bounds. Where bounds in their last digits decide the cost, or the steps fail, the solution keeps its violation. */
+ * Both change the cost, to first order by multipliers times ways beyond the caller's bounds, and by products of
+ * distances and multipliers where bounds bind. Where they fall by one factor, so do the distances from bounds that bind,
+ * and multipliers stay, even where there is no interior. So whole steps of Newton's method follow, and are kept if the
+ * optimality conditions hold to the tolerance and the cost moves as the multipliers say. Where they fail, a smaller fall is
+ * tried, and at last the solution is left as it was: there, bounds in their last digits decide the cost. */
 #include "solver.h"
 
 #include <string.h>
 
-/* How far the caller's bound is from the one that gives. */
-static real give(const mbs_stages *s, real bound)
+/* What bounds change the cost by, to first order: multipliers times ways to the caller's bounds. */
+typedef struct {
+    real rise; /* of the cost, where all went there */
+    real all;  /* sum of the largest parts: of the amounts that bounds give, and of the distances from them */
+} share;
+
+/* Add what a bound changes the cost by, if it binds. A barrier that stays is part of the problem. */
+static void add_share(share *sum, real distance, real z, real give, int stays)
 {
-    return s->options.bound_relax_factor * mbs_stages_bound_size(bound);
+    const real way = give - distance;
+    if (!(z > distance))
+        return;
+    sum->rise += z * way;
+    if (stays)
+        sum->all += way > 0 ? z * way : 0;
+    else
+        sum->all += z * mbs_stages_larger(give, distance);
 }
 
-/* How far a number lies beyond the caller's bounds, where that is more than rounding; below them it is negative. */
-static real beyond(const mbs_stages *s, const mbs_stages_phase *p, int i)
+/* The barrier parameter after a fall: as low as is worth it for the tolerance, and not below the requested one. */
+static real lower_barrier(const mbs_stages *s, real mu, real fall)
 {
-    const real below = p->lower[i] + give(s, p->lower[i]) - p->x[i], above = p->x[i] - p->upper[i] + give(s, p->upper[i]);
-    if (s->fixed[i])
-        return 0;
-    if (mbs_stages_has(p->lower[i]) && below > MBS_STAGES_APART * mbs_stages_bound_size(p->lower[i]))
-        return -below;
-    if (mbs_stages_has(p->upper[i]) && above > MBS_STAGES_APART * mbs_stages_bound_size(p->upper[i]))
-        return above;
-    return 0;
+    const real tol = s->options.tol, worth = mbs_stages_larger(MBS_STAGES_LITTLE, tol * tol / MBS_STAGES_WORTH);
+    const real lower = mbs_stages_larger(mbs_stages_larger(fall * mu, worth), mbs_stages_least_barrier(s));
+    return lower < mu ? lower : mu;
 }
 
-/* Multipliers times ways back: what the cost rises by, to first order. */
-static real find_price(const mbs_stages *s, const mbs_stages_phase *p)
+/* What bounds that give by `part` of their size, and the barrier, change the cost by. */
+static share find_share(const mbs_stages *s, const mbs_stages_phase *p, real part)
 {
-    real sum = 0;
+    const int stays = !(lower_barrier(s, p->mu, 0) < p->mu);
+    share sum = {0, 0};
     int i;
     for (i = 0; i < p->size; ++i) {
-        const real way = beyond(s, p, i);
-        sum += way > 0 ? p->zu[i] * way : -p->zl[i] * way;
+        if (s->fixed[i])
+            continue;
+        if (mbs_stages_has(p->lower[i]))
+            add_share(&sum, p->x[i] - p->lower[i], p->zl[i], part * mbs_stages_bound_size(p->lower[i]), stays);
+        if (mbs_stages_has(p->upper[i]))
+            add_share(&sum, p->upper[i] - p->x[i], p->zu[i], part * mbs_stages_bound_size(p->upper[i]), stays);
     }
     return sum;
 }
 
-/* Where bounds are the caller's again, numbers beyond them go to mu / z inside. */
-static void tighten(const mbs_stages *s, mbs_stages_phase *p)
+/* Move a bound inwards by `way`. A number that comes to lie beyond it goes inside, to where its product is mu. */
+static void tighten_bound(real *x, real *bound, real z, real mu, real way, real room)
 {
+    const real sign = way < 0 ? -1 : 1, before = sign * (*x - *bound), central = mu / z;
+    const real distance = central < before ? central : before;
+    *bound += way;
+    if (!(2 * sign * (*x - *bound) > distance))
+        *x = *bound + sign * (distance < room ? distance : room);
+}
+
+/* Let bounds give by `after` of their size, where it was `before`. */
+static void tighten(const mbs_stages *s, mbs_stages_phase *p, real before, real after)
+{
+    const real less = before - after;
     int i;
     for (i = 0; i < p->size; ++i) {
-        const real way = beyond(s, p, i);
-        real *bound = way > 0 ? &p->upper[i] : &p->lower[i];
-        const real sign = way > 0 ? -1 : 1, z = way > 0 ? p->zu[i] : p->zl[i];
-        const real apart = MBS_STAGES_APART * mbs_stages_bound_size(*bound), room = (p->upper[i] - p->lower[i]) / 4;
-        if (way == 0)
+        const real below = less * mbs_stages_bound_size(p->lower[i]), above = less * mbs_stages_bound_size(p->upper[i]);
+        const real room = (p->upper[i] - p->lower[i] - below - above) / 4;
+        if (s->fixed[i] || !(room > 0))
             continue;
-        *bound += sign * (give(s, *bound) - apart);
-        p->x[i] = *bound + sign * (p->mu / z < room ? p->mu / z : room);
+        if (mbs_stages_has(p->lower[i]))
+            tighten_bound(&p->x[i], &p->lower[i], p->zl[i], p->mu, below, room);
+        if (mbs_stages_has(p->upper[i]))
+            tighten_bound(&p->x[i], &p->upper[i], p->zu[i], p->mu, -above, room);
     }
 }
 
@@ -87,14 +114,9 @@ static int make_step(mbs_stages *s, mbs_stages_phase *p)
     move(s->rows, p->step.y, length, p->y);
     move(p->size, p->step.zl, dual, p->zl);
     move(p->size, p->step.zu, dual, p->zu);
+    mbs_stages_mend_bounds(s, p);
     ++s->result.iterations;
     return evaluate(s, p);
-}
-
-static int is_polished(mbs_stages *s, mbs_stages_phase *p)
-{
-    const mbs_stages_errors e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
-    return mbs_stages_is_solved(s, &e, s->options.tol);
 }
 
 /* Exchange the point with the one that the watchdog has room for; bounds go into the room of its step. */
@@ -109,20 +131,72 @@ static void keep(const mbs_stages *s, mbs_stages_phase *p, int back)
                (size_t)(i < 5 ? p->size : s->rows) * sizeof *here[i]);
 }
 
-void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
+/* Newton's steps to the solution of the tighter problem; -1 where they do not come there. */
+static int follow(mbs_stages *s, mbs_stages_phase *p)
 {
-    const real price = find_price(s, p), cost = p->cost;
+    real last = MBS_STAGES_LARGEST;
     int i;
-    if (!(price > 0) || price > MBS_STAGES_DEAR * real_abs(cost))
-        return;
+    if (evaluate(s, p))
+        return -1;
+    for (i = 0; i < POLISHING_STEPS; ++i) {
+        mbs_stages_errors e;
+        if (make_step(s, p))
+            return -1;
+        e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
+        if (mbs_stages_is_solved(s, &e, s->options.tol))
+            return 0;
+        if (!(e.scaled < POLISHING_GAIN * last))
+            return -1;
+        last = e.scaled;
+    }
+    return -1;
+}
+
+/* Whether the cost is off by less than before, and rose as its share said: else bounds in their last digits decide it,
+ * and where it would end is not known. */
+static int is_nearer(share before, share after, real from, real to)
+{
+    const real wrong = real_abs(to - from - (before.rise - after.rise));
+    return after.all < before.all && wrong <= POLISHED_RIGHT * before.all + SUM_ROUNDING * real_abs(to);
+}
+
+/* Let the barrier fall by a factor, and bounds give by `after` of their size; -1: it fails, and all is as before. */
+static int sharpen(mbs_stages *s, mbs_stages_phase *p, real before, real after, real fall)
+{
+    const share own = find_share(s, p, before);
+    const real cost = p->cost, mu = p->mu, tau = p->tau;
     keep(s, p, 0);
-    tighten(s, p);
-    if (evaluate(s, p) == 0)
-        for (i = 0; i < POLISHING_STEPS && make_step(s, p) == 0; ++i)
-            if (is_polished(s, p))
-                return;
+    p->mu = lower_barrier(s, mu, fall);
+    p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
+    tighten(s, p, before, after);
+    if (follow(s, p) == 0 && is_nearer(own, find_share(s, p, after), cost, p->cost))
+        return 0;
     keep(s, p, 1);
     p->cost = cost;
+    p->mu = mu;
+    p->tau = tau;
     mbs_stages_phase_derivatives(s, p);
     mbs_stages_find_lagrangian(s, p);
+    return -1;
+}
+
+/* Whether the cost is off by more than a part of it. */
+static int is_off(const mbs_stages *s, const mbs_stages_phase *p, real part, real most)
+{
+    return find_share(s, p, part).all > most * mbs_stages_larger(real_abs(p->cost), POLISHED_COST);
+}
+
+void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
+{
+    real part = s->options.bound_relax_factor, fall = MBS_STAGES_FALL, most = MBS_STAGES_SHARP;
+    int i;
+    for (i = 0; i < POLISHING_TRIES && fall < 1 && is_off(s, p, part, most); ++i) {
+        const real after = part > MBS_STAGES_APART ? mbs_stages_larger(fall * part, MBS_STAGES_APART) : part;
+        if (sharpen(s, p, part, after, fall) == 0) {
+            part = after;
+            most = MBS_STAGES_DULL;
+        } else {
+            fall *= 10;
+        }
+    }
 }

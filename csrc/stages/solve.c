@@ -180,17 +180,36 @@ static real gentle(const mbs_stages_options *o, real steepest)
     return scale > o->nlp_scaling_min_value ? scale : o->nlp_scaling_min_value;
 }
 
-static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A)
+/* The smallest scale of a variable, at most 1. */
+static real finest_unit(const mbs_stages *s)
+{
+    real least = 1;
+    int i;
+    for (i = 0; s->has_units && i < s->variables; ++i)
+        least = s->variable_scale[i] < least ? s->variable_scale[i] : least;
+    return least;
+}
+
+/* Rows that are steep are divided. Flat ones in small units are multiplied, since the tolerance is absolute. */
+static real scale_row(const mbs_stages_options *o, real steepest, real finest)
+{
+    if (finest < 1 && steepest * o->nlp_scaling_max_gradient < 1)
+        return 1 / mbs_stages_larger(steepest, finest);
+    return gentle(o, steepest);
+}
+
+static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A, real finest)
 {
     int i;
     mbs_stages_matrix_row_maxima(A, s->row_scale + at);
     for (i = at; i < at + A->rows; ++i)
-        s->row_scale[i] = gentle(&s->options, s->row_scale[i]);
+        s->row_scale[i] = scale_row(&s->options, s->row_scale[i], finest);
 }
 
 /* Scale the cost and the rows of e and g by their first derivatives. */
 static int scale_functions(mbs_stages *s)
 {
+    const real finest = finest_unit(s);
     int k;
     if (!s->options.scaled)
         return 0;
@@ -198,8 +217,8 @@ static int scale_functions(mbs_stages *s)
         return -1;
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
-        scale_rows(s, t->e, &t->E);
-        scale_rows(s, t->g, &t->G);
+        scale_rows(s, t->e, &t->E, finest);
+        scale_rows(s, t->g, &t->G, finest);
     }
     s->cost_scale = gentle(&s->options, mbs_stages_largest(s->variables, s->main.gradient));
     return 0;
@@ -446,6 +465,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->options = options ? *options : mbs_stages_default_options();
     s->failed_stage = -1;
     s->softening = MBS_STAGES_HARD;
+    s->exact = s->unhelped = 0;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
     if (!s->options.warm_start_init_point)

@@ -106,6 +106,9 @@ struct mbs_stages {
     real left;     /* what its dependent rows lack to agree with the others */
     mbs_stages_softening softening;
     char *softened; /* rows that the factorisation lets give, although they are hard */
+    real *gives;    /* compliances of rows of the main problem: also of the rows that the factorisation takes as exact */
+    int exact;      /* factorisations take rows that hardly give as exact */
+    int unhelped;   /* steps without digits either way */
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
@@ -188,5 +191,6 @@ real mbs_stages_least_barrier(const mbs_stages *s);
 /* iterate.c: run a barrier problem until there is a status */
 int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p);
 void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p);
+void mbs_stages_mend_bounds(mbs_stages *s, mbs_stages_phase *p);
 
 #endif

@@ -15,6 +15,7 @@ from benchmarks.ocp.ends import Solve
 from mbsrun.external import load_on_demand
 from mbsrun.lab.ends import KINDS, draw
 from mbsrun.ocp.problem.problem import Problem, find_conflicts
+from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.statement.statement import read_problem
 from tests.csrc.stages import Library, compile_solver
 
@@ -99,6 +100,23 @@ def test_a_quadratic_program_is_convex_and_both_find_its_cost(number: int, libra
     assert result.is_peer_solved
     assert not result.is_wrong
     assert result.gap <= 1e-6
+
+
+def test_rows_that_repeat_change_no_cost(library: Library) -> None:
+    """Without an interior, rows that give by 1e-8 decide 1.2e-6 of this cost; IPOPT needs none that do."""
+    result = quadratics.solve(169, library)
+    assert result.is_solved
+    assert result.is_peer_solved
+    assert result.cost == pytest.approx(result.peer_cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(("number", "cost"), [(116, 1.75271222), (344, 32.852134), (434, 19.6061574)])
+def test_motions_to_a_wall_are_solved(number: int, cost: float, tmp_path: Path) -> None:
+    """Costs are IPOPT's, with bounds that give by 1e-8 as here; steps lost their digits near bounds."""
+    problem, plant = read_problem(draw(number).write(tmp_path), load_on_demand)
+    found = ends.solve(ends.choose(problem, "mbs"), plant)
+    assert isinstance(found, Solution)
+    assert found.cost.total == pytest.approx(cost, rel=1e-6)
 
 
 def test_a_quadratic_answer_is_wrong_by_cost_or_by_gap() -> None:

@@ -33,7 +33,10 @@ def meet(problem: Quadratic, k: int, w: Array) -> None:
 
 
 def agree(a: Answer, b: Answer, tolerance: float = 1e-9) -> None:
-    """The same way to the same iterate, to rounding. That may decide whether the last error is small enough."""
+    """The same way to the same iterate, to rounding. That may decide whether the last error is small enough.
+
+    It may also decide by how much the barrier falls at the end, where multipliers have fewer digits without its fall.
+    """
     assert a.status == b.status
     shorter, longer = sorted((a, b), key=lambda answer: len(answer.path))
     common = len(shorter.path)
@@ -45,7 +48,8 @@ def agree(a: Answer, b: Answer, tolerance: float = 1e-9) -> None:
         assert 0.1e-8 < max(longer.path[common - 1][3:5]) < 10e-8
         tolerance = max(tolerance, 1e-6)  # the last barrier differs
     assert close(a.w, b.w, tolerance)
-    assert close(a.y, b.y, tolerance)
+    same = a.result.iterations == b.result.iterations
+    assert close(a.y, b.y, tolerance if same else max(tolerance, 1e-8))
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -269,21 +269,21 @@ static void mending(void)
     anew(s, p);
     p->lower[0] = 1, p->upper[0] = 3, p->x[0] = 1.5, p->lower[1] = -1e20, p->upper[1] = 1e20, p->mu = 1e-3;
     p->zl[0] = 1e9, p->zu[0] = 1e-20;
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     LAW("products fall to a limit beside mu", near(p->zl[0], 1e10 * 1e-3 / 0.5));
     LAW("and rise to one", near(p->zu[0], 1e-3 / (1e10 * 1.5)));
     LAW("bounds apart from numbers stay", p->lower[0] == 1 && p->upper[0] == 3 && p->x[0] == 1.5);
     p->zl[0] = p->zu[0] = 7;
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     LAW("usual multipliers stay", p->zl[0] == 7 && p->zu[0] == 7);
     p->x[0] = 1;
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     LAW("a bound that a number reached moves away", near(p->lower[0], 1 - apart) && p->x[0] == 1);
     p->upper[0] = p->x[0] = 4;
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     LAW("an upper one by its size", near(p->upper[0] - 4, 4 * apart) && p->x[0] == 4);
     fixed[0] = 1, p->zl[0] = 1e30;
-    mend_bounds(s, p);
+    mbs_stages_mend_bounds(s, p);
     LAW("fixed ones stay", p->zl[0] == 1e30);
 }
 

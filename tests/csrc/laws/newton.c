@@ -6,7 +6,7 @@
 static struct {
     const real *errors; /* of the first sweep, the second, ... */
     real most;
-    int sweeps;
+    int sweeps, dependent; /* rows that follow from others, of a factorisation */
     real needed; /* curvature that makes the second stage convex */
     int tries;
     int is_plain; /* whether all variables count alike when the matrix is factorised */
@@ -17,6 +17,7 @@ int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
 {
     (void)careful;
     ++given.tries;
+    r->dependent = given.dependent;
     given.is_plain = r->plain && r->diagonal && r->diagonal[0] == 1 && r->diagonal[1] == 1 && r->stage[0].curvature == 0;
     return r->stage[1].curvature < given.needed ? 1 : -1;
 }
@@ -58,7 +59,9 @@ real mbs_stages_matrix_diagonal(const mbs_stages_matrix *m)
     return given.most * (real)m->rows;
 }
 
-static real room[10][2];
+static real room[13][2];
+static char marks[2][2];
+static const mbs_stages_problem none;
 static mbs_stages solver;
 static mbs_stages_stage stages[2];
 static mbs_stages_phase phase;
@@ -74,10 +77,12 @@ static void anew(mbs_stages *s)
     s->recursion.stage = stages, s->recursion.stages = 2;
     s->rw = room[0], s->rc = room[1], s->dw = room[2], s->dy = room[3], s->residual_w = room[4];
     s->residual_c = room[5], s->best_w = room[6], s->best_y = room[7];
-    s->recursion.compliance = room[8];
+    s->recursion.compliance = room[8], s->gives = room[12];
+    s->recursion.diagonal = room[10], phase.sigma = room[11], phase.slope = room[0];
+    s->softened = marks[0], s->fixed = marks[1], s->problem = &none;
     s->variables = s->rows = 1;
     s->rw[0] = s->rc[0] = 1;
-    given.sweeps = 0, given.unit = 10;
+    given.sweeps = given.dependent = 0, given.needed = 0, given.unit = 10;
 }
 
 static void refining(void)
@@ -123,6 +128,46 @@ static void softening(void)
     s->options.first_hessian_perturbation = 5, s->options.min_hessian_perturbation = 2;
     LAW("and where there was none, as the options say", first_curvature(&s->options, 0) == 5);
     LAW("at the least one", first_curvature(&s->options, 3) == 2);
+}
+
+static void hardening(void)
+{
+    const real little = MBS_STAGES_EXACT / 8;
+    mbs_stages *s = &solver;
+    anew(s);
+    stages[0].H.rows = 4, given.most = 2;
+    stages[0].g = 0, stages[0].ng = 1, stages[1].g = 1, stages[1].ng = 1;
+    s->recursion.compliance[0] = 0.9 * little, s->recursion.compliance[1] = 1.1 * little;
+    harden_rows(s);
+    LAW("a row that hardly gives is exact", s->recursion.compliance[0] == 0);
+    LAW("beside the curvature", s->recursion.compliance[1] == 1.1 * little);
+    stages[0].g = 1, stages[0].ng = 0, s->recursion.compliance[0] = 0.9 * little;
+    harden_rows(s);
+    LAW("other rows stay as they are", s->recursion.compliance[0] == 0.9 * little);
+}
+
+static void choosing(void)
+{
+    const real good[] = {1, 1, 0, 0}, bad[] = {1, 1, 1, 1, 1, 1, 1, 1};
+    mbs_stages *s = &solver;
+    real zeros[1] = {0};
+    anew(s);
+    given.errors = good, given.sweeps = 2;
+    solve_otherwise(s, &phase, zeros);
+    LAW("rows that hardly give are exact, where that has digits", s->exact == 1 && s->unhelped == 0);
+    given.sweeps = 2;
+    solve_otherwise(s, &phase, zeros);
+    LAW("and give again, where that has", s->exact == 0 && s->unhelped == 0);
+    given.sweeps = 2, given.dependent = 1;
+    solve_otherwise(s, &phase, zeros);
+    LAW("rows that follow from others need not be exact", s->exact == 0 && s->unhelped == 1);
+    s->unhelped = given.dependent = 0;
+    given.errors = bad, given.sweeps = 0;
+    solve_otherwise(s, &phase, zeros);
+    LAW("where neither has, they give", s->exact == 0 && s->unhelped == 1);
+    s->exact = 1, given.sweeps = 0;
+    solve_otherwise(s, &phase, zeros);
+    LAW("and that is counted", s->exact == 0 && s->unhelped == 2);
 }
 
 static void stepping(void)
@@ -201,6 +246,8 @@ int main(void)
     curving();
     refining();
     softening();
+    hardening();
+    choosing();
     stepping();
     return broken > 0;
 }

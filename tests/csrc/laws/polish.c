@@ -2,16 +2,16 @@
 
 #include "../../../csrc/stages/polish.c"
 
-/* Stand-ins: a step of Newton's method goes to x = 1; an iterate is a solution there. */
+/* Stand-ins: a step of Newton's method goes to a target; an iterate is a solution at another number, or at the same. */
 static struct {
-    real boundary, dual, target;
-    int barrier, fails;
+    real boundary, dual, target, solution, least, cost, slope;
+    int barrier, fails, mended;
 } given;
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
 {
     (void)s, (void)p, (void)c;
-    *cost = 100 + x[0];
+    *cost = given.cost + given.slope * x[0];
     return 0;
 }
 
@@ -62,7 +62,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
 {
     mbs_stages_errors e = {0, 0, 0, 0};
     (void)s, (void)mu;
-    e.scaled = real_abs(p->x[0] - 1);
+    e.scaled = real_abs(p->x[0] - given.solution);
     return e;
 }
 
@@ -75,7 +75,13 @@ int mbs_stages_is_solved(const mbs_stages *s, const mbs_stages_errors *e, real t
 real mbs_stages_least_barrier(const mbs_stages *s)
 {
     (void)s;
-    return 0;
+    return given.least;
+}
+
+void mbs_stages_mend_bounds(mbs_stages *s, mbs_stages_phase *p)
+{
+    (void)s, (void)p;
+    ++given.mended;
 }
 
 void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p)
@@ -107,8 +113,9 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     s->fixed = fixed, s->rows = p->size = 1;
     s->options.bound_relax_factor = 1e-8, s->options.tol = 1e-9;
     p->lower[0] = -1e-8, p->upper[0] = 4 + 4e-8;
-    p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99;
-    given.boundary = given.dual = 1, given.target = 1, given.barrier = -1, given.fails = 0;
+    p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99, p->zl[0] = p->zu[0] = 1e-9;
+    given.boundary = given.dual = 1, given.target = given.solution = 1, given.barrier = -1;
+    given.least = given.slope = 0, given.cost = 100, given.fails = given.mended = 0;
 }
 
 static real away(real a, real b)
@@ -116,59 +123,145 @@ static real away(real a, real b)
     return real_abs(a - b);
 }
 
+static void measuring(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    LAW("bounds that do not bind change nothing", find_share(s, p, 1e-8).all == 0 && find_share(s, p, 1e-8).rise == 0);
+    p->x[0] = -4e-9, p->zl[0] = 3;
+    LAW("the cost rises by the way back to the caller's bound", away(find_share(s, p, 1e-8).rise, 3 * 4e-9) < 1e-15);
+    LAW("and is off by what bounds give", away(find_share(s, p, 1e-8).all, 3 * 1e-8) < 1e-15);
+    LAW("inside it falls by the rest", away(find_share(s, p, 5e-9).rise, -3 * 1e-9) < 1e-15);
+    LAW("and is off by the distance", away(find_share(s, p, 5e-9).all, 3 * 6e-9) < 1e-15);
+    given.least = 1e-3;
+    LAW("a barrier that is wanted is no error", away(find_share(s, p, 1e-8).all, 3 * 4e-9) < 1e-15);
+    LAW("nor is a distance then", find_share(s, p, 5e-9).all == 0);
+    given.least = 0, p->zl[0] = 1e-9, p->x[0] = 4 + 3e-8, p->zu[0] = 5;
+    LAW("above, beside the size of the bound", away(find_share(s, p, 1e-8).all, 5 * 4e-8) < 1e-14);
+    LAW("and the rise", away(find_share(s, p, 1e-8).rise, 5 * 3e-8) < 1e-14);
+    fixed[0] = 1;
+    LAW("fixed ones have none", find_share(s, p, 1e-8).all == 0);
+    fixed[0] = 0, p->cost = -200;
+    LAW("the cost is off by its share", is_off(s, p, 1e-8, 0.9e-9) && !is_off(s, p, 1e-8, 1.1e-9));
+    p->cost = 0;
+    LAW("of a cost that is not too small", is_off(s, p, 1e-8, 1e-5) && !is_off(s, p, 1e-8, 3e-5));
+    s->options.tol = 1e-8;
+    LAW("the barrier falls by the factor", near(lower_barrier(s, 1e-9, 0.1), 1e-10));
+    LAW("to the square of the tolerance", near(lower_barrier(s, 1e-9, 1e-6), 1e-16 / MBS_STAGES_WORTH));
+    s->options.tol = 1e-10;
+    LAW("or what digits allow", lower_barrier(s, 1e-9, 1e-6) == MBS_STAGES_LITTLE);
+    LAW("and never rises", lower_barrier(s, 1e-13, 0.5) == 1e-13);
+}
+
+static void comparing(void)
+{
+    const share before = {-0.5, 2}, after = {-0.25, 1.5}, larger = {-0.25, 2};
+    LAW("nearer is what is off by less, and rose as was said", is_nearer(before, after, 7, 6.75));
+    LAW("or nearly so", is_nearer(before, after, 7, 6.56) && is_nearer(before, after, 7, 6.94));
+    LAW("not what fell by more", !is_nearer(before, after, 7, 6.54));
+    LAW("nor by less", !is_nearer(before, after, 7, 6.96));
+    LAW("nor what is off by as much", !is_nearer(before, larger, 7, 6.75));
+}
+
+static void tightening(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    p->x[0] = -9e-9, p->zl[0] = 0.1;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("bounds come nearer to the caller's", away(p->lower[0], -1e-10) < 1e-16 && away(p->upper[0], 4 + 4e-10) < 1e-14);
+    LAW("what is beyond goes inside, to where its product is mu", away((p->x[0] - p->lower[0]) * p->zl[0], p->mu) < 1e-17);
+    anew(s, p);
+    p->x[0] = -9e-9, p->zl[0] = 1e-3;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("but no farther than it was", away(p->x[0] - p->lower[0], 1e-9) < 1e-16);
+    anew(s, p);
+    p->x[0] = 4 + 39e-9, p->zu[0] = 0.1;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("above too", away((p->upper[0] - p->x[0]) * p->zu[0], p->mu) < 1e-15);
+    anew(s, p);
+    p->upper[0] = 1e-8, p->x[0] = -9e-9, p->zl[0] = 1e-2, p->zu[0] = 1;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("nor than a quarter of the room", away(p->x[0] - p->lower[0], 0.5e-10) < 1e-16);
+    anew(s, p);
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("what is inside stays", p->x[0] == 2);
+    p->zl[0] = p->mu / (p->x[0] - p->lower[0]), p->zu[0] = p->mu / (p->upper[0] - p->x[0]);
+    tighten(s, p, 1e-10, 1e-12);
+    LAW("also where its products are mu", p->x[0] == 2);
+}
+
+/* Beyond its upper bound, with a solution inside. */
+static void ending(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    given.target = given.solution = 4 - 1e-11, given.dual = 0, given.cost = 120, given.slope = -5;
+    p->x[0] = 4 + 3e-8, p->zu[0] = 5, p->cost = 120 - 5 * p->x[0];
+}
+
+static void sharpening(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    given.boundary = 0.5, given.dual = 0.25;
+    LAW("a step goes as far as bounds allow", make_step(s, p) == 0 && p->x[0] == 1.5 && p->y[0] == 4);
+    LAW("multipliers by their own length", near(p->zl[0], 1 + 1e-9) && near(p->zu[0], 0.5 + 1e-9) && s->result.iterations == 1);
+    LAW("the right-hand side is the barrier's, and distances are mended", given.barrier == 1 && given.mended == 1);
+    ending(s, p);
+    mbs_stages_polish(s, p);
+    LAW("a solution goes back to the bounds", p->x[0] == given.solution && p->upper[0] - 4 < 1e-10 && p->cost > 100);
+    LAW("in one step, where that is enough", s->result.iterations == 1 && p->mu == MBS_STAGES_LITTLE);
+    ending(s, p);
+    p->cost += 1e-7;
+    LAW("where the cost rises otherwise, all stays", sharpen(s, p, 1e-8, 1e-11, 1e-3) == -1 && p->x[0] == 4 + 3e-8);
+    ending(s, p);
+    given.least = 1e-11;
+    mbs_stages_polish(s, p);
+    LAW("a barrier that is wanted stays", p->x[0] == given.solution && p->mu == 1e-11);
+    ending(s, p);
+    s->options.bound_relax_factor = 0, p->lower[0] = 0, p->upper[0] = 4, p->x[0] = 4 - 3e-8;
+    p->cost = 120 - 5 * p->x[0];
+    mbs_stages_polish(s, p);
+    LAW("bounds that do not give stay", p->x[0] == given.solution && p->lower[0] == 0 && p->upper[0] == 4);
+}
+
+static void converging(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    given.boundary = 0.95, s->options.tol = 0.01; /* each step leaves a twentieth of the way */
+    LAW("steps go on while they help", follow(s, p) == 0 && s->result.iterations == 2);
+    anew(s, p);
+    given.boundary = 0.95;
+    LAW("four at most", follow(s, p) == -1 && s->result.iterations == 4);
+    anew(s, p);
+    given.boundary = 0.85;
+    LAW("not where they help little", follow(s, p) == -1 && s->result.iterations == 2);
+}
+
+static void failing(mbs_stages *s, mbs_stages_phase *p)
+{
+    anew(s, p);
+    p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, p->y[0] = 7, given.target = 3;
+    LAW("a step that lowers no error is the last", sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1 && s->result.iterations == 2);
+    LAW("where they fail, all is as before", p->x[0] == 4 + 3e-8 && p->zu[0] == 5 && p->zl[0] == 1e-9 && p->y[0] == 7);
+    LAW("with bounds, cost, and barrier", p->upper[0] == 4 + 4e-8 && p->lower[0] == -1e-8 && p->cost == 2 && p->mu == 1e-11);
+    mbs_stages_polish(s, p);
+    LAW("smaller falls are tried, above 1 none", s->result.iterations == 2 + 2 * 3);
+    anew(s, p);
+    p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, given.fails = 1;
+    LAW("no derivatives, no step", sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1);
+    LAW("and all is as before", p->x[0] == 4 + 3e-8 && p->cost == 2);
+    anew(s, p);
+    p->cost = 2, p->lower[0] = 2 - 1e-12, p->zl[0] = 5, given.target = given.solution = 2;
+    LAW("a solution whose cost is off by more is left", sharpen(s, p, 0, 0, 1e-2) == -1 && p->zl[0] == 5);
+}
+
 int main(void)
 {
     mbs_stages *s = &solver;
     mbs_stages_phase *p = &phase;
-    anew(s, p);
-    LAW("inside lies beyond nothing", beyond(s, p, 0) == 0 && find_price(s, p) == 0);
-    p->x[0] = -4e-9, p->zl[0] = 3;
-    LAW("below the caller's bound", away(beyond(s, p, 0), -4e-9) < 1e-14);
-    LAW("costs the multiplier times the way", away(find_price(s, p), 12e-9) < 1e-13);
-    fixed[0] = 1;
-    LAW("a fixed one lies nowhere beyond", beyond(s, p, 0) == 0);
-    fixed[0] = 0, p->x[0] = 4 + 3e-8, p->zu[0] = 5;
-    LAW("above the caller's bound", away(beyond(s, p, 0), 3e-8) < 1e-14);
-    LAW("costs its multiplier times the way", away(find_price(s, p), 15e-8) < 1e-13);
-    p->x[0] = -1e-12;
-    LAW("rounding is none", beyond(s, p, 0) == 0);
-    p->x[0] = 4 + 5e-12;
-    LAW("rounding beside the bound is none", beyond(s, p, 0) == 0);
-    p->x[0] = -4e-9;
-    tighten(s, p);
-    LAW("a bound is the caller's again", away(p->lower[0], 0) < 1e-11 && p->upper[0] > 4);
-    LAW("and the number inside, where its product is mu", away((p->x[0] - p->lower[0]) * p->zl[0], p->mu) < 1e-20);
-    p->x[0] = 4 + 3e-8;
-    tighten(s, p);
-    LAW("above too", away(p->upper[0], 4) < 1e-11 && away((p->upper[0] - p->x[0]) * p->zu[0], p->mu) < 1e-14);
-    anew(s, p);
-    p->upper[0] = 2e-8, p->x[0] = -4e-9, p->zl[0] = 1e-9;
-    tighten(s, p);
-    LAW("no further than a quarter of the room", away(p->x[0], 2.5e-8 / 4 + 1e-9 * 1.25) < 4e-9);
-    anew(s, p);
-    given.boundary = 0.5, given.dual = 0.25;
-    LAW("a step goes as far as bounds allow", make_step(s, p) == 0 && p->x[0] == 1.5 && p->y[0] == 4);
-    LAW("multipliers by their own length", p->zl[0] == 1 && p->zu[0] == 0.5 && s->result.iterations == 1);
-    LAW("the right-hand side is the barrier's", given.barrier == 1);
-    anew(s, p);
-    p->cost = 1, p->x[0] = 4 + 3e-8, p->zu[0] = 5;
-    mbs_stages_polish(s, p);
-    LAW("a solution goes back to the bounds", p->x[0] == 1 && away(p->upper[0], 4) < 1e-11 && p->cost == 101);
-    LAW("in one step, where that is enough", s->result.iterations == 1);
-    anew(s, p);
-    p->cost = 1e-4, p->x[0] = 4 + 3e-8, p->zu[0] = 5;
-    mbs_stages_polish(s, p);
-    LAW("where bounds decide the cost, all stays", p->x[0] == 4 + 3e-8 && s->result.iterations == 0);
-    anew(s, p);
-    p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, p->y[0] = 7, given.target = 3;
-    mbs_stages_polish(s, p);
-    LAW("three steps are made", s->result.iterations == 3);
-    LAW("where they fail, all is as before", p->x[0] == 4 + 3e-8 && p->zu[0] == 5 && p->zl[0] == 0 && p->y[0] == 7);
-    LAW("with bounds and cost", p->upper[0] == 4 + 4e-8 && p->lower[0] == -1e-8 && p->cost == 2);
-    anew(s, p);
-    p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, given.fails = 1;
-    mbs_stages_polish(s, p);
-    LAW("no derivatives, no step", make_step(s, p) == -1);
-    LAW("and all is as before", p->x[0] == 4 + 3e-8 && p->cost == 2);
+    measuring(s, p);
+    comparing();
+    tightening(s, p);
+    sharpening(s, p);
+    converging(s, p);
+    failing(s, p);
     return broken > 0;
 }

@@ -100,9 +100,29 @@ static void take_multipliers(void)
     LAW("a slack's upper bound has the positive part", zl[2] == 0 && near(zu[2], 12) && near(got[0], 12));
 }
 
+static void scale_by_slopes(void)
+{
+    const mbs_stages_options o = mbs_stages_default_options();
+    mbs_stages s;
+    real scale[2] = {8, (real)1e-6};
+    memset(&s, 0, sizeof s);
+    s.variables = 2, s.variable_scale = scale;
+    LAW("without units the finest one is 1", finest_unit(&s) == 1);
+    s.has_units = 1;
+    LAW("else the smallest", finest_unit(&s) == (real)1e-6);
+    scale[1] = 2;
+    LAW("or 1", finest_unit(&s) == 1);
+    LAW("a steep row is divided", near(scale_row(&o, 4000, 1), (real)0.025) && near(scale_row(&o, 4000, (real)1e-6), (real)0.025));
+    LAW("a flat one stays", scale_row(&o, (real)1e-5, 1) == 1);
+    LAW("but where units are small", near(scale_row(&o, (real)1e-5, (real)1e-6), (real)1e5));
+    LAW("by no more than the finest", near(scale_row(&o, 0, (real)1e-6), (real)1e6));
+    LAW("a usual one stays", scale_row(&o, (real)0.02, (real)1e-6) == 1);
+}
+
 int main(void)
 {
     take_multipliers();
+    scale_by_slopes();
     LAW("the cube of the ratio", near(choose(0, 2, 1), 0.25));
     LAW("of the mean before", near(choose(0, 8, 4), 1));
     LAW("100 at most", choose(0, 1e6, 1e6) == 100);

@@ -46,15 +46,15 @@ def at(
     c: Sequence[float],
     bounds: Sequence[tuple[float, float]],
     rows: Sequence[tuple[Sequence[float], tuple[float, float]]] = (),
+    scales: Sequence[float] | None = None,
 ) -> Point:
     """A linear program about a point; each row has its coefficients and its range."""
     J = np.array([row for row, _ in rows]).reshape(len(rows), len(x))
     lower, upper = np.array(bounds, dtype=np.float64).T
     least, most = np.array([limits for _, limits in rows], dtype=np.float64).reshape(-1, 2).T
-    point = np.array(x, dtype=np.float64)
-    return linearise(
-        point, J @ point, np.array(c, dtype=np.float64), Matrix(sparse.csc_array(J)), (lower, upper), (least, most)
-    )
+    point, sizes = np.array(x, dtype=np.float64), np.array(scales or [1.0] * len(x))
+    c, rows_of = np.array(c, dtype=np.float64), Matrix(sparse.csc_array(J))
+    return linearise(point, J @ point, c, rows_of, (lower, upper), (least, most), sizes)
 
 
 SMALL = {
@@ -182,6 +182,20 @@ def test_violations_count_by_the_size_of_rows() -> None:
     beyond = at([4.0], [0], [(0.0, 3.0)])
     assert beyond.violation == pytest.approx(0.25)
     assert not judge(beyond, 1e-8, 1.0).is_feasible
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e7])
+def test_units_decide_no_judgement(unit: float) -> None:
+    """A bound and a row that are violated by a part of their size, and a cost that can fall by as much, in any unit."""
+    near, far = 3e-7, 3e-5
+    for part in (near, far):
+        sizes, free = [unit, unit], [FREE] * 2
+        bounds = at([-part * unit, 0], [0, 0], [(0, 9 * unit), FREE], [], sizes)
+        row = at([unit, part * unit], [0, 0], free, [([1.0, 1.0], (-unit, unit))], sizes)
+        assert judge(bounds, 1e-8, 1.0).is_feasible == judge(row, 1e-8, 1.0).is_feasible == (part == near)
+    falls = at([0.5 * unit, 0], [1 / unit, 0], [(0, 9 * unit), FREE], [], [unit, unit])
+    assert falls.reach == pytest.approx(1.0)
+    assert judge(falls, 1e-8, 1.0).decrease == pytest.approx(0.5)
 
 
 # --- answers of methods -----------------------------------------------------------------------------------------------

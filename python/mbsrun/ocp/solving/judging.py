@@ -90,7 +90,8 @@ def _judge(
     c, J, g = functions.gradient(x, p), functions.jacobian(x, p), functions.constraint(x, p) if g is None else g
     if not all(np.isfinite(part).all() for part in (c, J.data, g)):
         return None
-    point = linearise(x, g, c, J, (start.lower, start.upper), (start.g_lower, start.g_upper))
+    scales = 1.0 if start.scales is None else start.scales
+    point = linearise(x, g, c, J, (start.lower, start.upper), (start.g_lower, start.g_upper), scales)
     return judge(point, tolerance, weight, outcome.multipliers)
 
 

@@ -106,9 +106,11 @@ def judge(point: Point, tolerance: float, weight: float, multipliers: Array | No
     return Judgement(decrease, allowed, point.reach, point.violation, same, is_sure or decrease <= allowed)
 
 
-def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pair) -> Point:
-    """Make a point of a program of its values and first derivatives."""
-    size, fixed, equal = np.maximum(1.0, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
+def linearise(
+    x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pair, scales: Array | float = 1.0
+) -> Point:
+    """Make a point of a program of its values and first derivatives, for variables of usual sizes."""
+    size, fixed, equal = np.maximum(scales, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
     below, above = (np.where(fixed, 0.0, distance) for distance in (x - bounds[0], bounds[1] - x))
     row_below, row_above = (np.where(equal, 0.0, distance) for distance in (g - ranges[0], ranges[1] - g))
     row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
@@ -123,7 +125,8 @@ def linearise(x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pai
     is_kept[alone] = False
     kept = np.flatnonzero(is_kept)
     sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
-    excess = (_measure_excess(g, ranges) / np.maximum(1.0, reach), _measure_excess(x, bounds) / size)
+    finest = np.min(scales, initial=1.0)  # solvers scale no row by less
+    excess = (_measure_excess(g, ranges) / np.maximum(finest, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
         _pick_rows(J, is_kept),
