@@ -16,7 +16,8 @@ int mbs_stages_is_solved(const mbs_stages *s, const mbs_stages_errors *e, real t
 
 static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
 {
-    p->acceptable = mbs_stages_is_solved(s, e, s->options.acceptable_tol) ? p->acceptable + 1 : 0;
+    const int counts = !s->is_sharper && mbs_stages_is_solved(s, e, s->options.acceptable_tol);
+    p->acceptable = counts ? p->acceptable + 1 : 0;
     return s->options.acceptable_iter > 0 && p->acceptable >= s->options.acceptable_iter;
 }
 
@@ -29,12 +30,47 @@ static int is_least(mbs_stages *s, mbs_stages_phase *p)
            mbs_stages_measure_errors(s, p, p->mu).scaled <= 10 * p->mu + mbs_stages_rounding(p);
 }
 
+/* What small changes lower the cost by at most, to first order: its derivatives, with the rows' multipliers, times the
+ * ways that bounds leave, which are no longer than the numbers (weak duality). */
+static real find_decrease(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    real sum = 0;
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        const real slope = p->lagrangian[i], size = mbs_stages_bound_size(p->x[i]);
+        const real way = slope > 0 ? p->x[i] - p->lower[i] : p->upper[i] - p->x[i];
+        if (!s->fixed[i])
+            sum += real_abs(slope) * (way < size ? way : size);
+    }
+    return sum;
+}
+
+/* Whether the cost is known to a part of it, or is 0 to a tolerance. A barrier that is wanted decides it, too. */
+static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance)
+{
+    const real cost = real_abs(p->cost);
+    if (p->elastic || mbs_stages_least_barrier(s) > 0 || cost <= tolerance * s->cost_scale)
+        return 1;
+    return find_decrease(s, p) <= MBS_STAGES_SIZABLE * cost;
+}
+
+/* Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it; returns whether. */
+static int goes_on(mbs_stages *s, const mbs_stages_phase *p)
+{
+    const real finer = mbs_stages_larger(SHARPER * s->options.tol, MBS_STAGES_FINEST);
+    if (s->is_sharper || !(finer < s->options.tol) || is_decided(s, p, finer))
+        return 0;
+    s->options.tol = finer;
+    s->is_sharper = 1;
+    return 1;
+}
+
 /* A status, or MBS_STAGES_RUNNING. Restoration is solved at a least violation above 0, which is a contradiction. */
 int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
 {
     if (is_least(s, p))
         return MBS_STAGES_SOLVED;
-    if (mbs_stages_is_solved(s, e, s->options.tol))
+    if (mbs_stages_is_solved(s, e, s->options.tol) && !goes_on(s, p))
         return MBS_STAGES_SOLVED;
     if (is_acceptable(s, p, e))
         return MBS_STAGES_ACCEPTABLE;
@@ -47,11 +83,14 @@ int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors
     return MBS_STAGES_RUNNING;
 }
 
-/* A solve without further progress ends acceptably where the conditions hold to the acceptable tolerance. */
+/* A solve without further progress ends acceptably where the conditions hold to the acceptable tolerance; so does one
+ * that went on, and one whose cost is not decided. */
 int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
 {
     mbs_stages_errors e;
-    if (status != MBS_STAGES_OUT_OF_DIGITS || p->elastic || mbs_stages_phase_derivatives(s, p))
+    if (status == MBS_STAGES_SOLVED)
+        return is_decided(s, p, s->options.tol) ? MBS_STAGES_SOLVED : MBS_STAGES_ACCEPTABLE;
+    if (!(status == MBS_STAGES_OUT_OF_DIGITS || s->is_sharper) || p->elastic || mbs_stages_phase_derivatives(s, p))
         return status;
     mbs_stages_find_lagrangian(s, p);
     e = mbs_stages_measure_errors(s, p, mbs_stages_least_barrier(s));
@@ -78,7 +117,8 @@ const char *mbs_stages_explain(mbs_stages_status status)
     case MBS_STAGES_SOLVED:
         return "The optimality conditions hold to the tolerance.";
     case MBS_STAGES_ACCEPTABLE:
-        return "The optimality conditions hold to the acceptable tolerance; no further progress was made.";
+        return "The optimality conditions hold to the acceptable tolerance, or the cost may still fall by a sizable part; "
+               "no further progress was made.";
     case MBS_STAGES_INFEASIBLE:
         return "The violation has a local minimum above zero; the rows that clash are listed.";
     case MBS_STAGES_ITERATION_LIMIT:

@@ -126,7 +126,8 @@ typedef struct {
 
 typedef enum {
     MBS_STAGES_SOLVED,
-    MBS_STAGES_ACCEPTABLE,      /* to the acceptable tolerances; no further progress */
+    MBS_STAGES_ACCEPTABLE,      /* to the acceptable tolerances, or small changes may lower the cost by more than 1e-4
+                                 * of it (float: 0.1); no further progress */
     MBS_STAGES_INFEASIBLE,      /* the violation is at a local minimum above 0; `clash` holds its rows */
     MBS_STAGES_ITERATION_LIMIT,
     MBS_STAGES_TIME_LIMIT,

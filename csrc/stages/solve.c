@@ -465,7 +465,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->options = options ? *options : mbs_stages_default_options();
     s->failed_stage = -1;
     s->softening = MBS_STAGES_HARD;
-    s->exact = s->unhelped = 0;
+    s->exact = s->unhelped = s->is_sharper = 0;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
     if (!s->options.warm_start_init_point)

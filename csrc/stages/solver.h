@@ -109,6 +109,7 @@ struct mbs_stages {
     real *gives;    /* compliances of rows of the main problem: also of the rows that the factorisation takes as exact */
     int exact;      /* factorisations take rows that hardly give as exact */
     int unhelped;   /* steps without digits either way */
+    int is_sharper; /* the solve goes on with a smaller tolerance */
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */

@@ -112,6 +112,21 @@ def test_solutions_keep_their_bounds_to_the_last_digits(library: Library, seed: 
     assert loose.result.cost < exact.result.cost * (1 - 1e-9)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_small_cost_is_found_to_its_own_digits_or_is_not_called_solved(library: Library, seed: int) -> None:
+    """The same convex program with a cost of other units: a cost that is solved is right to 1e-4 of itself."""
+    sizes = [(2, 3, 1, 2)] * 8 + [(2, 1, 0, 0)]
+    problem = random_problem(np.random.default_rng(seed), sizes, bounds=0.6)
+    right = Solver(library, problem).solve().result.cost
+    for unit in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11):
+        small = replace(problem, H=[unit * part for part in problem.H], q=[unit * part for part in problem.q])
+        answer = Solver(library, small).solve()
+        assert answer.status == "acceptable" if unit < 1e-9 else answer.status in ("solved", "acceptable")
+        assert answer.status == "solved" or unit < 1e-7
+        if answer.status == "solved":
+            assert answer.result.cost / unit == pytest.approx(right, rel=1e-4)
+
+
 @pytest.mark.parametrize("least", [1.0, 1.0 - 1e-9])
 def test_an_interior_may_be_empty(library: Library, least: float) -> None:
     """min (v - 3)^2 + (w - 3)^2 with v + w = 2, v <= 1, w <= 1, and rows for v >= `least` and v <= 1: v = w = 1."""

@@ -94,6 +94,35 @@ def test_a_velocity_from_rest_to_rest_has_the_size_of_its_rate(tmp_path: Path) -
     assert costs == pytest.approx([costs[0]] * len(costs), rel=1e-7)
 
 
+PUSH = """
+horizon: 1
+intervals: 10
+scheme: radau
+degree: 3
+constants: {unit: UNIT}
+states:
+  x: {rate: v, start: 0, end: 1.5*unit, range: [-unit, 1.5*unit]}
+  v: {rate: f/2, start: 0, end: 0}
+controls: {f: {}}
+cost: {running: [{expression: (f/unit)**2}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+@pytest.mark.parametrize("unit", ["1e-7", "1", "1e7"])
+def test_a_force_has_the_size_that_moves_its_mass(tmp_path: Path, unit: str) -> None:
+    """A mass of 2 goes 1.5 units to rest at a wall in 1 s; 12 (1.5)^2 2^2 / (1 - 1/100) by 10 constant forces.
+
+    Velocity and force are guessed as 0 in any unit, and have no bounds.
+    """
+    (tmp_path / "push.ocp.yaml").write_text(PUSH.replace("UNIT", unit), "utf-8")
+    problem, plant = read_problem(tmp_path / "push.ocp.yaml", load_on_demand, NO_MECHANISM)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.cost.total == pytest.approx(12 * 1.5**2 * 4 / (1 - 1 / 100), rel=1e-8)
+    assert outcome.run.iterations < 15
+
+
 def test_a_launch_in_metres_and_kilograms() -> None:
     """The published optimum of the Delta III is 7529.7123 kg; radii are of 1e7 m, their squares of 1e14 m^2."""
     file = Path(__file__).parent / "phases" / "delta_iii.ocp.yaml"

@@ -2,10 +2,10 @@
 
 Variables of a mechanism, in metres and radians, have none: a guess at rest says nothing of their sizes. All variables
 of one quantity that a problem adds (a state, a control, an unknown, the horizon) have one scale. It is the largest of
-its guess, but at least a thousandth of its largest bound, and at most that bound. An open state that is guessed as 0
-has the size that its rates give: see `state_guess.size_states`. Between LEAST and MOST the scale is 1, so problems in
-units that suit them are solved as they are; else it is a power of 2, by which numbers are divided without rounding.
-Scales of rows follow from their first derivatives by the scaled variables: see `csrc/stages/solve.c`.
+its guess, but at least a thousandth of its largest bound, and at most that bound. Open states and controls that are
+guessed as 0 have the sizes that rates give: see `state_guess.size_states`. Between LEAST and MOST the scale is 1, so
+problems in units that suit them are solved as they are; else it is a power of 2, by which numbers are divided without
+rounding. Scales of rows follow from their first derivatives by the scaled variables: see `csrc/stages/solve.c`.
 """
 
 from __future__ import annotations
