@@ -45,7 +45,7 @@ static real find_decrease(const mbs_stages *s, const mbs_stages_phase *p)
     return sum;
 }
 
-/* Whether the cost is known to a part of it, or is 0 to a tolerance. A barrier that is wanted decides it, too. */
+/* Whether the cost is known to a part of it, or is 0 to a tolerance. A requested barrier decides it, too. */
 static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance)
 {
     const real cost = real_abs(p->cost);

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4  # relative; a hundredth of it absolute
 MAX_CALLS = 20_000  # of the rates
-ROUGH = 1e3  # sizes up to here, and down to its inverse, need to be known better than by what they change
+ROUGH = 1e3  # sizes up to here, and down to its inverse, count as 1: estimates are rough
 LINEAR = 1e-6  # relative change of a slope that is rounding
 
 
@@ -114,7 +114,7 @@ def _find_needs(motion: Trajectory, problem: Problem, plant: Plant) -> dict[tupl
     rates = Values([state.rate for state in states], problem, plant)
     slopes = {place: _find_slopes(rates, parts, place) for place in unsized}
     sizes, found = np.abs(parts["states"]).max(axis=0), dict[tuple[str, int], float]()
-    for place in unsized * len(unsized):  # a force needs the size of a velocity, and this one that of a place
+    for place in unsized * len(unsized):  # a force needs the size of a velocity, and a velocity the size of a way
         moves = (slopes[place] > 0) & (sizes > NOTHING)
         if place not in found and moves.any():
             found[place] = float((sizes[moves] / slopes[place][moves]).min()) / motion.t[-1]
