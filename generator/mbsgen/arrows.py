@@ -229,9 +229,9 @@ class _Writing:
 
     def _describe_muscle(self, muscle: Muscle) -> Fibres:
         texts = {"activation": muscle.activation, "fibre": muscle.fibre_length, "cosine": muscle.cosine}
-        if muscle.tendon_force is not None:
-            texts |= {"tendon_force": muscle.tendon_force, "equilibrium": muscle.equilibrium}
-            texts |= {"settling": muscle.settling} if muscle.damping == ZERO else {}
+        if muscle.tendon_state is not None:
+            texts |= {"tendon_state": muscle.tendon_state, "equilibrium": muscle.equilibrium}
+            texts |= {} if muscle.settling is None else {"settling": muscle.settling}
         return Fibres(**{key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in texts.items()})
 
     def _add_contact(self, k: int, found: Touch, contact: Contact) -> Touch:

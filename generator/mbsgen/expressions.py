@@ -11,8 +11,13 @@ Beside the usual functions there are
     step(x, w)              1/(1 + exp(-x/w)), a smooth step from 0 to 1 of width w
     softplus(x, w)          w log(1 + exp(x/w)), a smooth max(x, 0), of which step(x, w) is the derivative
 
-The last two have all derivatives, and no argument makes them overflow. max, min and abs have a kink; their second
-derivatives are taken as 0 there as elsewhere.
+    bezier(x, x0, y0, xc, yc, x1, y1, c)
+                            y over x along the quintic Bezier curve from (x0, y0) to (x1, y1) whose tangents meet at
+                            (xc, yc), of curviness c; y0 before x0, y1 after x1
+
+step and softplus have all derivatives, and no argument makes them overflow. max, min and abs have a kink; their second
+derivatives are taken as 0 there as elsewhere. The curve of bezier has the control points P0, P0 + c (Pc - P0) twice,
+P1 + c (Pc - P1) twice, and P1 (Millard, Uchida, Seth, Delp, 2013), so that it has no curvature at its ends.
 """
 
 from __future__ import annotations
@@ -41,8 +46,14 @@ MAX_DIGITS = 64  # characters of one number
 
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
 PRIMITIVES: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2, "max": 2})  # of an Algebra
-DEFINED = ("min", "step", "softplus")  # by others: see _DEFINITIONS
-FUNCTIONS: Mapping[str, int] = MappingProxyType({**PRIMITIVES, **dict.fromkeys(DEFINED, 2)})  # number of arguments
+BEZIER = "bezier"
+DEFINED: Mapping[str, tuple[str, ...]] = MappingProxyType(  # by others: their arguments; see _DEFINITIONS
+    {
+        **dict.fromkeys(("min", "step", "softplus"), ("x", "w")),
+        BEZIER: ("x", "x0", "y0", "xc", "yc", "x1", "y1", "c"),
+    }
+)
+FUNCTIONS: Mapping[str, int] = MappingProxyType({**PRIMITIVES, **{name: len(x) for name, x in DEFINED.items()}})
 CONSTANTS = ("pi",)
 
 
@@ -254,13 +265,20 @@ class Program(Generic[T]):
             return given[expression.name]
         operands = tuple(self._add(operand, given, whole) for operand in list_operands(expression))
         if isinstance(expression, Call) and expression.function not in self._algebra.functions:
-            definition = _DEFINITIONS[expression.function]
-            return self._add(definition, dict(zip("xw", operands, strict=True)), whole or expression)
+            return self._add_definition(expression.function, operands, whole or expression)
         key = (_label(expression), operands)
         if key not in self._parts:
             self._parts[key] = len(self._values)
             self._append(expression, operands, whole or expression)
         return self._parts[key]
+
+    def _add_definition(self, function: str, operands: Sequence[int], whole: Expression) -> int:
+        """Add the steps of a definition, each of which reads the arguments and the steps before it."""
+        known = dict(zip(DEFINED[function], operands, strict=True))
+        part = -1
+        for name, step in _DEFINITIONS[function].items():
+            known[name] = part = self._add(step, known, whole)
+        return part
 
     def _append(self, expression: Expression, operands: tuple[int, ...], whole: Expression) -> None:
         part, algebra = len(self._values), self._algebra
@@ -467,11 +485,41 @@ def _check_call(function: str, arguments: int) -> None:
         raise ExpressionError(f"{function} of {arguments} arguments", f"give {FUNCTIONS[function]}")
 
 
-_DEFINITIONS: Mapping[str, Expression] = MappingProxyType(
+_ITERATIONS = 4  # of Halley's method: they lead to rounding for 0.1 <= c <= 0.9, and corners from 2 to 98 % of the way
+
+
+def _define_bezier() -> Mapping[str, Expression]:
+    """Write a Bezier curve in steps: the part u of the way at x, by Halley's method, and y there."""
+    steps = {
+        "place": "(x - x0)/(x1 - x0)",
+        "at": "(abs(place) - abs(place - 1) + 1)/2",
+        "a": "c*(xc - x0)/(x1 - x0)",
+        "b": "1 - c*(x1 - xc)/(x1 - x0)",
+        "third": "10*b",
+        "fourth": "10*a - 15*b",
+        "fifth": "1 + 5*b - 5*a",
+        "t": "2*at - 1",
+        "u0": "0.5 + t*(0.31 + 0.1265*t**2)",  # near the inverse of u**2 (3 - 2 u), which lies amid all these curves
+    }
+    for k in range(_ITERATIONS):
+        u, f, d, e = (f"{key}{k}" for key in ("u", "miss", "slope", "bend"))
+        steps |= {
+            f: f"(5*a + {u}*({u}*(third + {u}*(fourth + {u}*fifth)) - 10*a))*{u} - at",
+            d: f"5*a + {u}*({u}*(3*third + {u}*(4*fourth + 5*{u}*fifth)) - 20*a)",
+            e: f"{u}*(6*third + {u}*(12*fourth + 20*{u}*fifth)) - 20*a",
+            f"u{k + 1}": f"{u} - 2*{f}*{d}/(2*{d}**2 - {f}*{e})",
+        }
+    steps |= {"u": f"u{_ITERATIONS}", "v": "1 - u", "first": "y0 + c*(yc - y0)", "last": "y1 + c*(yc - y1)"}
+    inner = "first*(5*u*v**4 + 10*u**2*v**3) + last*(10*u**3*v**2 + 5*u**4*v)"
+    return {key: parse(text) for key, text in {**steps, "y": f"y0*v**5 + {inner} + y1*u**5"}.items()}
+
+
+_DEFINITIONS: Mapping[str, Mapping[str, Expression]] = MappingProxyType(  # in steps; the last one is the value
     {
-        "min": parse("-max(-x, -w)"),
-        "step": parse("(1 + tanh(x/(2*w)))/2"),
-        "softplus": parse("w*(max(x/w, 0) + log(exp(-max(x/w, 0)) + exp(x/w - max(x/w, 0))))"),
+        "min": {"": parse("-max(-x, -w)")},
+        "step": {"": parse("(1 + tanh(x/(2*w)))/2")},
+        "softplus": {"": parse("w*(max(x/w, 0) + log(exp(-max(x/w, 0)) + exp(x/w - max(x/w, 0))))")},
+        BEZIER: _define_bezier(),
     }
 )
 

@@ -14,7 +14,7 @@ function returns 1 where a result is not finite.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mbsgen.errors import TapeError
@@ -24,28 +24,15 @@ from mbsgen.manifest import Flops
 from mbsgen.procedure.procedure import as_procedure
 from mbsgen.roles import Order
 from mbsgen.tape import reverse
+from mbsgen.tape.arithmetic import make_algebra
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count
 from mbsgen.tape.forward import propagate
 from mbsgen.tape.replay import declare_inputs, replay
-from mbsgen.tape.types import LITERALS, Op, Sparsity, Tape
+from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.c.stages import write_stages
 from mbsgen.targets.layout import lay_out
 
-_FUNCTIONS: Mapping[str, Op] = {
-    "sin": Op.SIN,
-    "cos": Op.COS,
-    "tan": Op.TAN,
-    "asin": Op.ASIN,
-    "acos": Op.ACOS,
-    "atan": Op.ATAN,
-    "atan2": Op.ATAN2,
-    "sqrt": Op.SQRT,
-    "exp": Op.EXP,
-    "log": Op.LOG,
-    "tanh": Op.TANH,
-    "abs": Op.ABS,
-}
 _TITLES = {
     Order.VALUE: "values of expressions",
     Order.JACOBIAN: "first derivatives of expressions",
@@ -137,7 +124,7 @@ def _build_value(formula: Formula) -> Tape:
     builder = Builder()
     vectors = [builder.vector(f"a{place}", size) for place, size in enumerate(formula.sizes)]
     names = {name: vectors[place][entry] for name, (place, entry) in formula.names.items()}
-    algebra = _make_algebra(builder)
+    algebra = make_algebra(builder)
     values = [_lower(expression, names, algebra) for expression in formula.expressions]
     builder.output("y", Sparsity.dense(len(values)), values)
     return builder.build("formula")
@@ -179,33 +166,3 @@ def _lower(expression: Expression, names: Mapping[str, Scalar], algebra: Algebra
     except TapeError as error:
         finding = f"{write_expression(expression)} has no value: {error}"
         raise ExpressionError(finding, "keep to what its functions are defined for") from None
-
-
-def _make_algebra(builder: Builder) -> Algebra[Scalar]:
-    return Algebra(
-        number=builder.number,
-        constants={"pi": builder.number(LITERALS.mpf(LITERALS.pi))},
-        negate=lambda a: -a,
-        operations={
-            "+": lambda a, b: a + b,
-            "-": lambda a, b: a - b,
-            "*": lambda a, b: a * b,
-            "/": lambda a, b: a / b,
-        },
-        power=_raise,
-        functions={**{name: _make_function(builder, op) for name, op in _FUNCTIONS.items()}, "max": builder.larger},
-    )
-
-
-def _make_function(builder: Builder, op: Op) -> Callable[..., Scalar]:
-    return lambda *operands: builder.apply(op, *operands)
-
-
-def _raise(base: Scalar, exponent: int) -> Scalar:
-    """Return a power by squares: base to the power 1, 2, 4, ..."""
-    one = base.builder.number(1.0)
-    product, squared = one, base
-    for digit in reversed(f"{abs(exponent):b}"):
-        product = product * squared if digit == "1" else product
-        squared = squared * squared
-    return one / product if exponent < 0 else product

@@ -238,11 +238,11 @@ class Fibres(_Entry):
     activation: str
     fibre: str  # length [m]
     cosine: str  # of the angle between fibres and tendon
-    tendon_force: str = ""  # of an elastic tendon, over the strength
+    tendon_state: str = ""  # of an elastic tendon: its force over the strength, or its strain over that at the strength
     equilibrium: str = (
-        ""  # of an elastic tendon: 0 along a motion; fibre_length, fibre_cosine, tendon_force_rate are in it
+        ""  # of an elastic tendon: 0 along a motion; fibre_length, fibre_cosine, tendon_state_rate are in it
     )
-    settling: str = ""  # of an elastic tendon, unless fibres damp: tendon_force_rate [1/s], where equilibrium is 0
+    settling: str = ""  # of an elastic tendon, unless fibres damp: tendon_state_rate [1/s], where equilibrium is 0
 
 
 class Element(_Entry):

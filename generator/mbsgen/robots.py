@@ -23,6 +23,7 @@ OPTIONS = (
     option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
     option("--open", "opened", multiple=True, metavar="NAME", help="A body to get a sensor and an open wrench."),
     option("--rigid-tendons", is_flag=True, help="Give muscles rigid tendons, whatever the file says."),
+    option("--degroote", is_flag=True, help="Give muscles the curves of De Groote, whatever the file says."),
     option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),
     option("--lock-massless", is_flag=True, help="Hold at 0 the joints that move nothing, and list them."),
     option(

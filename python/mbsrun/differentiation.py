@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from mbsgen.expressions import (
+    BEZIER,
     Call,
     Expression,
     ExpressionError,
@@ -111,6 +112,8 @@ def _differentiate_call(
     inner = [_differentiate(argument, rates) for argument in arguments]
     if function in _SLOPES:
         return _multiply(substitute(_SLOPES[function], {"x": arguments[0]}), inner[0])
+    if function == BEZIER:
+        raise DerivativeError(f"{write(Call(function, arguments))} is not differentiated here", SMOOTH)
     if function not in _PAIRS:
         raise DerivativeError(f"{write(Call(function, arguments))} has a kink, where it has no derivative", SMOOTH)
     values = dict(zip("xw", arguments, strict=True))

@@ -70,7 +70,7 @@ def find_misses(states: list[dict[str, Any]], expected: list[list[dict[str, Any]
             for i in range(len(q)) if text else ():
                 own = {"length": found["length"][i, k], "rate": found["rate"][i, k], element.name: a[i, k]}
                 if k:
-                    own |= {f"{element.name}_tendon": s[i, k - 1], "tendon_force_rate": arrays["rates"][i, k - 1]}
+                    own |= {f"{element.name}_tendon": s[i, k - 1], "tendon_state_rate": arrays["rates"][i, k - 1]}
                 if key == "equilibrium":
                     own |= {"fibre_length": found["fibre"][i, k], "fibre_cosine": found["cosine"][i, k]}
                 found[key][i, k] = evaluate(parse(text), own, FLOATS)
@@ -108,7 +108,7 @@ def test_a_tendon_settles_where_its_equilibrium_is_0() -> None:
                 own[f"{element.name}_tendon"] = force
                 for key, text in (("fibre_length", element.muscle.fibre), ("fibre_cosine", element.muscle.cosine)):
                     own[key] = evaluate(parse(text), own, FLOATS)
-                own["tendon_force_rate"] = evaluate(parse(element.muscle.settling), own, FLOATS)
+                own["tendon_state_rate"] = evaluate(parse(element.muscle.settling), own, FLOATS)
                 assert abs(evaluate(parse(element.muscle.equilibrium), own, FLOATS)) < ROUNDING
 
 

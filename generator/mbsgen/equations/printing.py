@@ -19,7 +19,7 @@ from sympy.printing.str import StrPrinter
 
 from mbsgen.equations.lines import Lines
 from mbsgen.equations.motion import Motion, Naming
-from mbsgen.model.smooth import SMOOTH, print_source
+from mbsgen.model.smooth import SMOOTH, bezier, print_source
 from mbsgen.targets.layout import lay_out
 
 _WIDE = 90  # characters of a row beyond which a matrix is written entry by entry
@@ -187,8 +187,9 @@ def _name_identifiers(page: Page) -> dict[sp.Symbol, str]:
 
 
 def _list_functions(page: Page) -> tuple[type[sp.Function], ...]:
-    """List the smooth functions to define: each may have another in its derivatives."""
-    return SMOOTH if any(formula.value.has(*SMOOTH) for formula in page.formulas) else ()
+    """List the smooth functions to define: `softplus` and `step` may have each other in their derivatives."""
+    kinds = (tuple(x for x in SMOOTH if x is not bezier), (bezier,))
+    return tuple(x for kind in kinds if any(formula.value.has(*kind) for formula in page.formulas) for x in kind)
 
 
 def _make_identifier(name: str) -> str:

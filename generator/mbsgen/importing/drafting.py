@@ -81,6 +81,7 @@ class Choices:
     mimic: Mimic = "couple"  # the treatment of joints that follow others
     loop_tolerance: float | None = None  # of equations that follow from others; None: by the digits of the file
     rigid_tendons: bool = False  # of muscles, whatever the file says
+    degroote: bool = False  # curves of all muscles, whatever the file says
     opened: tuple[str, ...] = ()  # links and bodies with a wrench that a use gives, and a sensor
     quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]

@@ -6,13 +6,10 @@ path. With x = 1 + (l/fibre - 1)/width and y = v/(speed fibre),
     l cos a = length - tendon's length,    l sin a = fibre sin(pennation)
     F = strength (activation f_l(x) f_v(y) + f_p(l/fibre) + damping y) cos a
 
-A rigid tendon has the length `tendon`, and the tension is F. An elastic one has the tension strength s, where s is a
-signal, `tendon_force`, and the length tendon f_t^-1(s). Then s - F/strength = 0 is an equation of the motion, which
-determines the rate of s. Fibres do not damp where this rate is solved for: else it would need an iteration.
-
-Curves: De Groote, Kinney, Rao, Fregly, "Evaluation of direct collocation optimal control problem formulations for
-solving the muscle redundancy problem", Annals of Biomedical Engineering 44, 2016, with the digits of OpenSim's
-DeGrooteFregly2016Muscle, whose f_p is 0 at x = 0.2 (OpenSim 4.6, Apache License 2.0).
+with the curves of `mbsgen.model.muscle_curves`. A rigid tendon has the length `tendon`, and the tension is F; fibres do
+not push on it, unless they have De Groote's curves. The force and the length of an elastic tendon are functions of a
+signal s, `tendon_state`. Then force - F/strength = 0 is an equation of the motion, which determines the rate of s.
+Fibres do not damp where this rate is solved for: else it would need an iteration.
 """
 
 from __future__ import annotations
@@ -20,29 +17,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute
+from mbsgen.expressions import Call, Expression, Name, Number, Operation, parse, substitute
+from mbsgen.model.muscle_curves import DEGROOTE, SLOPE, Curves, DeGroote
 
 ZERO, ONE = Number(0.0), Number(1.0)
 SPEED, PASSIVE, STRAIN = Number(10.0), Number(0.6), Number(0.049)  # of a muscle, unless it says otherwise
 LENGTH, LENGTH_RATE = "length", "rate"  # in the force of a force element: its own
-TENDON_RATE = "tendon_force_rate"
+TENDON_RATE = "tendon_state_rate"
 FIBRE, COSINE = "fibre_length", "fibre_cosine"  # in equilibrium: `fibre_length` and `cosine`
-GIVEN = ("activation", "tendon_force")  # by a use of the model
+GIVEN = ("activation", "tendon_state")  # by a use of the model
+SHAPE = "curves"
 
-_ACTIVE = parse(
-    "0.8150671134243542*exp(-((x - 1.055033428970575)/(0.162384573599574 + 0.063303448465465*x))**2/2)"
-    " + 0.433004984392647*exp(-((x - 0.716775413397760)/(0.200356847296188*x - 0.029947116970696))**2/2)"
-    " + 0.1*exp(-((x - 1)/0.353553390593274)**2/2)"
-)
-_SPEED = parse("0.8825327733249912 - 0.3211346127989808*log(sqrt(z**2 + 1) + z)")
-_PASSIVE = parse("(exp(4*(n - 1)/passive) - exp(-3.2/passive))/(exp(4) - exp(-3.2/passive))")
-_TENDON = parse("tendon*(1 + log((tendon_force + 0.2)/0.2)*tendon_strain/log(6))")
-_TENDON_RATE = parse("tendon*tendon_force_rate*tendon_strain/(log(6)*(tendon_force + 0.2))")
 _FIBRE = parse("sqrt(along**2 + (fibre*sin(pennation))**2)")
 _PULL = parse("activation*active*faster + slack")
 _DAMPING = parse("damping*y")
-_HYPERBOLIC = parse("(k - 0.8825327733249912)/0.3211346127989808")
-_SOLVED = parse("((exp(-h) - exp(h))/2 + 0.374)/(-8.149)")  # y, as f_v(y) = k
 
 
 @dataclass(frozen=True)
@@ -58,20 +46,21 @@ class Muscle:
     damping: Expression = ZERO  # of fibres: force over strength at that speed
     passive: Expression = PASSIVE  # strain of passive fibres that pull with the strength; 0: they do not pull
     width: Expression = ONE  # by which the curve of active force is stretched
-    tendon_force: Expression | None = None  # over strength; None: a rigid tendon
+    tendon_state: Expression | None = None  # the signal of an elastic tendon; None: a rigid one
     tendon_strain: Expression = STRAIN  # of an elastic tendon that pulls with the strength
+    curves: Curves = DEGROOTE
 
     @property
     def numbers(self) -> Mapping[str, Expression]:
         """Return the numbers of the model by their names."""
         given = {x.name: getattr(self, x.name) for x in fields(self)}
-        return {key: x for key, x in given.items() if key not in GIVEN}
+        return {key: x for key, x in given.items() if key not in (*GIVEN, SHAPE)}
 
     @property
     def tension(self) -> Expression:
         """Return the tension [N], over LENGTH and LENGTH_RATE of the path."""
-        if self.tendon_force is not None:
-            return Operation("*", self.strength, self.tendon_force)
+        if self.tendon_state is not None:
+            return Operation("*", self.strength, self._share)
         own = {FIBRE: self.fibre_length, COSINE: self.cosine}
         return Operation("*", self.strength, substitute(self._pull, own))
 
@@ -91,53 +80,73 @@ class Muscle:
         return Operation("-", self._share, self._pull)
 
     @property
-    def settling(self) -> Expression:
-        """Return the rate of the tendon's force at equilibrium [1/s], without damping; FIBRE and COSINE are in it."""
+    def settling(self) -> Expression | None:
+        """Return the rate of the tendon's force at equilibrium [1/s], without damping; FIBRE and COSINE are in it.
+
+        None for curves of force over velocity that are not solved for the velocity.
+        """
+        if not isinstance(self.curves, DeGroote) or self.damping != ZERO:
+            return None
         given = {"s": self._share, "cosine": Name(COSINE), "slack": self._slack, "active": self._active}
         known = self._read(parse("(s/cosine - slack)/(activation*active)"), **given)
-        y = substitute(_SOLVED, {"h": substitute(_HYPERBOLIC, {"k": known})})
-        text = f"({LENGTH_RATE} - speed*fibre*y/cosine)*log(6)*(tendon_force + 0.2)/(tendon*tendon_strain)"
-        return self._read(parse(text), y=y, cosine=Name(COSINE))
+        y = substitute(self.curves.solved, {"k": known})
+        text = f"({LENGTH_RATE} - speed*fibre*y/cosine)*{SLOPE}/(tendon*tendon_strain)"
+        return self._read(parse(text), y=y, cosine=Name(COSINE), s=self._share)
 
     @property
     def _share(self) -> Expression:
-        assert self.tendon_force is not None, "an elastic tendon"
-        return self.tendon_force
+        """Return the force of an elastic tendon, over the strength."""
+        assert self.tendon_state is not None, "an elastic tendon"
+        return self._bend(self.curves.pull, self.tendon_strain)
 
     @property
     def _along(self) -> Expression:
-        return Operation("-", Name(LENGTH), self.tendon if self.tendon_force is None else self._read(_TENDON))
+        tendon = self.tendon
+        if self.tendon_state is not None:
+            tendon = Operation("*", tendon, self._bend(self.curves.stretch, self.tendon_strain))
+        return Operation("-", Name(LENGTH), tendon)
 
     @property
     def _slack(self) -> Expression:
         """Return f_p."""
         if self.passive == ZERO:
             return ZERO
-        return self._read(_PASSIVE, n=Operation("/", Name(FIBRE), self.fibre))
+        return self._bend(self.curves.passive, self.passive, n=Operation("/", Name(FIBRE), self.fibre))
 
     @property
     def _active(self) -> Expression:
         """Return f_l."""
         n = Operation("/", Name(FIBRE), self.fibre)
-        stretched = parse("1 + (n - 1)/width")
-        return self._read(_ACTIVE, x=n if self.width == ONE else self._read(stretched, n=n))
+        return substitute(
+            self.curves.active, {"n": n if self.width == ONE else self._read(parse("1 + (n - 1)/width"), n=n)}
+        )
 
     @property
     def _pull(self) -> Expression:
         """Return the force of the fibres along the tendon, over the strength; FIBRE and COSINE are in it."""
         rate: Expression = Name(LENGTH_RATE)
-        if self.tendon_force is not None:
-            rate = Operation("-", rate, self._read(_TENDON_RATE))
+        if self.tendon_state is not None:
+            longer = self._bend(self.curves.stretch_rate, self.tendon_strain, rate=Name(TENDON_RATE))
+            rate = Operation("-", rate, Operation("*", self.tendon, longer))
         turned = "rate/(speed*fibre)" if self.pennation == ZERO else "rate*cosine/(speed*fibre)"
         y = self._read(parse(turned), rate=rate, cosine=Name(COSINE))
-        faster = self._read(_SPEED, z=substitute(parse("-8.149*y - 0.374"), {"y": y}))
+        is_rigid = self.tendon_state is None
+        velocity = self.curves.rigid_velocity if is_rigid else self.curves.velocity
+        faster = substitute(velocity, {"y": y, "activation": self.activation})
         force = self._read(_PULL, active=self._active, faster=faster, slack=self._slack)
         if self.damping != ZERO:
             force = Operation("+", force, self._read(_DAMPING, y=y))
+        if is_rigid and not self.curves.may_push:
+            force = Call("max", (force, ZERO))
         return force if self.pennation == ZERO else Operation("*", force, Name(COSINE))
+
+    def _bend(self, curve: Expression, strain: Expression, **more: Expression) -> Expression:
+        """Put numbers into a curve."""
+        signal = {} if self.tendon_state is None else {"s": self.tendon_state}
+        return substitute(curve, {"strain": strain, **signal, **more})
 
     def _read(self, expression: Expression, **more: Expression) -> Expression:
         own = {**self.numbers, "activation": self.activation, **more}
-        if self.tendon_force is not None:
-            own["tendon_force"] = self.tendon_force
+        if self.tendon_state is not None:
+            own["tendon_state"] = self.tendon_state
         return substitute(expression, own)

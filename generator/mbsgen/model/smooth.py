@@ -47,7 +47,26 @@ class step(sp.Function):  # type: ignore[misc]  # SymPy has no types  # noqa: N8
         return sp.N(self.doit(), sp.core.evalf.prec_to_dps(prec))
 
 
-SMOOTH: tuple[type[sp.Function], ...] = (softplus, step)
+class bezier(sp.Function):  # type: ignore[misc]  # SymPy has no types  # noqa: N801
+    """The value at x of a quintic Bezier curve from (x0, y0) to (x1, y1), tangents meeting at (xc, yc), curviness c."""
+
+    def _eval_evalf(self, prec: int) -> sp.Expr:
+        if not all(argument.is_number for argument in self.args):
+            return self
+        x, x0, y0, xc, yc, x1, y1, c = (sp.N(argument, sp.core.evalf.prec_to_dps(prec)) for argument in self.args)
+        weights = [sp.binomial(5, k) for k in range(6)]
+        points = [(x0, y0), *2 * [(x0 + c * (xc - x0), y0 + c * (yc - y0))]]
+        points += [*2 * [(x1 + c * (xc - x1), y1 + c * (yc - y1))], (x1, y1)]
+        low, high = sp.Integer(0), sp.Integer(1)
+        for _ in range(prec + 4):
+            u = (low + high) / 2
+            terms = [w * u**k * (1 - u) ** (5 - k) for k, w in enumerate(weights)]
+            place, value = (sum(w * point[i] for w, point in zip(terms, points, strict=True)) for i in (0, 1))
+            low, high = (u, high) if place < x else (low, u)
+        return sp.N(value, sp.core.evalf.prec_to_dps(prec))
+
+
+SMOOTH: tuple[type[sp.Function], ...] = (softplus, step, bezier)
 READ = {"softplus": softplus, "step": step, "max": sp.Max, "min": sp.Min}  # by their names in expressions
 
 

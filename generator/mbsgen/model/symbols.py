@@ -36,8 +36,8 @@ from sympy import (
     tanh,
 )
 
-from mbsgen.expressions import PRIMITIVES, Algebra, ExpressionError
-from mbsgen.model.smooth import READ
+from mbsgen.expressions import BEZIER, PRIMITIVES, Algebra, ExpressionError
+from mbsgen.model.smooth import READ, bezier
 
 DIGITS = MPContext()
 DIGITS.dps = 60
@@ -73,7 +73,8 @@ def exact(value: float) -> Expr:
 def symbolic(constants: Mapping[Symbol, Expr], *, readable: bool = False) -> Algebra[Expr]:
     """Make the algebra of expressions over symbols, given the values of constants.
 
-    A function of constants alone is a number. Where expressions are to be read, smooth functions stay functions.
+    A function of constants alone is a number. Where expressions are to be read, smooth functions stay functions; a
+    Bezier curve always does, since its definition repeats its steps many times where none has a name.
     """
 
     def function(name: str) -> Callable[..., Expr]:
@@ -91,7 +92,7 @@ def symbolic(constants: Mapping[Symbol, Expr], *, readable: bool = False) -> Alg
         negate=operator.neg,
         operations={"+": lambda a, b: total((a, b)), "-": lambda a, b: total((a, -b)), "*": operator.mul, "/": _divide},
         power=lambda base, exponent: base**exponent if exponent >= 0 else _divide(Integer(1), base**-exponent),
-        functions={name: function(name) for name in PRIMITIVES} | (READ if readable else {}),
+        functions={name: function(name) for name in PRIMITIVES} | {BEZIER: bezier} | (READ if readable else {}),
     )
 
 

@@ -291,9 +291,13 @@ def _write_muscle(muscle: Muscle) -> Mapped:
     for key in ("pennation", "speed", "damping", "passive", "width"):
         if muscle.numbers[key] != usual.numbers[key]:
             content[key] = _write_number(muscle.numbers[key])
-    if muscle.tendon_force is not None:
+    if muscle.tendon_state is not None:
         strain = {"strain": _write_number(muscle.tendon_strain)} if muscle.tendon_strain != usual.tendon_strain else {}
-        content["elastic"] = {"force": _write_number(muscle.tendon_force), **strain}
+        content["elastic"] = {"state": _write_number(muscle.tendon_state), **strain}
+    if muscle.curves != usual.curves:
+        plain = type(muscle.curves)().numbers
+        own = {key: _write_number(x) for key, x in muscle.curves.numbers.items() if x != plain.get(key)}
+        content["curves"] = {"type": muscle.curves.name, **own}
     return content
 
 

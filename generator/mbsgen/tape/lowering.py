@@ -30,6 +30,9 @@ from sympy import (
 )
 
 from mbsgen.errors import TapeError
+from mbsgen.expressions import BEZIER, DEFINED, Call, Name, evaluate
+from mbsgen.model.smooth import bezier
+from mbsgen.tape.arithmetic import make_algebra
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.types import LITERALS, Op
 
@@ -47,6 +50,7 @@ _FUNCTIONS: Mapping[type[Expr], Op] = {
     Abs: Op.ABS,
     sign: Op.SIGN,
 }
+_BEZIER = DEFINED[BEZIER]
 
 
 def lower(expression: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]) -> Scalar:
@@ -68,6 +72,9 @@ def lower(expression: Expr, builder: Builder, symbols: Mapping[Symbol, Scalar]) 
         case _ if expression.func in _FUNCTIONS:
             operands = (lower(operand, builder, symbols) for operand in expression.args)
             return builder.apply(_FUNCTIONS[expression.func], *operands)
+        case bezier():
+            values = {name: lower(x, builder, symbols) for name, x in zip(_BEZIER, expression.args, strict=True)}
+            return evaluate(Call(BEZIER, tuple(map(Name, _BEZIER))), values, make_algebra(builder))
     raise TapeError(f"no operation of the tape computes {expression.func}")
 
 

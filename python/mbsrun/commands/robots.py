@@ -26,6 +26,7 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
         sensors: tuple[str, ...],
         opened: tuple[str, ...],
         rigid_tendons: bool,
+        degroote: bool,
         locks: tuple[str, ...],
         lock_massless: bool,
         mimic: str,
@@ -33,13 +34,24 @@ def accept_robots(command: Callable[..., None]) -> Callable[..., None]:
         **own: Any,
     ) -> None:
         context = click.get_current_context()
-        options = ("base", "sensors", "opened", "rigid_tendons", "locks", "lock_massless", "mimic", "loop_tolerance")
+        options = (
+            "base",
+            "sensors",
+            "opened",
+            "rigid_tendons",
+            "degroote",
+            "locks",
+            "lock_massless",
+            "mimic",
+            "loop_tolerance",
+        )
         if any(context.get_parameter_source(option) is ParameterSource.COMMANDLINE for option in options):
             choices = {
                 "base": base,
                 "sensors": tuple(dict.fromkeys(sensors)),
                 "opened": tuple(dict.fromkeys(opened)),
                 "rigid_tendons": rigid_tendons,
+                "degroote": degroote,
                 "locked": read_locks(locks),
                 "lock_massless": lock_massless,
                 "mimic": mimic,

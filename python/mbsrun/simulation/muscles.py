@@ -43,7 +43,7 @@ def list_muscles(manifest: Manifest) -> Muscles:
     found = [(k, x.name, x.muscle) for k, x in enumerate(elements) if x.muscle is not None]
     if not found:
         raise ArgumentError(f"{manifest.model} has no muscles; give it some, with type: muscle under forces")
-    given = {name: (fibres.activation, fibres.tendon_force) for _, name, fibres in found}
+    given = {name: (fibres.activation, fibres.tendon_state) for _, name, fibres in found}
     signals = [text for pair in zip(*given.values(), strict=True) for text in pair if text]
     for name, texts in given.items():
         if not all(isinstance(parse(text), Name) for text in texts if text):

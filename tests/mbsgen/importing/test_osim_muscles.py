@@ -66,8 +66,8 @@ def test_muscles_have_the_numbers_that_moco_gives_them(tmp_path: Path) -> None:
     assert rigid is not None
     assert (two.damping, two.passive, two.tendon_strain) == (Number(0.05), Number(0.65), Number(0.04))
     assert (short.damping, short.passive, short.tendon_strain) == (Number(0), Number(0.5), Number(0.033))
-    assert (two.activation, two.tendon_force) == (Name("two_joints"), Name("two_joints_tendon"))
-    assert rigid.tendon_force is None
+    assert (two.activation, two.tendon_state) == (Name("two_joints"), Name("two_joints_tendon"))
+    assert rigid.tendon_state is None
     strap = next(x for x in model.forces if x.name == "strap")
     assert write(strap.force) == "250*max(length - 0.3, 0)*(1 + 0.1*rate)"
     assert model.signals == ("long", "two_joints", "two_joints_tendon", "short_1", "short_1_tendon", "rigid")

@@ -1,9 +1,12 @@
 """Muscles and springs of OpenSim along paths -> lines through points, and laws of their tension.
 
 A path has points that are fixed in frames, that move with coordinates, or that it passes in a range of a coordinate.
-OpenSim widens such a range by 1e-5, and holds a point that moves where its coordinate leaves its own range. Each muscle
-becomes one with the curves of De Groote and others (2016). Others than DeGrooteFregly2016Muscle keep their numbers as
-Moco's ModOpReplaceMusclesWithDeGrooteFregly2016 keeps them; a RigidTendonMuscle has a rigid tendon.
+OpenSim widens such a range by 1e-5, and holds a point that moves where its coordinate leaves its own range. Muscles of
+De Groote and Fregly, Millard and Thelen have their own curves. A RigidTendonMuscle, and on demand the other two, get
+De Groote's, and keep their numbers as Moco's ModOpReplaceMusclesWithDeGrooteFregly2016 keeps them.
+
+OpenSim changes Millard's curves: at an elastic tendon without damping of the fibres, active force is 0.1 at least, and
+slopes of force over velocity at the largest speeds are half of those near them at least; else both are 0.
 
 Source: OpenSim's documentation of its classes and their defaults.
 """
@@ -16,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.expressions import Expression, Name, Number, Operation, is_free_name, parse, substitute
+from mbsgen.expressions import Expression, Name, Number, Operation, fold, is_free_name, parse, substitute
 from mbsgen.importing.closing import X
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
@@ -24,6 +27,7 @@ from mbsgen.importing.osim.forces import is_on
 from mbsgen.importing.osim.frames import Frames, Mount
 from mbsgen.importing.osim.functions import Sum, find_function, read_function, write_number
 from mbsgen.model.model import ZERO
+from mbsgen.model.muscle_curves import DEGROOTE, Curves, Millard, Thelen
 from mbsgen.model.muscles import LENGTH, LENGTH_RATE, Muscle
 
 MUSCLES = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle", "Thelen2003Muscle", "RigidTendonMuscle")
@@ -52,6 +56,39 @@ _OWN: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "Thelen2003Muscle": {"passive": ("FmaxMuscleStrain", 0.6), "tendon_strain": ("FmaxTendonStrain", 0.04)},
     "Millard2012EquilibriumMuscle": {"damping": ("fiber_damping", 0.1)},
     "RigidTendonMuscle": {},
+}
+_UNDAMPED = 0.001  # Millard's fibres do not damp below this
+_LEAST = 0.1
+SHAPES: Mapping[str, Mapping[str, tuple[str, str]]] = {  # numbers of curves: an element of the muscle, and its element
+    "Thelen2003Muscle": {
+        "active_shape": ("", "KshapeActive"),
+        "passive_shape": ("", "KshapePassive"),
+        "velocity_shape": ("", "Af"),
+        "greatest": ("", "Flen"),
+        "reach": ("", "fv_linear_extrap_threshold"),
+    },
+    "Millard2012EquilibriumMuscle": {
+        "shortest": ("ActiveForceLengthCurve", "min_norm_active_fiber_length"),
+        "transition": ("ActiveForceLengthCurve", "transition_norm_fiber_length"),
+        "longest": ("ActiveForceLengthCurve", "max_norm_active_fiber_length"),
+        "shallow": ("ActiveForceLengthCurve", "shallow_ascending_slope"),
+        "floor": ("ActiveForceLengthCurve", "minimum_value"),
+        "shortening_end": ("ForceVelocityCurve", "concentric_slope_at_vmax"),
+        "shortening_near": ("ForceVelocityCurve", "concentric_slope_near_vmax"),
+        "isometric": ("ForceVelocityCurve", "isometric_slope"),
+        "lengthening_end": ("ForceVelocityCurve", "eccentric_slope_at_vmax"),
+        "lengthening_near": ("ForceVelocityCurve", "eccentric_slope_near_vmax"),
+        "greatest": ("ForceVelocityCurve", "max_eccentric_velocity_force_multiplier"),
+        "shortening_curviness": ("ForceVelocityCurve", "concentric_curviness"),
+        "lengthening_curviness": ("ForceVelocityCurve", "eccentric_curviness"),
+        "slack": ("FiberForceLengthCurve", "strain_at_zero_force"),
+        "passive_low": ("FiberForceLengthCurve", "stiffness_at_low_force"),
+        "passive_slope": ("FiberForceLengthCurve", "stiffness_at_one_norm_force"),
+        "passive_curviness": ("FiberForceLengthCurve", "curviness"),
+        "tendon_slope": ("TendonForceLengthCurve", "stiffness_at_one_norm_force"),
+        "tendon_toe": ("TendonForceLengthCurve", "norm_force_at_toe_end"),
+        "tendon_curviness": ("TendonForceLengthCurve", "curviness"),
+    },
 }
 _VANISHING = ("tendon", "pennation", "damping")
 _CURVES: Mapping[str, tuple[str, float]] = {  # of Millard's muscles: elements with strain_at_one_norm_force
@@ -97,7 +134,7 @@ class Line:
         """Return the signals that its muscle reads."""
         if self.muscle is None:
             return ()
-        given = (self.muscle.activation, self.muscle.tendon_force)
+        given = (self.muscle.activation, self.muscle.tendon_state)
         return tuple(x.name for x in given if isinstance(x, Name))
 
 
@@ -111,6 +148,7 @@ class Paths:
     ranges: Mapping[str, tuple[float | None, float | None]]  # of coordinates
     is_nested: bool  # as in versions 2 and 3
     is_rigid: bool  # all tendons
+    is_degroote: bool  # all curves
     surfaces: Mapping[str, tuple[Element, Mount]]  # around which paths may wrap, with their bodies
 
     def read(self, element: Element) -> Line | None:
@@ -284,13 +322,36 @@ class Paths:
             self._check(
                 element, given[key][0] if key in given else _CURVES[key][0], value, may_vanish=key in _VANISHING
             )
+        if tag == "Millard2012EquilibriumMuscle" and numbers["damping"] < _UNDAMPED:
+            numbers["damping"] = 0.0
         if _is_true(element, "ignore_passive_fiber_force"):
             numbers["passive"] = 0.0
         signal = spell_signal(name)
         is_rigid = self.is_rigid or _is_true(element, "ignore_tendon_compliance") or tag == "RigidTendonMuscle"
         values = {key: Number(x) for key, x in numbers.items() if not (is_rigid and key == "tendon_strain")}
         tendon = None if is_rigid else Name(f"{signal}_tendon")
-        return Muscle(activation=Name(signal), tendon_force=tendon, **values)
+        curves: Curves = DEGROOTE
+        if tag in SHAPES and not self.is_degroote:
+            curves = self._read_curves(element, may_settle=not is_rigid and not numbers.get("damping"))
+        return Muscle(activation=Name(signal), tendon_state=tendon, curves=curves, **values)
+
+    def _read_curves(self, element: Element, *, may_settle: bool) -> Curves:
+        """Read the numbers of curves; `may_settle` where OpenSim solves for the fibres' velocity without damping."""
+        found = dict[str, float]()
+        for key, (outer, tag) in SHAPES[element.tag].items():
+            whole = element.first(outer) if outer else element
+            child = None if whole is None else whole.first(tag)
+            if child is not None and child.text:
+                found[key] = self.findings.number(child, tag, 0.0, {tag: child.text})
+        if element.tag == "Thelen2003Muscle":
+            return Thelen(**{key: Number(x) for key, x in found.items()})
+        found["floor"] = max(found.get("floor", _LEAST), _LEAST) if may_settle else 0.0
+        curves = Millard(**{key: Number(x) for key, x in found.items()})
+        ends = {"shortening_end": curves.shortening_near, "lengthening_end": curves.lengthening_near}
+        for key, near in ends.items():
+            least = fold(substitute(parse("max(end, near/2)"), {"end": curves.numbers[key], "near": near}))
+            curves = replace(curves, **{key: least if may_settle else ZERO})
+        return curves
 
     def _check(self, element: Element, tag: str, value: float, *, may_vanish: bool) -> None:
         child = element.first(tag) or element

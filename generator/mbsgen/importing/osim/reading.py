@@ -40,7 +40,7 @@ from mbsgen.importing.osim.joints import (
     list_axes,
     list_coordinates,
 )
-from mbsgen.importing.osim.muscles import MUSCLES, PATHS, Line, Paths, Point, Surface
+from mbsgen.importing.osim.muscles import MUSCLES, PATHS, SHAPES, Line, Paths, Point, Surface
 from mbsgen.importing.osim.vocabulary import VOCABULARY
 from mbsgen.importing.poses import ORIGIN, Pose
 from mbsgen.importing.solids import NOTHING, Solid
@@ -150,6 +150,7 @@ class _File:
             self._ranges,
             self._is_nested,
             self._choices.rigid_tendons,
+            self._choices.degroote,
             self._frames.surfaces,
         )
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
@@ -642,11 +643,12 @@ class _File:
         kinds = Counter(line.element.tag for line in self._lines if line.muscle is not None)
         if kinds:
             self._findings.sum_up(
-                "the activation of a muscle is the signal of its name, and the force in an elastic "
-                "tendon, over the strength, the signal NAME_tendon"
+                "the activation of a muscle is the signal of its name, and the state of an elastic tendon the signal "
+                "NAME_tendon: its force over the strength, or, with Millard's and Thelen's curves, its strain over the "
+                "strain at the strength"
             )
         for tag, count in kinds.items():
-            if tag != MUSCLES[0]:
+            if tag != MUSCLES[0] and (tag not in SHAPES or self._choices.degroote):
                 text = f"{count} of the kind {tag} have the curves of {MUSCLES[0]}, with the numbers that Moco gives it"
                 self._findings.sum_up(text, alters=True)
 

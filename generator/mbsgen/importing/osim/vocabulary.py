@@ -8,7 +8,7 @@ from __future__ import annotations
 from mbsgen.importing.osim.forces import ACTUATORS, LIMIT, SPRING
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.osim.joints import JOINTS
-from mbsgen.importing.osim.muscles import PATHS, POINTS, SURFACES
+from mbsgen.importing.osim.muscles import PATHS, POINTS, SHAPES, SURFACES
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place
 
 _SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance display"
@@ -135,16 +135,18 @@ PLACES: dict[str, Place] = {
         "max_contraction_velocity=value ignore_tendon_compliance=value ignore_passive_fiber_force=value "
         "active_force_width_scale=value passive_fiber_strain_at_one_norm_force=value FmaxTendonStrain=value "
         "tendon_strain_at_one_norm_force=value FmaxMuscleStrain=value FiberForceLengthCurve=curve "
-        "TendonForceLengthCurve=curve resting_length=value stiffness=value dissipation=value",
-        idle="min_control max_control optimal_force default_activation default_fiber_length KshapeActive KshapePassive "
-        "default_normalized_tendon_force activation_time_constant deactivation_time_constant Af Flen "
+        "TendonForceLengthCurve=curve ActiveForceLengthCurve=curve ForceVelocityCurve=curve resting_length=value "
+        "stiffness=value dissipation=value KshapeActive=value KshapePassive=value Af=value Flen=value "
+        "fv_linear_extrap_threshold=value",
+        idle="min_control max_control optimal_force default_activation default_fiber_length "
+        "default_normalized_tendon_force activation_time_constant deactivation_time_constant "
         "ignore_activation_dynamics tendon_compliance_dynamics_mode activation_dynamics_smoothing minimum_activation "
-        "fv_linear_extrap_threshold maximum_pennation_angle ActiveForceLengthCurve ForceVelocityCurve "
+        "maximum_pennation_angle "
         "active_force_length_curve passive_force_length_curve force_velocity_curve",
     ),
     "curve": place(
-        read="@name strain_at_one_norm_force=value",
-        idle="strain_at_zero_force stiffness_at_low_force stiffness_at_one_norm_force curviness norm_force_at_toe_end",
+        read="@name strain_at_one_norm_force=value "
+        + " ".join(sorted({f"{tag}=value" for shape in SHAPES.values() for outer, tag in shape.values() if outer})),
     ),
     "paths": place(read="GeometryPath=path"),
     "path": place(

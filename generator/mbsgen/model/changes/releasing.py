@@ -292,11 +292,11 @@ class _Release:
     def _muscle(self, path: str, muscle: Muscle) -> Muscle:
         """Release the numbers of a muscle; activation and force of a tendon are given by a use."""
         kept = {"pennation", "passive"} & {key for key, x in muscle.numbers.items() if x == ZERO}
-        if muscle.tendon_force is None:
+        if muscle.tendon_state is None:
             kept.add("tendon_strain")
-        return replace(
-            muscle, **{key: self._number(f"{path}.{key}", x) for key, x in muscle.numbers.items() if key not in kept}
-        )
+        curves = muscle.curves.exchange(lambda key, x: self._number(f"{path}.curves.{key}", x))
+        numbers = {key: self._number(f"{path}.{key}", x) for key, x in muscle.numbers.items() if key not in kept}
+        return replace(muscle, **numbers, curves=curves)
 
     def _contact(self, contact: Contact) -> Contact:
         path = f"contacts.{contact.name}"

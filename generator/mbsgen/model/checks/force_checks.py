@@ -9,7 +9,7 @@ from types import MappingProxyType
 from sympy import Expr, Symbol
 
 from mbsgen.documents import Finding, Place, abbreviate, nearest
-from mbsgen.expressions import Expression, names, write
+from mbsgen.expressions import Expression, names, parse, substitute, write
 from mbsgen.model.elements import POWERS
 from mbsgen.model.model import (
     BASE,
@@ -184,8 +184,8 @@ def _check_muscle(
         yield Finding((*place, "type"), "a cable that is a muscle", "give type: muscle")
     place = (*place, "muscle")
     yield from check_law((*place, "activation"), muscle.activation, valuation, state)
-    if muscle.tendon_force is not None:
-        yield from check_law((*place, "elastic", "force"), muscle.tendon_force, valuation, state)
+    if muscle.tendon_state is not None:
+        yield from check_law((*place, "elastic", "state"), muscle.tendon_state, valuation, state)
         yield from _check_positive((*place, "elastic", "strain"), muscle.tendon_strain, valuation)
     for key in ("strength", "fibre", "speed", "width"):
         yield from _check_positive((*place, key), muscle.numbers[key], valuation)
@@ -195,6 +195,26 @@ def _check_muscle(
         yield Finding(
             (*place, "pennation"), f"an angle of {angle:g} rad", "give less than a quarter turn; 15 deg has a unit"
         )
+    yield from _check_curves((*place, "curves"), muscle, valuation)
+
+
+def _check_curves(place: Place, muscle: Muscle, valuation: Valuation) -> Iterator[Finding]:
+    """Find numbers of curves with which no smooth curve joins their points."""
+    numbers = muscle.curves.numbers
+    given: dict[str, Expression] = {**numbers, "passive": muscle.passive, "strain": muscle.tendon_strain}
+    meant = set(given) - {"passive"} if muscle.passive == ZERO else set(given)
+    meant -= {"strain"} if muscle.tendon_state is None else set()
+    for limits in muscle.curves.limits:
+        if limits.key not in numbers or not limits.reads <= meant:
+            continue
+        value = valuation.number((*place, limits.key), numbers[limits.key])
+        lower, upper = (
+            valuation.number((*place, limits.key), substitute(parse(text), given)) if text else math.inf
+            for text in (limits.lower, limits.upper)
+        )
+        if not (lower < value < upper or (not limits.is_strict and value in (lower, upper))):
+            between = f"more than {lower:.4g}" if upper == math.inf else f"a number between {lower:.4g} and {upper:.4g}"
+            yield Finding((*place, limits.key), f"found {value:g}", f"give {between}")
 
 
 def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field, PlainValidator
 
@@ -34,6 +34,7 @@ from mbsgen.model.model import (
     Wheel,
     Wrap,
 )
+from mbsgen.model.muscle_curves import DEGROOTE, Curves, Millard, Thelen
 from mbsgen.model.muscles import ONE, PASSIVE, SPEED, STRAIN, Muscle
 from mbsgen.model.sections import (
     DirectionField,
@@ -102,12 +103,93 @@ class WrapSection(LoopEndSection):
 class TendonSection(Section):
     """An elastic tendon, in series with the fibres of a muscle."""
 
-    force: NumberField = Field(examples=["soleus_tendon"], description="over the strength: a signal, as a rule")
+    state: NumberField = Field(
+        examples=["soleus_tendon"],
+        description="a signal, as a rule: with De Groote's curves force over strength, else its strain over `strain`",
+    )
     strain: NumberField = Field(STRAIN, examples=[0.049], description="at which it pulls with the strength")
 
 
+class DeGrooteSection(Section):
+    """The curves of De Groote and others (2016)."""
+
+    type: Literal["degroote"] = Field(examples=["degroote"])
+
+    def make(self) -> Curves:
+        """Make the part of a Model."""
+        return DEGROOTE
+
+
+class ThelenSection(Section):
+    """The curves of Thelen (2003)."""
+
+    type: Literal["thelen"] = Field(examples=["thelen"])
+    active_shape: NumberField = Field(Thelen.active_shape, examples=[0.45], description="of active force over length")
+    passive_shape: NumberField = Field(Thelen.passive_shape, examples=[5.0], description="exponent of passive force")
+    velocity_shape: NumberField = Field(Thelen.velocity_shape, examples=[0.25], description="of force over velocity")
+    greatest: NumberField = Field(Thelen.greatest, examples=[1.4], description="force of fibres that lengthen")
+    reach: NumberField = Field(
+        Thelen.reach, examples=[0.95], description="part of it from which the force is a line over velocity"
+    )
+
+    def make(self) -> Curves:
+        """Make the part of a Model."""
+        return Thelen(**{key: getattr(self, key) for key in Thelen().numbers})
+
+
+class MillardSection(Section):
+    """The curves of Millard and others (2013); lengths are over `fibre`, forces over `strength`."""
+
+    type: Literal["millard"] = Field(examples=["millard"])
+    shortest: NumberField = Field(Millard.shortest, examples=[0.4441], description="length of active fibres")
+    transition: NumberField = Field(
+        Millard.transition, examples=[0.73], description="length from which active force rises less steeply"
+    )
+    longest: NumberField = Field(Millard.longest, examples=[1.8123], description="length of active fibres")
+    shallow: NumberField = Field(Millard.shallow, examples=[0.8616], description="slope of active force there")
+    floor: NumberField = Field(Millard.floor, examples=[0.1], description="least active force")
+    shortening_end: NumberField = Field(
+        Millard.shortening_end, examples=[0.1], description="slope of force over velocity where fibres shorten fastest"
+    )
+    shortening_near: NumberField = Field(Millard.shortening_near, examples=[0.25], description="and near that")
+    isometric: NumberField = Field(Millard.isometric, examples=[5.0], description="slope at rest")
+    lengthening_near: NumberField = Field(
+        Millard.lengthening_near, examples=[0.15], description="slope near the largest speed of lengthening"
+    )
+    lengthening_end: NumberField = Field(Millard.lengthening_end, examples=[0.1], description="and at that")
+    greatest: NumberField = Field(Millard.greatest, examples=[1.4], description="force of fibres that lengthen fastest")
+    shortening_curviness: NumberField = Field(Millard.shortening_curviness, examples=[0.6], description="0 to 1")
+    lengthening_curviness: NumberField = Field(Millard.lengthening_curviness, examples=[0.9], description="0 to 1")
+    slack: NumberField = Field(
+        Millard.slack, examples=[0.05], description="strain at which passive fibres begin to pull"
+    )
+    passive_low: NumberField = Field(Millard.passive_low, examples=[0.2], description="slope of passive force there")
+    passive_slope: OptionalNumberField = Field(
+        None, examples=[2.86], description="where they pull with the strength; else 2/(passive - slack)"
+    )
+    passive_curviness: NumberField = Field(Millard.passive_curviness, examples=[0.75], description="0 to 1")
+    tendon_slope: OptionalNumberField = Field(
+        None, examples=[28.1], description="of an elastic tendon that pulls with the strength; else 1.375/strain"
+    )
+    tendon_toe: NumberField = Field(
+        Millard.tendon_toe, examples=[0.667], description="force from which the tendon's is a line"
+    )
+    tendon_curviness: NumberField = Field(Millard.tendon_curviness, examples=[0.5], description="0 to 1")
+
+    def make(self) -> Curves:
+        """Make the part of a Model."""
+        names = Millard(passive_slope=ZERO, tendon_slope=ZERO).numbers
+        return Millard(**{key: getattr(self, key) for key in names})
+
+
+CurvesSection = Annotated[
+    Union[DeGrooteSection, ThelenSection, MillardSection],  # noqa: UP007
+    Field(discriminator="type", examples=[{"type": "millard"}]),
+]
+
+
 class MuscleSection(Section):
-    """A muscle of Hill's type, with the curves of De Groote and others (2016)."""
+    """A muscle of Hill's type."""
 
     strength: NumberField = Field(examples=[450.0], description="largest isometric force, N")
     fibre: NumberField = Field(examples=[0.11], description="length at which fibres are strongest, m")
@@ -121,6 +203,7 @@ class MuscleSection(Section):
     )
     width: NumberField = Field(ONE, examples=[1.5], description="by which the curve of active force is stretched")
     elastic: TendonSection | None = Field(None, examples=[None], description="else the tendon is rigid")
+    curves: CurvesSection | None = Field(None, examples=[None], description="else `degroote`")
 
     def make(self) -> Muscle:
         """Make the part of a Model."""
@@ -134,8 +217,9 @@ class MuscleSection(Section):
             self.damping,
             self.passive,
             self.width,
-            None if self.elastic is None else self.elastic.force,
+            None if self.elastic is None else self.elastic.state,
             STRAIN if self.elastic is None else self.elastic.strain,
+            DEGROOTE if self.curves is None else self.curves.make(),
         )
 
 

@@ -120,7 +120,7 @@ def write_equilibrium(fibres: Fibres, name: str, rate: str) -> Expression:
     """Write the equation of a muscle with an elastic tendon, of a name, over quantities of a motion."""
     own: Mapping[str, Expression] = {"length": Name(f"length_{name}"), "rate": Name(f"rate_{name}")}
     fibre, cosine = (substitute(parse(text), own) for text in (fibres.fibre, fibres.cosine))
-    more = {"fibre_length": fibre, "fibre_cosine": cosine, "tendon_force_rate": Name(rate)}
+    more = {"fibre_length": fibre, "fibre_cosine": cosine, "tendon_state_rate": Name(rate)}
     return substitute(parse(fibres.equilibrium), {**own, **more})
 
 
@@ -132,7 +132,7 @@ def _list_muscles(plant: Plant, blame: Blame) -> Iterator[_Muscle]:
     for element, name in zip(elements, spell([x.name for x in elements]), strict=True):
         fibres = element.muscle
         assert fibres is not None, "it is a muscle"
-        activation, tendon = parse(fibres.activation), parse(fibres.tendon_force) if fibres.tendon_force else None
+        activation, tendon = parse(fibres.activation), parse(fibres.tendon_state) if fibres.tendon_state else None
         if name is None or not isinstance(activation, Name) or not isinstance(tendon, Name | None):
             finding = f"the activation of {element.name} is no signal" if name else f"{element.name} has no name here"
             blame(("muscles",), finding, "give states and controls of all muscles yourself")
