@@ -19,7 +19,7 @@ import numpy as np
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
 from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation, evaluate, is_free_name, spell
-from mbsgen.importing.closing import Closing, Closure, Equation, Rule
+from mbsgen.importing.closing import Closing, Closure, Equation, Rule, Spot, Term
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_triple
@@ -47,6 +47,8 @@ from mbsgen.model.model import (
     LoopEnd,
     Model,
     PathPoint,
+    Placement,
+    Stop,
     Stops,
     Triple,
     Visual,
@@ -55,6 +57,7 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.orientations import turn
+from mbsgen.model.quantities import find_moving, list_poses, name_lengths
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
 
@@ -63,7 +66,7 @@ TOLERANCE = 1e-9  # of the largest moment: rounding of a file's digits in an ine
 SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a point
 AGREED = 1e-6  # rad or m: the digits with which joints are held
 GROSS = 0.5  # of the largest moment of bodies fixed together: beyond this, results mean little
-
+_LENGTH = "length of "  # begins the names of lines among those of joints
 
 Mimic = Literal["couple", "free", "lock"]
 
@@ -219,6 +222,14 @@ def damp(moves: Sequence[Move], damping: float) -> list[Move]:
     ]
 
 
+@dataclass(frozen=True)
+class Reach:
+    """A sum of coordinates, by the joints of the file, and of lengths of lines over divisors."""
+
+    terms: tuple[tuple[str, float], ...]
+    lines: tuple[tuple[float, tuple[Spot, ...]], ...] = ()
+
+
 @dataclass
 class Draft:
     """A model under construction, and the source of each part."""
@@ -238,6 +249,7 @@ class Draft:
     _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
     _forces: list[tuple[ForceElement, Element]] = field(default_factory=list)
+    _reaches: list[tuple[Stop, Reach, tuple[str, ...], Element]] = field(default_factory=list)
     _signals: list[str] = field(default_factory=list)
     _labels: dict[str, str] = field(default_factory=dict)  # name in the model -> in the file, of sensors and forces
     _equations: list[Equation] = field(default_factory=list)  # of the model
@@ -314,6 +326,38 @@ class Draft:
         self._forces.append((element, source))
         self._signals += signals
 
+    def add_stops(self, name: str, reach: Reach, limits: tuple[float, float], source: Element) -> None:
+        """Add stops at the limits of a number, with the restitution of the choices."""
+        assert self.choices.stops is not None, "the choices ask for stops"
+        lines = []
+        for k, (_, points) in enumerate(reach.lines, 1):
+            own = self._choose_name("force", f"{name}.line" if len(reach.lines) == 1 else f"{name}.line{k}", source)
+            first, *via, last = (PathPoint(x.body, Placement(write_triple(x.pose.position))) for x in points)
+            self._forces.append((ForceElement(own, first, last, via=tuple(via)), source))
+            lines.append(own)
+        own = self._choose_name("force", name, source)
+        lower, upper = map(Number, limits)
+        stop = Stop(own, ZERO, lower, upper, Stops(Number(self.choices.stops)))
+        self._reaches.append((stop, reach, tuple(lines), source))
+
+    def _write_stops(self, model: Model) -> Model:
+        """Write the numbers that stops limit, in the names of the model; leave out those that do not change."""
+        called = {x.source: name for name, x in list_poses(model).items()}
+        called = {file: called[own] for file, own in self._called.items() if own in called}
+        called |= {_LENGTH + own: name for name, own in name_lengths([x.name for x in model.forces]).items()}
+        held, carriers, kept = dict(self.choices.locked), find_carriers(model), []
+        for stop, reach, lines, source in self._reaches:
+            terms = [Term(name, factor) for name, factor in reach.terms if factor]
+            terms += [Term(_LENGTH + own, 1 / x) for own, (x, _) in zip(lines, reach.lines, strict=True)]
+            known = tuple(x for x in terms if x.joint in held or x.joint in called)
+            left = Equation(stop.name, known, 0.0, source).hold(held)
+            quantity = left.write(called) if left.terms else ZERO
+            if find_moving(quantity, model, carriers):
+                kept.append(replace(stop, quantity=quantity))
+            else:
+                self.findings.tell(source, "what its range limits does not change: left out")
+        return replace(model, stops=tuple(kept))
+
     def find_joint(self, name: str) -> str:
         """Return the name in the model of a joint of the file."""
         return self._called.get(name, name)
@@ -346,7 +390,7 @@ class Draft:
             signals=tuple(dict.fromkeys(self._signals)),
             allow_unphysical=not allowed,
         )
-        model = self._damp_balls(self._close(self._drop_idle(model)))
+        model = self._write_stops(self._damp_balls(self._close(self._drop_idle(model))))
         self._check_model(model, root)
         self._tell_fixed(model)
         self._tell_angles()

@@ -48,6 +48,7 @@ from mbsgen.importing.mjcf.meshes import Meshes
 from mbsgen.importing.mjcf.reference import Degree, Reference
 from mbsgen.importing.mjcf.schema import review
 from mbsgen.importing.mjcf.settings import read_limits, read_settings
+from mbsgen.importing.mjcf.tendons import Tendons, list_passed_sites
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
 from mbsgen.importing.solids import NOTHING, Solid, add
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Law, Visual
@@ -60,7 +61,7 @@ KINDS = ("hinge", "slide", "ball", "free")
 SCALES = ("scale", "scaling", "massscale")  # of a frame
 SAVE = "save the compiled model (mujoco.mj_saveLastXML), and import that"
 COPIES = ("composite", "flexcomp", "replicate", "attach", "plugin")  # elements that make bodies from other text
-ALTERING = ("tendon", "deformable", "extension")  # sections that act on bodies
+ALTERING = ("deformable", "extension")  # sections that act on bodies
 INERTIAL = 'give the body an <inertial>; MuJoCo saves one with <compiler saveinertial="true"/>'
 MARKS = frozenset(  # elements without mass and force, or read elsewhere
     ["inertial", "joint", "freejoint", "geom", "site", "body", "frame", "camera", "light"]
@@ -122,7 +123,7 @@ class _Scene:
         self._scale = 1.0
         self._skipped: Counter[str] = Counter()
         self._register = Register()
-        self._used_sites = {*choices.sensors, *list_sites(root)}
+        self._used_sites = {*choices.sensors, *list_sites(root), *list_passed_sites(root)}
         self._assets = read_assets(root, self._settings.compiler, self._defaults, Findings(root.file))
         self._meshes = Meshes(self._assets, self._settings.compiler, root, choices.root, findings)
         self._springs = springs  # by the identities of joints; None: nothing determines it
@@ -147,6 +148,10 @@ class _Scene:
             self._findings,
             are_disabled=self._settings.lacks("equality"),
         )
+        tendons = Tendons(self._register, self._draft, self._defaults, self._settings, self._findings)
+        for section in self._root.all("tendon"):
+            for element in section.children:
+                tendons.read(element)
         self._tell_sections()
         self._draft.warn_of_limits()
         return self._draft.finish(self._root.attributes.get("model", "scene"), self._settings.gravity, self._root)
