@@ -125,6 +125,7 @@ class RigidPoint(_Entry):
     restitution: float
     coefficient: float  # of dry friction
     is_stop: bool = False  # at a limit of a number, which has no place
+    hold: float = 0.0  # of a stop: the largest pull that it bears
 
 
 class Coordinate(_Entry):

@@ -376,8 +376,10 @@ def identify_mechanism(model: Model) -> str:
 
 
 def _describe_rigid(name: str, point: Rigid | Barrier) -> RigidPoint:
-    law = {"restitution": point.restitution, "coefficient": point.coefficient}
-    return RigidPoint(name=name, **law, is_stop=isinstance(point, Barrier))
+    is_stop, hold = (True, point.hold) if isinstance(point, Barrier) else (False, 0.0)
+    return RigidPoint(
+        name=name, restitution=point.restitution, coefficient=point.coefficient, is_stop=is_stop, hold=hold
+    )
 
 
 def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:

@@ -66,7 +66,7 @@ TOLERANCE = 1e-9  # of the largest moment: rounding of a file's digits in an ine
 SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a point
 AGREED = 1e-6  # rad or m: the digits with which joints are held
 GROSS = 0.5  # of the largest moment of bodies fixed together: beyond this, results mean little
-_LENGTH = "length of "  # begins the names of lines among those of joints
+_LENGTH = "length of "  # and the name of a line: its key beside the names of joints
 
 Mimic = Literal["couple", "free", "lock"]
 
@@ -341,7 +341,7 @@ class Draft:
         self._reaches.append((stop, reach, tuple(lines), source))
 
     def _write_stops(self, model: Model) -> Model:
-        """Write the numbers that stops limit, in the names of the model; leave out those that do not change."""
+        """Write the numbers that stops limit, in the names of the model; leave out numbers that do not change."""
         called = {x.source: name for name, x in list_poses(model).items()}
         called = {file: called[own] for file, own in self._called.items() if own in called}
         called |= {_LENGTH + own: name for name, own in name_lengths([x.name for x in model.forces]).items()}

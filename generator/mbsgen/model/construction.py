@@ -330,13 +330,14 @@ def contact(
     return Contact(*body_part, other, *law, circle, tyre)
 
 
-def stop(name: str, quantity: Quantity, limits: Limits, **law: Quantity) -> Stop:
+def stop(name: str, quantity: Quantity, limits: Limits, *, hold: Quantity = 0.0, **law: Quantity) -> Stop:
     """Make stops at limits of a number of the pose, such as "q1 - 2*z_tip".
 
-    `law` is the restitution of rigid stops, or the stiffness of compliant ones, and perhaps their dissipation.
+    `law` is the restitution of rigid stops, or the stiffness of compliant ones, and perhaps their dissipation. A rigid
+    stop holds what reaches it against a pull up to `hold`.
     """
     lower, upper = (None if x is None else number(x) for x in limits)
-    return Stop(name, number(quantity), lower, upper, Stops(**_read_keys(law, STOPS)))
+    return Stop(name, number(quantity), lower, upper, Stops(**_read_keys(law, STOPS)), number(hold))
 
 
 def brush(longitudinal: Quantity, lateral: Quantity, friction: Quantity, length: Quantity = 0.0) -> Tyre:

@@ -461,11 +461,16 @@ class Loads:
             self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, add(c, met.arm), *law)))
 
     def add_stop(
-        self, stop: Stop, sights: Sequence[Sight], limits: tuple[Expr | None, Expr | None], restitution: float | None
+        self,
+        stop: Stop,
+        sights: Sequence[Sight],
+        limits: tuple[Expr | None, Expr | None],
+        rigid: tuple[float, float] | None,
     ) -> None:
         """Add stops at limits of a number of the pose: forces of compliant ones, distances of rigid ones.
 
-        `sights` are the numbers that it may read beside lengths; `restitution` is None where the stops are compliant.
+        `sights` are the numbers that it may read beside lengths; `rigid` is the restitution, and the largest pull that
+        the stops bear; None: they are compliant.
         """
         name, lines = stop.name, {key: self._lines[own] for key, own in name_lengths([*self._lines]).items()}
         read = {key: line for key, line in lines.items() if key in names(stop.quantity)}
@@ -497,12 +502,12 @@ class Loads:
                 continue
             own = f"{name}.{key}"
             gap, away = self._note(own, "gap", way * (value - limit)), self._note(own, "rate", way * rate)
-            if restitution is None:
+            if rigid is None:
                 given = {"depth": -gap, "speed": -away}
                 push(way * self._note(own, "force", self._read(press(stop.law, Name("depth"), Name("speed")), given)))
             else:
                 wrenches, joints = self._collect(partial(push, Integer(way)))
-                self.distances.append(Distance(own, gap, Barrier(wrenches, joints, away, elements, restitution)))
+                self.distances.append(Distance(own, gap, Barrier(wrenches, joints, away, elements, *rigid)))
 
     def _collect(self, act: Callable[[], None]) -> tuple[tuple[Wrench, ...], tuple[tuple[str, Expr], ...]]:
         """Return the wrenches and forces in joints that a function adds, instead of adding them."""

@@ -496,6 +496,7 @@ class Stop:
     lower: Expression | None  # None: no stop there
     upper: Expression | None
     law: Stops
+    hold: Expression = ZERO  # of rigid ones: the largest pull that does not take the number away again
 
 
 @dataclass(frozen=True)

@@ -316,6 +316,7 @@ class Barrier:
     rate: Symbol  # of the number over time
     elements: tuple[str, ...]  # the force elements whose lengths it reads
     restitution: float
+    hold: float = 0.0  # the largest pull that it bears
     coefficient: float = 0.0  # of friction, which a stop does not have
 
 

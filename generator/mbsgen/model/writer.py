@@ -303,7 +303,8 @@ def _write_muscle(muscle: Muscle) -> Mapped:
 
 def _write_stop(stop: Stop) -> Mapped:
     quantity, limits = _write_number(stop.quantity), _write_limits(stop)
-    return {"name": _quote(stop.name), "quantity": quantity, "limits": limits} | _write_given(stop.law, STOPS)
+    named: Mapped = {"name": _quote(stop.name), "quantity": quantity, "limits": limits}
+    return named | _write_given(stop.law, STOPS) | _write_numbers(stop, ("hold",))
 
 
 def _write_contact(contact: Contact) -> Mapped:

@@ -1,4 +1,4 @@
-"""Ranges of MuJoCo's tendons as stops: their numbers are MuJoCo's lengths; what is left out is told."""
+"""Ranges of MuJoCo's tendons as stops: their numbers are MuJoCo's lengths; warnings name the rest."""
 
 from __future__ import annotations
 

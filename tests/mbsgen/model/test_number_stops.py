@@ -52,7 +52,7 @@ stops:
   - {name: tight, quantity: length_rope, limits: [null, l], restitution: 0.3}
   - {name: gear, quantity: q_arm - 2*q_fore**2 + q_twin, limits: [-1, 2], restitution: 0.5}
   - {name: ring, quantity: sqrt(x_tip**2 + y_tip**2 + z_tip**2), limits: [0.2, 1.5], stiffness: k, dissipation: 0.3}
-  - {name: sum, quantity: length_cord - z_tip, limits: [0, 9], restitution: 0}
+  - {name: sum, quantity: length_cord - z_tip, limits: [0, 9], restitution: 0, hold: 3}
 """
 GEAR = "quantity: q_arm - 2*q_fore**2 + q_twin, "
 
@@ -72,6 +72,9 @@ BAD: dict[str, tuple[str, str, str, str]] = {
     "a name twice": ("name: gear", "name: sum", "stops[3].name", "taken"),
     "the name of a force": ("name: gear", "name: rope", "stops[1].name", "taken"),
     "no stiffness": ("stiffness: k", "stiffness: 0*k", "stops[2].stiffness", "found 0"),
+    "a negative hold": ("hold: 3", "hold: -3", "stops[3].hold", "found -3"),
+    "a latch that rebounds": ("restitution: 0.5", "restitution: 0.5, hold: 1", "stops[1].hold", "rebounds"),
+    "a compliant latch": ("dissipation: 0.3", "dissipation: 0.3, hold: 1", "stops[2].hold", "not rigid"),
     "an idle rope": ("length_rope", "length_cord", "forces[0]", "without force"),
 }
 

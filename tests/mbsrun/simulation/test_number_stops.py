@@ -13,6 +13,7 @@ from mbsrun import Mechanism, load
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
+from mbsrun.simulation.integration.methods import find_refusals
 from mbsrun.simulation.simulate import InsideError
 
 Array = NDArray[np.float64]
@@ -87,6 +88,51 @@ def test_a_number_bounces_to_rest_on_another_that_holds(make: Make) -> None:
     (rest,) = (x.time for x in motion.events if x.joint == "lid.lower" and x.kind is Kind.REST)
     assert rest == pytest.approx(3 * t0, abs=1e-8)
     assert motion["normal_floor_lower"][-1] == pytest.approx((2 + 2 * 3) * G, rel=1e-12)
+
+
+FLYWHEELS = """
+name: flywheels
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, joint: {type: revolute, axis: z, actuated: false}, mass: 1, inertia: [0.3, 0.3, 0.3]}
+  - {name: b, joint: {type: revolute, axis: z, actuated: false, force: 8*t}, mass: 1, inertia: [0.5, 0.5, 0.5]}
+stops:
+  - {name: dog, quantity: q_b - q_a, limits: [0, null], restitution: 0, hold: 2}
+"""
+
+
+def test_two_flywheels_engage_and_part_under_a_load(make: Make) -> None:
+    """The impact keeps the angular momentum; the latch bears 0.3/0.8 of the torque 8 t, which is 2 at t = 2/3."""
+    wheels = make(FLYWHEELS)
+    motion = simulate(wheels, hold([]), [0, 1], [4, 1], Settings(1.0, **TIGHT))
+    engaged = min(x.real for x in np.roots([8 / 3, 0, -3, 1]) if x.real > 0)  # of the difference 1 - 3 t + 8 t^3/3
+    names = [(x.joint, x.kind) for x in motion.events]
+    assert names == [("dog.lower", kind) for kind in (Kind.IMPACT, Kind.REST, Kind.LEAVE)]
+    assert [x.time for x in motion.events] == pytest.approx([engaged, engaged, 2 / 3], abs=1e-12)
+    common = (1.7 + 4 * (2 / 3) ** 2) / 0.8
+    assert motion.qd[-1] == pytest.approx([common, common + 8 * (1 - 4 / 9)], rel=1e-12)
+    slip = 4 - (1 + 8 * engaged**2)
+    assert motion.energy is not None
+    assert motion.energy.impacts is not None
+    assert motion.energy.impacts[-1] == pytest.approx(0.5 * 0.15 / 0.8 * slip**2, rel=1e-12)
+    assert np.abs(motion.energy.drift).max() < 1e-11
+    together = (motion.t > engaged + 1e-3) & (motion.t < 2 / 3)
+    assert motion["normal_dog_lower"][together] == pytest.approx(-3 * motion.t[together], rel=1e-12)
+    assert np.abs(motion["gap_dog_lower"][together]).max() < 1e-14
+
+
+def test_a_latch_that_bears_too_little_does_not_engage(make: Make) -> None:
+    """At the impact the torque already pulls with 0.3/0.8 8 t > 0.5; the wheels part at once, at one speed."""
+    wheels = make(FLYWHEELS.replace("hold: 2", "hold: 0.5"))
+    motion = simulate(wheels, hold([]), [0, 1], [4, 1], Settings(0.5, **TIGHT))
+    assert [x.kind for x in motion.events] == [Kind.IMPACT]
+    assert motion["normal_dog_lower"].max() == motion["normal_dog_lower"].min() == 0
+    assert motion["gap_dog_lower"][-1] > 0
+
+
+def test_time_stepping_refuses_latches(make: Make) -> None:
+    refusals = [*find_refusals(Settings(1.0, "moreau"), make(FLYWHEELS).manifest)]
+    assert [(key, "takes no stops that hold" in finding) for key, finding, _ in refusals] == [("method", True)]
 
 
 def test_billiards_in_an_ellipse_keep_the_product_of_angular_momenta_about_the_foci(make: Make) -> None:

@@ -42,7 +42,7 @@ class Tendons:
     findings: Findings
 
     def read(self, element: Element) -> None:
-        """Read a tendon; warn of what it does that a model does not have."""
+        """Read a tendon; warn of its springs, dampers and friction."""
         attributes = self.defaults.resolve(element, MAIN, "tendon")
         limits = read_limits(element, attributes, "range", "limited", self.settings, self.findings)
         known = {"fixed": self._sum, "spatial": self._measure}

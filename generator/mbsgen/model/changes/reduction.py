@@ -564,7 +564,8 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
     sights = [_make_sight(x, frames, anchor) for key, x in known.items() if key in read]
     for stop in description.stops:
         lower, upper = (None if x is None else reader.number(x) for x in (stop.lower, stop.upper))
-        loads.add_stop(stop, sights, (lower, upper), reader.limit(stop.law.restitution))
+        bounce, hold = reader.limit(stop.law.restitution), reader.constant(stop.hold)
+        loads.add_stop(stop, sights, (lower, upper), None if bounce is None else (bounce, hold))
     return loads
 
 

@@ -328,7 +328,14 @@ class _Release:
             x and self._number(f"{path}.{key}", x) for key, x in (("lower", stop.lower), ("upper", stop.upper))
         )
         quantity = replace_counted(stop.quantity, path, self._number)
-        return replace(stop, quantity=quantity, lower=lower, upper=upper, law=self._law_of_stops(stop.law, path))
+        return replace(
+            stop,
+            quantity=quantity,
+            lower=lower,
+            upper=upper,
+            law=self._law_of_stops(stop.law, path),
+            hold=self._keep(stop.hold) or ZERO,
+        )
 
     def _tyre(self, path: str, tyre: Tyre) -> Tyre:
         """Release the numbers of a brush, and the factors of a Magic Formula; its other coefficients stay."""

@@ -83,6 +83,12 @@ def _check_law(place: Place, stops: Stops, valuation: Valuation) -> Iterator[Fin
 def _check_stop(place: Place, stop: Stop, known: State, valuation: Valuation, state: State) -> Iterator[Finding]:
     """Find what is wrong with stops at limits of a number of the pose; `known` are the numbers that it may read."""
     yield from _check_law(place, stop.law, valuation)
+    hold = valuation.constant((*place, "hold"), stop.hold)
+    if hold < 0:
+        yield Finding((*place, "hold"), f"found {hold:g}", "give 0 or more")
+    if hold > 0 and stop.law.restitution != ZERO:
+        remedy = "give restitution: 0: a latch holds no number that rebounds"
+        yield Finding((*place, "hold"), "a latch that is not rigid, or rebounds", remedy)
     at = (*place, "quantity")
     for name in sorted(names(stop.quantity) & (state.keys() - known.keys()) - valuation.names):
         remedy = "use q_NAME of joints, x_, y_, z_NAME of frames, length_NAME of forces, and parameters"

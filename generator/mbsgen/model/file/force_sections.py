@@ -315,10 +315,14 @@ class StopSection(Section):
         ZERO, examples=[0.0], description="of compliant stops: Hunt and Crossley's factor of the speed, s/m or s/rad"
     )
 
+    hold: NumberField = Field(
+        ZERO, examples=[0.0], description="of rigid stops without a restitution: a latch that bears a pull up to this"
+    )
+
     def make(self) -> Stop:
         """Make the part of a Model."""
         law = Stops(self.restitution, self.stiffness, self.dissipation)
-        return Stop(self.name, self.quantity, *self.limits, law)
+        return Stop(self.name, self.quantity, *self.limits, law, self.hold)
 
 
 class GripSection(Section):

@@ -107,6 +107,7 @@ class Contacts:
         self.names = [point.name for point in points]
         self.restitution = np.array([point.restitution for point in points])
         self.coefficient = np.array([point.coefficient for point in points])
+        self.hold = np.array([point.hold for point in points])  # the pulls that latches bear
 
     def touch(self, q: Array, qd: Array) -> Touch:
         """Describe the points in states (K, nq), (K, n)."""
@@ -202,14 +203,16 @@ class Search:
         slipping: Sequence[int],
         released: Collection[int] = (),
         goal: Array | None = None,
+        held: Collection[int] = (),
     ) -> None:
         """Take a state (K = 1), with M and the accelerations or velocities without contacts.
 
         `near` points touch, `slipping` ones among them slip, and `released` ones are no longer held as they were;
-        `goal` as in `Contacts.load`.
+        `goal` as in `Contacts.load`. Latches keep `held` points closed, whatever pulls.
         """
         self.contacts, self.touch, (self.M, self.free) = contacts, touch, inertia
         self.near, self.slipping, self.released, self.goal = near, slipping, released, goal
+        self.held = held
 
     def find(self) -> tuple[Mode, Loads]:
         """Return a mode and its loads. Raises ParadoxError."""
@@ -238,6 +241,8 @@ class Search:
         options = [
             (State.OPEN,)
             if k not in self.near
+            else (State.SLIP,)
+            if k in self.held
             else (State.SLIP, State.OPEN)
             if (k in self.slipping and self.goal is None) or self.contacts.coefficient[k] == 0
             else (State.STICK, State.SLIP, State.OPEN)
@@ -332,6 +337,7 @@ class Search:
             most = mu * N * (1 + room * NEAR) + 1e-3 * least
             breaks = state == State.STICK and most < T
             turns_back = k in turning and across[k] @ mode.ways[k] < -NEAR * reach[k]
-            if room * least + N < 0 or breaks or turns_back:
+            pulls = room * least + N < 0 and k not in self.held
+            if pulls or breaks or turns_back:
                 return False
         return True

@@ -140,6 +140,9 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
     method = METHODS[settings.method]
     if manifest.rigid and method.stability is not None:
         yield from _refuse_contacts(settings, manifest)
+    elif latches := [point.name for point in manifest.rigid if point.hold > 0]:
+        finding = f"{settings.method} takes no stops that hold, which the model has: {latches[0]}"
+        yield "method", finding, "give dop853, or leave hold out"
     elif manifest.rigid and not method.strikes:
         finding = f"{settings.method} takes no rigid contacts, which the model has: {manifest.rigid[0].name}"
         yield "method", finding, "give moreau or dop853; or give contacts a stiffness in place of a restitution"

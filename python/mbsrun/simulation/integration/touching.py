@@ -86,6 +86,7 @@ class _Course(Course):
         self.E = np.array(pair.E, dtype=np.float64)
         self.mode: Mode | None = None
         self.released: set[int] = set()
+        self.torn: set[int] = set()  # points that latches no longer hold
         self.turned: set[int] = set()  # points whose slip has just turned round
         self.length = 0.0  # of the next step; 0: not known
         self.fastest = 0.0
@@ -117,7 +118,7 @@ class _Course(Course):
             told = {event.joint for event in events if event.kind is Kind.REST}
             events += [x for x in self.compare(time, touch, mode) if not (x.kind is Kind.REST and x.joint in told)]
         self.mode, self.passed = mode, (*self.passed, *events)
-        self.released, self.turned = set(), set()
+        self.released, self.turned, self.torn = set(), set(), set()
         return q, qd
 
     def place(self, q: Array, closed: list[int]) -> Array:
@@ -167,7 +168,8 @@ class _Course(Course):
             inertia = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])
             found = self.contacts.touch(q[None], after[None])
             rest = [k for k in points if rebound[k] <= STILL * self.fastest]  # they hold while others rebound
-            qdd = Search(self.contacts, found, inertia, rest, self.find_slipping(found, rest)).find()[1].qdd[0]
+            slipping, held = self.find_slipping(found, rest), self.find_held(rest)
+            qdd = Search(self.contacts, found, inertia, rest, slipping, held=held).find()[1].qdd[0]
             fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], qdd) + found.pull[0]
             for k in rebounding:
                 if fall[k] < 0 and rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
@@ -190,7 +192,8 @@ class _Course(Course):
         """Return the velocities after an impact, and its impulses."""
         slipping = self.find_slipping(touch, points)
         goal = (-restitution * speed)[None]
-        loads = Search(self.contacts, touch, (M[None], qd[None]), points, slipping, goal=goal).find()[1]
+        held, inertia = self.find_held(points), (M[None], qd[None])
+        loads = Search(self.contacts, touch, inertia, points, slipping, goal=goal, held=held).find()[1]
         return loads.qdd[0], loads
 
     def decide(self, time: float, piece: Piece, q: Array, qd: Array, points: list[int]) -> Mode:
@@ -198,10 +201,20 @@ class _Course(Course):
         touch = self.contacts.touch(q[None], qd[None])
         inertia = self.contacts.find_free(q[None], qd[None], piece.at(time, q, qd)[None])
         slipping = self.find_slipping(touch, points)
-        mode = Search(self.contacts, touch, inertia, points, slipping, self.released).find()[0]
+        while True:
+            held = self.find_held(points)
+            mode, loads = Search(self.contacts, touch, inertia, points, slipping, self.released, held=held).find()
+            torn = {k for k in held if loads.normal[0, k] < -self.contacts.hold[k]}
+            if not torn:
+                break
+            self.torn |= torn
         rows = self.list_rows(touch, mode)
         is_locked = bool(rows) and np.linalg.matrix_rank(np.array(rows), tol=1e-9) == self.dynamics.size
         return replace(mode, is_locked=is_locked)
+
+    def find_held(self, points: list[int]) -> set[int]:
+        """List the points that latches hold."""
+        return {k for k in points if self.contacts.hold[k] > 0} - self.torn
 
     def find_slipping(self, touch: Touch, points: list[int]) -> list[int]:
         """List the points that slip."""
@@ -365,7 +378,7 @@ class _Course(Course):
                 case Bound.SLIP:
                     columns.append(touch.slip[:, k] @ mode.ways[k])
                 case Bound.PRESS:
-                    columns.append(loads.normal[:, k] + slack)
+                    columns.append(loads.normal[:, k] + self.contacts.hold[k] + slack)
                 case Bound.HOLD:
                     most = self.contacts.coefficient[k] * loads.normal[:, k] + slack
                     columns.append(most - np.linalg.norm(loads.friction[:, k], axis=1))
@@ -391,6 +404,7 @@ class _Course(Course):
         at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
         near = [j for end, j in ends if end <= length * (1 + 1e-12) or at[j] <= 0]
         self.released = {guards[j].point for j in near}
+        self.torn = {guards[j].point for j in near if guards[j].bound is Bound.PRESS}
         self.turned = {guards[j].point for j in near if guards[j].bound is Bound.SLIP}
         return length, state
 
