@@ -140,7 +140,8 @@ def test_what_further_tests_execute_is_added_to_what_is_known() -> None:
 def test_tokens_of_comments_strings_and_imports_stay(tmp_path: Path) -> None:
     texts = {
         "a.c": '#define A (1 < 2)\n/* a < b */ const char *s = "x + 1"; // 2 > 1\nint f(int a) { return a < 3; }\n',
-        "a.py": "from a import b  # 1 < 2\nWORD = '1 + 1'\n\ndef f(*a):\n    return [c < 3 for *_, c in a]\n",
+        "a.py": "from a import b  # 1 < 2\nX = F('1 + 1', examples=[[-1, 2]])\n"
+        "def f(*a):\n    return [b < 3 for *_, b in a]\n",
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text, encoding="utf-8")

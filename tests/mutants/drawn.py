@@ -1,8 +1,8 @@
 """Faults drawn by machine: operators, comparisons, constants and branches of a source file, changed one at a time.
 
-A seed decides which; `sights` says which tests execute the function of a change. Comments, strings, lines of imports
-and assertions of `zip` are left alone. A change that leaves the meaning as it is may survive: such faults, once judged,
-stand in `equivalent.toml`.
+A seed decides which; `sights` says which tests execute the function of a change. Comments, strings, lines of imports,
+assertions of `zip` and examples of keys are left alone. A change that leaves the meaning as it is may survive: such
+faults, once judged, stand in `equivalent.toml`.
 """
 
 from __future__ import annotations
@@ -108,6 +108,8 @@ def _read_python(text: str) -> Iterator[tuple[int, str]]:
             continue  # of arguments, not a product
         if (ahead, last) == ("strict", "="):
             continue  # of zip: an assertion
+        if 0 <= token.line.find("examples=[") < token.start[1]:
+            continue  # of a key in the description of files
         is_number = token.type == tokenize.NUMBER and re.fullmatch(r"[\d.]+(?:[eE][-+]?\d+)?", token.string)
         if is_number or (token.string in SWAPS and token.type in (tokenize.OP, tokenize.NAME)):
             yield begins[token.start[0] - 1] + token.start[1], token.string

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 
@@ -244,3 +246,58 @@ def test_undetermined_directions() -> None:
     assert find_undetermined(J, H).tolist() == [True, True, True]
     assert find_undetermined(J, np.array([[1.0, 0, 0]])).tolist() == [False, False, True]
     assert find_undetermined(np.zeros((0, 2)), np.zeros((0, 2))).tolist() == [True, True]
+
+
+def test_frames_need_few_steps(arm: Mechanism, recording: Recording) -> None:
+    """Gauss-Newton's steps are damped only where they do not lower the sum: some five from the frame before."""
+    targets = aim(recording, count=12)
+    fitter = Fitter(arm, targets)
+    q, is_done = fitter.start(0)
+    assert is_done
+    fitter.iterations = 0
+    for k in range(1, 12):
+        q, is_done = fitter.solve(k, q)
+        assert is_done
+    assert fitter.iterations <= 6 * 11
+    fitter.iterations = 0
+    poses = np.array([q] * 12)
+    assert fitter.solve_all(poses, 1e-6)[1]
+    assert fitter.iterations <= 8 * 12
+
+
+def test_damping_does_not_grow_where_steps_are_good(arm: Mechanism, recording: Recording) -> None:
+    """Markers far from where sensors can be need many undamped steps, of a frame and of all together."""
+    targets = aim(recording, count=3)
+    fitter = Fitter(arm, replace(targets, markers=0.5 * targets.markers))
+    q, is_done = fitter.solve(0, np.array([0.5, 0.5]))
+    assert is_done
+    assert fitter.iterations > 15
+    sums = fitter.evaluate(0, q)
+    assert np.abs(sums.J.T @ sums.r).max() < 1e-8
+    fitter.iterations = 0
+    every, is_done = fitter.solve_all(np.full((3, 2), 0.5), 1e-14)
+    assert is_done
+    assert fitter.iterations > 3 * 15
+    assert every[0] == pytest.approx(q, abs=1e-5)
+
+
+def test_steps_of_sparse_programs_are_those_of_full_ones(rng: np.random.Generator) -> None:
+    """With limits that act, limits on one side, and entries that cannot move."""
+    for _ in range(20):
+        n = 5
+        root = rng.standard_normal((n, n))
+        A, g, H = root @ root.T + 0.1 * np.eye(n), 5 * rng.standard_normal(n), rng.standard_normal((1, n))
+        lower, upper = -rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, n)
+        upper[0], lower[1], lower[2], upper[2] = np.inf, -np.inf, 0.0, 0.0
+        h = -H @ np.array([0.05, -0.05, 0.0, 0.05, 0.0])
+        full = solve_step(A, g, H, h, lower, upper)
+        thin = solve_step(sparse.csc_array(A), g, sparse.csc_array(H), h, lower, upper)
+        for a, b in zip(full, thin, strict=True):
+            assert a == pytest.approx(b, rel=1e-8, abs=1e-9)
+        d, multipliers = full
+        slope = A @ d + g + H.T @ multipliers
+        assert d[2] == 0
+        assert np.abs(H @ d + h).max() < 1e-9
+        for k in (0, 1, 3, 4):
+            at_low, at_high = d[k] < lower[k] + 1e-9, d[k] > upper[k] - 1e-9
+            assert slope[k] > -1e-7 if at_low else slope[k] < 1e-7 if at_high else abs(slope[k]) < 1e-7

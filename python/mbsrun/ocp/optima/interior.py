@@ -23,13 +23,13 @@ from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.status import DEPENDENT, NOT_CONVERGED
 from mbsrun.ocp.optima.symmetric import Factors
 
-FIRST, LAST = 1e-9, 1e-18  # mu, of numbers divided by their sizes
+FIRST, LAST = 1e-9, 1e-20  # mu, of numbers divided by their sizes
 BOUNDARY = 0.995  # part of the way to a limit
-ENDED = 1e-9  # a step after which the last mu is reached
+ENDED = 1e-10  # a step after which the last mu is reached
 FAR = 1e3  # a distance from the first point, over the size of a variable, from which nothing comes back
 SHORTEST = 1e-12  # first distance of a limit that is met, over the size
 LONG, HALF = 0.9, 0.5  # lengths of steps after which the method may end, and mu becomes smaller
-ROUNDS = 25
+ROUNDS = 40
 
 Pair = tuple[Array, Array]
 
@@ -122,12 +122,12 @@ class _State:
     """An iterate, with its step."""
 
     def __init__(self, task: Task, x: Array, lam: Array, at: tuple[Array, Array, Matrix]) -> None:
-        self.task, self.x, self.lam = task, x, lam
+        limited = np.isfinite(task.ranges[0]) | np.isfinite(task.ranges[1])
+        self.task, self.x, self.lam = task, x, np.where(limited, lam, 0.0)
         self.g, self.c, self.J = at[0], at[1], sparse.csr_array(at[2])
         self.movable = np.flatnonzero(task.bounds[0] < task.bounds[1])
         self.equal = task.ranges[0] == task.ranges[1]
         self.scale = float(np.abs(self.c).max(initial=0.0)) or 1.0
-        limited = np.isfinite(task.ranges[0]) | np.isfinite(task.ranges[1])
         read = np.asarray(abs(self.J[:, self.movable]).max(axis=1).toarray()).ravel() > 0
         self.rows = np.flatnonzero(limited & read)
         self.sides: list[Side] = []
