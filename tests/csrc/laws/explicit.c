@@ -581,6 +581,7 @@ static void series(void)
     static const casadi_real outputs[4] = {0.5, 1, 1 + 1e-12, 3};
     const mbs_parameters set = {numbers_of, 1, 1, push};
     mbs_series wanted;
+    casadi_int *integers;
     int status[2], k, i;
     prepare_steps(0);
     memset(&wanted, 0, sizeof wanted), memset(kept, 0, sizeof kept);
@@ -590,7 +591,8 @@ static void series(void)
         lengths[k] = 1.0 / 3, kept[k][0] = 10 + k;
     free(room);
     room = calloc((size_t)mbs_explicit_reals(&plant, 2), sizeof *room);
-    mbs_explicit_series(&plant, &manner, &wanted, 0, 2, kept[0], lengths, times, states, room, numbers, status);
+    integers = calloc((size_t)mbs_explicit_integers(&plant), sizeof *integers);
+    mbs_explicit_series(&plant, &manner, &wanted, 0, 2, kept[0], lengths, times, states, room, integers, status);
     for (k = 0; k < 2; ++k) {
         LAW("each motion of a series has its own status", status[k] == 0);
         for (i = 0; i < 4; ++i) {
@@ -601,8 +603,9 @@ static void series(void)
     }
     LAW("a motion ends exactly", fabs(kept[0][16] - 5.5) < 1e-12);
     wanted.most = 1, lengths[0] = lengths[1] = 0.01;
-    mbs_explicit_series(&plant, &manner, &wanted, 1, 2, kept[0], lengths, times, states, room, numbers, status);
+    mbs_explicit_series(&plant, &manner, &wanted, 1, 2, kept[0], lengths, times, states, room, integers, status);
     LAW("a motion of too many steps ends", status[0] == 0 && status[1] == MBS_LONG);
+    free(integers);
 }
 
 int main(void)
