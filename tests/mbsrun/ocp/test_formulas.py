@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def call(formula: Formula, **values: Array) -> Array:
-    """Evaluate a formula; its names are those of its inputs, parameters and kernels."""
+    """Evaluate a formula; its names belong to inputs, parameters and kernels."""
     known: Mapping[str, float] = {name: float(values[kind][i]) for name, (kind, i) in formula.names.items()}
     return np.array([evaluate(expression, known, FLOATS) for expression in formula.expressions])
 

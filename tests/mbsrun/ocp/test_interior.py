@@ -83,7 +83,7 @@ def test_steps_end_before_the_nearest_limit() -> None:
 
 
 def test_first_distances_and_multipliers_are_positive() -> None:
-    """What is none is small, by the size of a variable and the scale of forces; products are at least mu."""
+    """Where there is none it is small, by the size of a variable and the scale of forces."""
     limited = Limited(np.array([0, 1, 3]), np.array([1.0, 2.0, 3.0]), 1.0)
     values, force = np.array([1.5, 2.0, 9.0, 2.9]), np.array([-4.0, 3.0, 7.0, -1.0])
     side = _begin(values, force, limited, np.array([1.0, 10.0, 1.0, 100.0]), 2.0)
