@@ -98,14 +98,12 @@ class Watch:
         places = np.linspace(0.0, 1.0, SAMPLES + 1)
         k, c = np.repeat(np.arange(N), places.size), np.tile(places, N)
         values = self._evaluate(read(k, c)).reshape(N, places.size, -1)
-        found, excess = [], np.zeros(N)
-        for i, part in enumerate(self.watched):
-            own = values[:, :, i]
-            margin, tolerated = self._find_worst(i, own, places, read)
-            found.append(margin)
-            excess = np.maximum(excess, _measure(own, part.range).max(axis=1) / tolerated)
-            excess[margin.interval] = max(excess[margin.interval], margin.violation / tolerated)
-        return Margins(tuple(found), tuple(np.clip(excess, 0.0, MOST).tolist()))
+        worst = self._find_worst(values, places, read)
+        excess = np.zeros(N)
+        for i, margin in enumerate(worst):
+            excess = np.maximum(excess, _measure(values[:, :, i], margin.range).max(axis=1) / margin.tolerated)
+            excess[margin.interval] = max(excess[margin.interval], margin.violation / margin.tolerated)
+        return Margins(tuple(worst), tuple(np.clip(excess, 0.0, MOST).tolist()))
 
     def _evaluate(self, parts: Parts) -> Array:
         """Return the values (B, watched)."""
@@ -113,20 +111,30 @@ class Watch:
         columns = [next(expressions) if part.expression else parts[part.kind][:, part.index] for part in self.watched]
         return np.stack(columns, axis=1)
 
-    def _find_worst(self, i: int, values: Array, places: Array, read: Read) -> tuple[Margin, float]:
-        """Return the worst place of a number, by ever finer meshes; and the violation that is tolerated."""
-        part = self.watched[i]
-        k, j = np.unravel_index(_measure(values, part.range).argmax(), values.shape)
-        value, c, step = float(values[k, j]), float(places[j]), 1.0 / SAMPLES
-        for _ in range(ZOOMS):
-            mesh = np.clip(c + step * np.linspace(-1.0, 1.0, 2 * SAMPLES + 1), 0.0, 1.0)
-            parts = read(np.full(mesh.size, k), mesh)
-            finer = self._evaluate(parts)[:, i]
-            best = int(_measure(finer, part.range).argmax())
-            value, c, step = float(finer[best]), float(mesh[best]), step / SAMPLES
-        time = float(read(np.array([k]), np.array([c]))["t"][0, 0])
-        tolerated = find_tolerated(part.range, values)
-        return Margin(part.name, value, part.range, time, int(k), tolerated), tolerated
+    def _find_worst(self, values: Array, places: Array, read: Read) -> list[Margin]:
+        """Return the worst place of each number, by ever finer meshes, of values (N, places, watched)."""
+        ranges = [part.range for part in self.watched]
+        own = [values[:, :, i] for i in range(len(ranges))]
+        indices = [np.unravel_index(_measure(x, part).argmax(), x.shape) for x, part in zip(own, ranges, strict=True)]
+        k = np.array([int(index[0]) for index in indices])
+        c, step = places[[int(index[1]) for index in indices]], 1.0 / SAMPLES
+        found = np.array([x[index] for x, index in zip(own, indices, strict=True)])
+        moving = np.flatnonzero([np.ptp(x[i]) > 0 for x, i in zip(own, k.tolist(), strict=True)])
+        for _ in range(ZOOMS if moving.size else 0):
+            mesh = np.clip(c[moving, None] + step * np.linspace(-1.0, 1.0, 2 * SAMPLES + 1), 0.0, 1.0)
+            every = self._evaluate(read(np.repeat(k[moving], mesh.shape[1]), mesh.ravel()))
+            for row, i in enumerate(moving.tolist()):
+                finer = every[row * mesh.shape[1] : (row + 1) * mesh.shape[1], i]
+                best = int(_measure(finer, ranges[i]).argmax())
+                found[i], c[i] = finer[best], mesh[row, best]
+            step /= SAMPLES
+        times = read(k, c)["t"][:, 0]
+        return [
+            Margin(part.name, value, part.range, time, interval, find_tolerated(part.range, x))
+            for part, value, time, interval, x in zip(
+                self.watched, found.tolist(), times.tolist(), k.tolist(), own, strict=True
+            )
+        ]
 
 
 def find_wrong_start(problem: Problem, plant: Plant) -> tuple[str, str] | None:

@@ -216,6 +216,8 @@ class Course:
         is_constant = not (trajectory.point_u.size or trajectory.point_w.size)
 
         def evaluate(times: Array) -> Array:
+            if is_constant:
+                return np.tile(np.hstack([values for values, _ in kinds]), (len(times), 1))
             basis = lagrange(self.nodes, (times - start) / length)
             parts = [basis @ points[k] if points.size else np.tile(values, (len(times), 1)) for values, points in kinds]
             return np.hstack(parts)
@@ -343,11 +345,11 @@ class Replay:
         N, scale = len(self._lengths), LOST * np.maximum(1.0, np.ptp(states, axis=0))
         reached, gaps, lost, own = [states[0]], [0.0], list[float](), 0  # the interval that began at the solution
         for k in range(N):
-            end = self._go_on(k, reached[-1], gaps)
+            end = self._go_on(k, reached[-1], gaps, is_closed=k != own)
             if end is None and k != own:
                 own, reached[-1] = k, states[k]
                 lost.append(float(self._course.trajectory.t[k]))
-                end = self._go_on(k, reached[-1], gaps)
+                end = self._go_on(k, reached[-1], gaps, is_closed=False)
             if end is None:
                 return None
             reached.append(end)
@@ -356,17 +358,22 @@ class Replay:
                 lost.append(float(self._course.trajectory.t[k + 1]))
         return _Through(np.array(reached), max(gaps), tuple(lost))
 
-    def _go_on(self, k: int, state: Array, gaps: list[float]) -> Array | None:
-        """Integrate through an interval; None where that fails. The largest gap of a step is added to `gaps`."""
+    def _go_on(self, k: int, state: Array, gaps: list[float], *, is_closed: bool) -> Array | None:
+        """Integrate through an interval; None where that fails. The largest gap of a step is added to `gaps`.
+
+        The end of the interval before is closed, and has driven joints where they are.
+        """
         if self.stepper is not None:
             with suppress(HaltError, UnevenError):
-                return self._go_on_in_c(self.stepper, k, state, gaps)
+                return self._go_on_in_c(self.stepper, k, state, gaps, is_closed=is_closed)
         inputs, length = self._course.inputs(k), float(self._lengths[k])
         end = integrate(self._plant, state[None], inputs, length, self._allowance, gaps, self._held)
         return None if end is None else end[0]
 
-    def _go_on_in_c(self, stepper: Stepper, k: int, state: Array, gaps: list[float]) -> Array:
-        begin = self._close(self._course.inputs(k), state[None, : self._places])[0]
+    def _go_on_in_c(self, stepper: Stepper, k: int, state: Array, gaps: list[float], *, is_closed: bool) -> Array:
+        begin = state[: self._places]
+        if not is_closed:
+            begin = self._close(self._course.inputs(k), begin[None])[0]
         span = stepper.follow(self._course.piece(k), begin, self._allowance)
         gaps.append(span.gap)
         if self._riders is None:
