@@ -304,22 +304,22 @@ class Replay:
 
     def _go_apart_in_c(self, stepper: Stepper, states: Array) -> _Apart:
         """Count the steps of the interval with the most, as if all were integrated at once."""
-        spans, most = list[Span](), 0
-        for k, state in enumerate(self._close(self._course.inputs(), states[:, : self._places])):
+        pieces = [self._course.piece(k) for k in range(len(states))]
+        begins, spans, most = self._close(self._course.inputs(), states[:, : self._places]), list[Span](), 0
+        for piece, state in zip(pieces, begins, strict=True):
             own = copy(self._allowance)
-            spans.append(stepper.follow(self._course.piece(k), state, own))
+            spans.append(stepper.follow(piece, state, own))
             most = max(most, self._allowance.steps - own.steps)
         self._allowance.note(most)
-        ends = np.array([span.end for span in spans])
-        if self._riders is None:
-            return _Apart(ends, lambda intervals, x: self._read_spans(spans, intervals, x))
-        ride = self._riders.ride(range(len(spans)), spans, states[:, self._places :])
+        ends, find = np.array([span.end for span in spans]), stepper.gather(pieces, spans)
+        ride = None if self._riders is None else self._riders.ride(range(len(spans)), spans, states[:, self._places :])
 
         def read(intervals: Indices, fractions: Array) -> Array:
             times = self._course.trajectory.t[intervals] + fractions * self._lengths[intervals]
-            return np.hstack((self._read_spans(spans, intervals, fractions), ride.read(intervals, times)))
+            found = find(intervals, times)
+            return found if ride is None else np.hstack((found, ride.read(intervals, times)))
 
-        return _Apart(np.hstack((ends, ride.ends)), read)
+        return _Apart(ends if ride is None else np.hstack((ends, ride.ends)), read)
 
     def _close(self, inputs: Inputs, states: Array) -> Array:
         """Return the nearest states (B, nq + n) with closed loops, and with driven joints where they start."""
@@ -328,14 +328,6 @@ class Replay:
         if closure is not None:
             q, qd = closure.project(q, qd, manifest.driven)
         return np.concatenate((q, qd), axis=1)
-
-    def _read_spans(self, spans: Sequence[Span], intervals: Indices, fractions: Array) -> Array:
-        times = self._course.trajectory.t[intervals] + fractions * self._lengths[intervals]
-        found = np.empty((len(intervals), len(spans[0].end)))
-        for k in np.unique(intervals).tolist():
-            chosen = intervals == k
-            found[chosen] = spans[k].read(times[chosen])
-        return found
 
     def go_through(self, states: Array) -> _Through | None:
         """Integrate from the first of the solution's states, (N + 1, size), through all intervals.

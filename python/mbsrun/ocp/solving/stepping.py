@@ -6,13 +6,14 @@ closed by the least change of coordinates and velocities after each step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.limits import Allowance
+from mbsrun.ocp.ground.functions import Indices
 from mbsrun.simulation.course import Course
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Equations
@@ -43,6 +44,33 @@ class Stepper:
         steps = explicit.march(explicit.DOP853, self._equations, piece, state, self._settings, allowance)
         return Span(tuple(steps), effort.gap)
 
+    def gather(self, pieces: Sequence[Piece], spans: Sequence[Span]) -> Callable[[Indices, Array], Array]:
+        """Return a function of pieces (B,) and times (B,) in them: the states (B, nq + n) of their spans.
+
+        Inputs that are given over time are read for all at once.
+        """
+        if any(piece.law is not None for piece in pieces):
+            return lambda which, times: _read_each(spans, which, times)
+        plant: explicit.Plant = self._equations.kept["plant"]
+        begins, states = zip(*(span.steps for span in spans), strict=True)
+        counts = np.array([len(part) for part in begins])
+        every, starts, firsts = np.concatenate(begins), np.concatenate(states), np.cumsum(counts) - counts
+
+        def read(which: Indices, times: Array) -> Array:
+            steps = np.searchsorted(every, times, side="right") - 1
+            steps = steps.clip(firsts[which], firsts[which] + counts[which] - 1)
+            return plant.read_pieces(pieces, which, every[steps], times - every[steps], starts[steps])
+
+        return read
+
+
+def _read_each(spans: Sequence[Span], which: Indices, times: Array) -> Array:
+    found = np.empty((len(times), spans[0].end.size))
+    for k in np.unique(which).tolist():
+        chosen = which == k
+        found[chosen] = spans[k].read(times[chosen])
+    return found
+
 
 @dataclass(frozen=True)
 class Span:
@@ -55,6 +83,12 @@ class Span:
     def end(self) -> Array:
         """Return the last state (nq + n,)."""
         return np.concatenate((self.chunks[-1].q[-1], self.chunks[-1].qd[-1]))
+
+    @property
+    def steps(self) -> tuple[Array, Array]:
+        """Return the times (S,) and states (S, nq + n) at which steps begin."""
+        times = np.concatenate([chunk.t[:-1] for chunk in self.chunks])
+        return times, np.concatenate([np.hstack((chunk.q[:-1], chunk.qd[:-1])) for chunk in self.chunks])
 
     def read(self, times: Array) -> Array:
         """Return the states (K, nq + n) at times (K,) of the piece."""

@@ -33,6 +33,7 @@ from mbsrun.simulation.motion import Chunk, Guard, Halt, HaltError, Keeping, Set
 __all__ = ["DOP853", "EULER", "KEEPS", "RK4", "RK45", "Pair", "Tableau", "integrate", "march"]
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 STEPS = 1024  # taken in C at a time
 FREE_STEPS = 128  # the same by a tolerance: each may take many attempts
@@ -447,20 +448,44 @@ class Plant:
         """Return the motion within steps that begin at `times` (k,) and `states` (k, nq + n)."""
 
         def dense(t: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
-            self.open(piece)
-            starts, ends = np.ascontiguousarray(states[step]), np.empty((len(t), states.shape[1]))
-            begins = np.ascontiguousarray(times[step])
-            lengths, outcome = np.ascontiguousarray(t - begins), self.ffi.new("mbs_outcome *")
-            rows = self._sample(piece, begins, lengths)
-            given = [*map(self._point_if, (begins, lengths, *rows, starts, ends))]
-            self.lib.mbs_explicit_read(self.plant, self.manner, len(t), *given, *self.room, outcome)
-            failure = self._explain(outcome, float(t[min(outcome.steps, len(t) - 1)]))
-            if failure is not None:
-                raise failure
-            q, qd = np.split(ends, [self.dynamics.places], axis=1)
+            lengths = t - times[step]
+            rows = self._sample(piece, times[step], lengths)
+            q, qd = np.split(
+                self.read(piece, times[step], lengths, states[step], *rows), [self.dynamics.places], axis=1
+            )
             return q, qd
 
         return dense
+
+    def read(
+        self, piece: Piece, begins: Array, lengths: Array, starts: Array, inputs: Array | None, courses: Array | None
+    ) -> Array:
+        """Return the ends (k, nq + n) of steps from some times and states; raise why one fails.
+
+        `inputs` and `courses` are given at the stages and the end of each step; None: they are the piece's.
+        """
+        self.open(piece)
+        ends, outcome = np.empty_like(starts), self.ffi.new("mbs_outcome *")
+        arrays = [None if x is None else np.ascontiguousarray(x) for x in (begins, lengths, inputs, courses, starts)]
+        given = [*map(self._point_if, (*arrays, ends))]
+        self.lib.mbs_explicit_read(self.plant, self.manner, len(begins), *given, *self.room, outcome)
+        last = min(outcome.steps, len(begins) - 1)
+        failure = self._explain(outcome, float(begins[last] + lengths[last]))
+        if failure is not None:
+            raise failure
+        return ends
+
+    def read_pieces(
+        self, pieces: Sequence[Piece], which: Indices, begins: Array, lengths: Array, starts: Array
+    ) -> Array:
+        """Return the ends of steps likewise, each in one of the pieces, whose inputs are given over time."""
+        times = begins[:, None] + lengths[:, None] * self.nodes
+        inputs = np.empty((*times.shape, self.plant.m))
+        for k in np.unique(which).tolist():
+            chosen = which == k
+            inputs[chosen] = pieces[k].values(times[chosen].ravel()).reshape(*times[chosen].shape, self.plant.m)
+        courses = np.hstack(self.dynamics.course.states(times.ravel())) if self.manner.guide else None
+        return self.read(pieces[0], begins, lengths, starts, inputs, courses)
 
     def _sample(self, piece: Piece, begins: Array, lengths: Array) -> tuple[Array | None, Array | None]:
         """Return inputs and courses at the stages and the end of each step, where they vary over time alone."""
