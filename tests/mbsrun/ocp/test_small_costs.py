@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+import mbsrun
+from mbsrun.cli import cli
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.solution.solution import Solution
@@ -46,3 +49,15 @@ def test_a_small_cost_is_found_to_its_own_digits(tmp_path: Path) -> None:
     assert (solution.run.method, solution.run.status) == ("mbs", SOLVED)
     assert solution.cost.total == pytest.approx(2e-3 - 2.5e-10, rel=1e-5)
     assert solution.problem.solver.tolerance == 1e-8
+
+
+@pytest.mark.parametrize(("weight", "digits"), [(0.001, 1e-5), (1e-7, None)])
+def test_a_controller_says_where_a_small_cost_is_not_found(tmp_path: Path, weight: float, digits: float | None) -> None:
+    """The least of 2 w sqrt(1 - e) + 1000 e^2 is 2 w - w^2 / 4000 to first order; a solved cost is right to 1e-4."""
+    (tmp_path / "model.yaml").write_text(MASS, encoding="utf-8")
+    (tmp_path / "one.ocp.yaml").write_text(PROBLEM.replace("0.001", str(weight)), encoding="utf-8")
+    made = CliRunner().invoke(cli, ["controller", str(tmp_path / "one.ocp.yaml"), "-o", str(tmp_path / "out")])
+    assert made.exit_code == 0, made.output
+    found = mbsrun.controller(tmp_path / "out").solve()
+    assert found.status == ("acceptable" if digits is None else "solved")
+    assert found.cost == pytest.approx(2 * weight - weight**2 / 4000, rel=digits or 0.05)
