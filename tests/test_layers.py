@@ -174,6 +174,7 @@ MBSRUN = Package(
         "ocp.statement.phases",
         "ocp.statement",
         "ocp.guessing.guess ocp.guessing.mirror ocp.guessing.state_guess",
+        "ocp.guessing.sizes",
         "ocp.guessing.phases ocp.guessing.recorded ocp.guessing.starts",
         "ocp.guessing.recorded_phases",
         "ocp.guessing",

@@ -190,20 +190,47 @@ static real finest_unit(const mbs_stages *s)
     return least;
 }
 
-/* Rows that are steep are divided. Flat ones in small units are multiplied, since the tolerance is absolute. */
+/* Rows that are steep are divided. Flat ones in small units are multiplied, since the tolerance is absolute; at most by
+ * what a product of two small ones takes. */
 static real scale_row(const mbs_stages_options *o, real steepest, real finest)
 {
     if (finest < 1 && steepest * o->nlp_scaling_max_gradient < 1)
-        return 1 / mbs_stages_larger(steepest, finest);
+        return 1 / mbs_stages_larger(steepest, steepest > 0 ? finest * finest : finest);
     return gentle(o, steepest);
 }
 
-static void scale_rows(mbs_stages *s, int at, const mbs_stages_matrix *A, real finest)
+static void scale_rows(const mbs_stages *s, real *scale, int rows, real finest)
 {
     int i;
-    mbs_stages_matrix_row_maxima(A, s->row_scale + at);
-    for (i = at; i < at + A->rows; ++i)
-        s->row_scale[i] = scale_row(&s->options, s->row_scale[i], finest);
+    for (i = 0; i < rows; ++i)
+        scale[i] = scale_row(&s->options, scale[i], finest);
+}
+
+static void share_slopes(real *slopes, const real *others, int rows)
+{
+    int i;
+    for (i = 0; i < rows; ++i)
+        slopes[i] = mbs_stages_larger(slopes[i], others[i]);
+}
+
+static void share_with(mbs_stages *s, int k, int other)
+{
+    const mbs_stages_stage *t = &s->recursion.stage[k], *o = &s->recursion.stage[other];
+    if (t->E.rows == o->E.rows)
+        share_slopes(s->row_scale + t->e, s->row_scale + o->e, t->E.rows);
+    if (t->G.rows == o->G.rows)
+        share_slopes(s->row_scale + t->g, s->row_scale + o->g, t->G.rows);
+}
+
+/* Rows at the same places of stages that follow each other are of one kind, and get the largest slope of all: a slope may
+ * be 0 by chance. */
+static void share_along(mbs_stages *s)
+{
+    int k;
+    for (k = 1; k < s->problem->stages; ++k)
+        share_with(s, k, k - 1);
+    for (k = s->problem->stages - 2; k >= 0; --k)
+        share_with(s, k, k + 1);
 }
 
 /* Scale the cost and the rows of e and g by their first derivatives. */
@@ -217,8 +244,15 @@ static int scale_functions(mbs_stages *s)
         return -1;
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];
-        scale_rows(s, t->e, &t->E, finest);
-        scale_rows(s, t->g, &t->G, finest);
+        mbs_stages_matrix_row_maxima(&t->E, s->row_scale + t->e);
+        mbs_stages_matrix_row_maxima(&t->G, s->row_scale + t->g);
+    }
+    if (s->has_units)
+        share_along(s);
+    for (k = 0; k < s->problem->stages; ++k) {
+        const mbs_stages_stage *t = &s->recursion.stage[k];
+        scale_rows(s, s->row_scale + t->e, t->E.rows, finest);
+        scale_rows(s, s->row_scale + t->g, t->G.rows, finest);
     }
     s->cost_scale = gentle(&s->options, mbs_stages_largest(s->variables, s->main.gradient));
     return 0;

@@ -140,6 +140,25 @@ def list_multiplier_units(manifest: Manifest) -> list[str]:
     return [_MULTIPLIERS.get(name, "N m") for loop in manifest.loops for name in loop.equations]
 
 
+def label_multipliers(manifest: Manifest) -> list[str]:
+    """Name the columns of multipliers, with units, as in tables."""
+    pairs = zip(manifest.equations, list_multiplier_units(manifest), strict=True)
+    return [f"lam[{name}] [{unit or '-'}]" for name, unit in pairs]
+
+
+def label_motion(manifest: Manifest, *, rates: int) -> list[str]:
+    """Name the columns of coordinates and of their first derivatives, as many as `rates`, with units, as in tables."""
+    units = {c.name: c.unit for c in manifest.coordinates}
+    kinds = (("qd", "/s"), ("qdd", "/s^2"))[:rates]
+    positions = [f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions]  # quaternions have no unit
+    return positions + [f"{kind}[{name}] [{unit}{per}]" for kind, per in kinds for name, unit in units.items()]
+
+
+def label_forces(manifest: Manifest, kind: str, entries: Sequence[int]) -> list[str]:
+    """Name the columns of a kind of forces of some coordinates, with units, as in tables."""
+    return [f"{kind}[{c.name}] [{c.force_unit}]" for c in (manifest.coordinates[i] for i in entries)]
+
+
 _PLACES = (".x", ".y", ".z")  # ends of the names of coordinates of a free body
 _MULTIPLIERS = {**dict.fromkeys(("x", "y", "z", "distance", "screw"), "N"), "equation": ""}
 

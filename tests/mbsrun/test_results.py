@@ -126,7 +126,7 @@ def test_pins_of_a_given_motion_carry_the_weight(tmp_path: Path) -> None:
     masses = sum(x.mass for x in linkage.manifest.appearance.masses)  # type: ignore[union-attr]
     carried = float(row["reaction_z_motor [N]"]) + float(row["reaction_z_swing [N]"])
     assert carried == pytest.approx(masses * GRAVITY, rel=1e-6)
-    assert float(row["power_motor [W]"]) == pytest.approx(1e-3 * float(row["u[motor]"]), rel=1e-12)
+    assert float(row["power_motor [W]"]) == pytest.approx(1e-3 * float(row["u[motor] [N m]"]), rel=1e-12)
 
 
 def test_solutions_write_further_columns(lift: Solved, tmp_path: Path) -> None:

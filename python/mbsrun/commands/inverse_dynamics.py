@@ -14,7 +14,7 @@ from mbsrun.commands.console import choose_format, list_written, say, show_progr
 from mbsrun.commands.recorded import GivenMotion, accept_motion, gather_motion, write_json, write_table
 from mbsrun.commands.robots import accept_robots
 from mbsrun.external import Mechanism
-from mbsrun.quantities import Quantity, find_unit
+from mbsrun.quantities import Quantity, find_unit, label_forces
 from mbsrun.recordings.pictures import Panel, plot_panels
 from mbsrun.simulation.inverse import Forces, tabulate
 from mbsrun.simulation.muscles import list_muscles
@@ -86,8 +86,7 @@ def inverse_dynamics_command(given: GivenMotion, out: Path | None, without_muscl
     out = out or Path(f"{given.file.stem}.forces")
     out.mkdir(parents=True, exist_ok=True)
     header, rows = tabulate(found.forces, mechanism)
-    names = [c.name for c in manifest.coordinates]
-    header += [f"rest[{name}]" for name in names]
+    header += label_forces(manifest, "rest", range(len(manifest.coordinates)))
     write_table(out / TABLE, header, np.concatenate((rows, found.forces.rest), axis=1))
     forces = _list_forces(found.forces, manifest)
     write_json(out / SUMMARY, _summarise(found, mechanism, forces))

@@ -44,7 +44,8 @@ from mbsrun.ocp.ground.functions import Array, Formula, KernelResult
 from mbsrun.ocp.ground.program import Program
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.guess import Pose, adapt, make_guess
-from mbsrun.ocp.guessing.state_guess import complete, size_states
+from mbsrun.ocp.guessing.sizes import size_added
+from mbsrun.ocp.guessing.state_guess import complete
 from mbsrun.ocp.problem.design import equip
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Failure
@@ -110,7 +111,7 @@ def make(
     tables = build(
         transcription.program, kernels, np.array(problem.cost.weights) != 0, find_rows(transcription, problem)
     )
-    usual = transcription.pack(size_states(start, problem, plant))
+    usual = transcription.pack(size_added(start, problem, plant))
     scales = place_scales(transcription, tables, usual, problem)
     placed = place_guess(transcription, tables, start, plant)
     design = Design(

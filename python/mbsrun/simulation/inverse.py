@@ -23,7 +23,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import TIME, Manifest
 from mbsrun.closure import FARTHEST, RANK, Closure, OpenError
 from mbsrun.kernel import ArgumentError, Kernels
-from mbsrun.quantities import Added, list_quantities
+from mbsrun.quantities import Added, label_forces, label_motion, label_multipliers, list_quantities
 from mbsrun.quaternions import neutral, normalise
 from mbsrun.results import Numbers
 from mbsrun.simulation.closing import complete_velocities
@@ -235,17 +235,10 @@ def measure(forces: Forces, kernels: Kernels) -> Numbers:
 
 
 def tabulate(forces: Forces, kernels: Kernels) -> tuple[list[str], Array]:
-    """Return the names of columns, bracketed, and the numbers, a row for each time."""
+    """Return the names of columns with units, and the numbers, a row for each time."""
     manifest = kernels.manifest
-    names = [c.name for c in manifest.coordinates]
-    labels = {
-        "q": manifest.positions,
-        "qd": names,
-        "qdd": names,
-        "u": [names[i] for i in manifest.actuated],
-        "tau": [names[i] for i in manifest.driven],
-    }
-    header = ["t", *(f"{kind}[{x}]" for kind, entries in labels.items() for x in entries)]
-    header += [f"lam[{x}]" for x in manifest.equations] + ["unbalanced"]
+    header = ["t [s]", *label_motion(manifest, rates=2)]
+    header += label_forces(manifest, "u", manifest.actuated) + label_forces(manifest, "tau", manifest.driven)
+    header += [*label_multipliers(manifest), "unbalanced"]
     columns = [forces.t[:, None], forces.q, forces.qd, forces.qdd, forces.u, forces.tau, forces.multipliers]
     return header, np.concatenate((*columns, forces.unbalanced[:, None]), axis=1)

@@ -24,7 +24,7 @@ from mbsrun.animation import write_animation
 from mbsrun.curves import Curve, Panel, draw_curves, plain, plot
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
-from mbsrun.quantities import Quantity, find_unit, list_input_units
+from mbsrun.quantities import Quantity, find_unit, label_forces, label_motion, label_multipliers, list_input_units
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.integration.methods import METHODS
 from mbsrun.simulation.motion import ClosureRecord, Keeping, Kind, Mode, Motion, Settings
@@ -124,10 +124,8 @@ def _summarise_closure(closure: ClosureRecord, manifest: Manifest) -> dict[str, 
 
 def _tabulate(motion: Motion, manifest: Manifest, more: Sequence[str]) -> str:
     """Write a line for each time, with every digit; names are bracketed, so that no cell begins like a formula."""
-    units, forces = ({c.name: getattr(c, key) for c in manifest.coordinates} for key in ("unit", "force_unit"))
-    names = [*units]
-    header = ["t [s]", *(f"q[{x}] [{units.get(x, '-')}]" for x in manifest.positions)]  # quaternions have no unit
-    header += [f"qd[{name}] [{unit}/s]" for name, unit in units.items()]
+    names = [c.name for c in manifest.coordinates]
+    header = ["t [s]", *label_motion(manifest, rates=1)]
     given = zip(manifest.inputs, list_input_units(manifest), strict=True)
     header += [f"input[{name}]" + (f" [{unit}]" if unit else "") for name, unit in given]
     columns = [motion.t[:, None], motion.q, motion.qd, motion.inputs]
@@ -139,8 +137,8 @@ def _tabulate(motion: Motion, manifest: Manifest, more: Sequence[str]) -> str:
             columns += [motion.energy.friction[:, None], motion.energy.impacts[:, None]]
     if motion.closure is not None:
         closure = motion.closure
-        header += ["open", "opening", *(f"lam[{x}]" for x in manifest.equations)]
-        header += [f"tau[{name}] [{forces[name]}]" for name in (names[i] for i in manifest.driven)]
+        header += ["open", "opening", *label_multipliers(manifest)]
+        header += label_forces(manifest, "tau", manifest.driven)
         columns += [closure.position[:, None], closure.velocity[:, None], closure.multipliers, closure.driving]
     if motion.modes is not None:
         switching = _list_switching(manifest)

@@ -606,6 +606,15 @@ def test_a_null_frees_what_follows_from_it(tmp_path: Path) -> None:
     assert problem.free_start == (0, 1, 3, 5, 7)
 
 
+def test_a_guess_of_what_loops_give_at_the_start_is_named_so(tmp_path: Path) -> None:
+    """The file gives `left`; the loop gives the elbow, which no value at the start could free."""
+    given, found = "has a value at the start; leave it out, or free it", "the loops give this coordinate at the start"
+    with pytest.raises(InputError) as error:
+        _read(tmp_path, "{pose: {left: 2.3, right: 1.0}}\nguess: {start: {left: 2, left_elbow: -1}}")
+    assert f"guess.start.left: this coordinate {given}" in str(error.value)
+    assert f"guess.start.left_elbow: {found}; leave it out; the model's assembly chooses" in str(error.value)
+
+
 def test_targets_that_follow_from_others_are_dropped_or_refused(tmp_path: Path) -> None:
     closure = Closure(arms())
     q = closure.close(np.array([2.3, -1.3, 1.0, 1.3]), (0, 2))

@@ -115,6 +115,30 @@ def test_a_thin_post_is_not_passed_in_silence(tmp_path: Path) -> None:
     assert apart.min() > RADIUS * (1 - 1e-6)  # at all points of the grid
 
 
+SLOPED = """
+model: puck.yaml
+horizon: 2
+intervals: 20
+scheme: radau
+degree: 3
+cost: {inputs: 1}
+start: {pose: {}}
+end: {pose: {x: 1, y: 0}, velocity: zero}
+constraints: [{expression: qd_x, range: [null, 0.5], soft: 0.6}]
+"""
+
+
+def test_a_slack_that_falls_to_a_smaller_one_is_no_violation(tmp_path: Path) -> None:
+    """The speed follows slacks that are constant over intervals; as it falls, it begins each above its slack."""
+    result = run(tmp_path, SLOPED)
+    assert result.exit_code == 0, result.output
+    margin = next(part for part in margins(tmp_path).each if "qd_x" in part.name)
+    assert margin.name == "constraint qd_x less its slack"
+    assert margin.is_kept
+    slacks = read_solution(tmp_path / "out" / "solution.json").trajectory.controls[:, 0]
+    assert np.diff(slacks).min() < -0.01 < 0.01 < np.diff(slacks).max()  # larger steps than are tolerated
+
+
 def test_refinement_leads_around_the_post(tmp_path: Path) -> None:
     """It splits the interval within which the post is violated, though every defect is below rounding."""
     result = run(tmp_path, POST, "--refine", "1e-6")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
+from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.solution.phases import PhasedSolution
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.phases import solve_phases
@@ -121,6 +124,112 @@ def test_a_force_has_the_size_that_moves_its_mass(tmp_path: Path, unit: str) -> 
     assert isinstance(outcome, Solution), outcome.finding
     assert outcome.cost.total == pytest.approx(12 * 1.5**2 * 4 / (1 - 1 / 100), rel=1e-8)
     assert outcome.run.iterations < 15
+
+
+UNITS = list(
+    itertools.product(("1", "1e6", "1e-6"), ("1", "1e3", "1e-3"), ("1", "1e4", "1e-4"))
+)  # metre, second, kilogram
+EXTREME = [("1e6", "1e3", "1e4"), ("1e6", "1e-3", "1e4"), ("1e-6", "1e3", "1e-4"), ("1e-6", "1e-3", "1e-4")]
+
+REST_TO_REST = """
+horizon: second
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM}
+states:
+  x: {rate: v, start: 0, end: metre}
+  v: {rate: f/kilogram, start: 0, end: 0}
+controls: {f: {}}
+cost: {running: [{expression: f**2}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+def _write(folder: Path, text: str, units: Sequence[str]) -> Path:
+    """Write a problem in units."""
+    for name, value in zip(("METRE", "SECOND", "KILOGRAM"), units, strict=True):
+        text = text.replace(name, value)
+    path = folder / "scaled.ocp.yaml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_velocities_and_forces_that_are_guessed_as_0_have_sizes(tmp_path: Path, units: Sequence[str]) -> None:
+    """A quadratic program, one iteration: 12 L^2 m^2 / T^3, over 1 - 1/N^2 for N constant forces."""
+    problem, plant = read_problem(_write(tmp_path, REST_TO_REST, units), load_on_demand, NO_MECHANISM)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome.finding
+    metre, second, kilogram = map(float, units)
+    expected = 12 / (1 - 1 / 400) * (metre * kilogram) ** 2 / second**3
+    assert outcome.run.status == SOLVED
+    assert outcome.run.iterations == 1
+    assert outcome.cost.total == pytest.approx(expected, rel=1e-9)
+
+
+FASTEST = """
+horizon: {guess: second, range: [second/20, 20*second]}
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM, most: 4*metre*kilogram/second**2}
+states:
+  x: {rate: v, start: 0, end: metre}
+  v: {rate: f/kilogram, start: 0, end: 0}
+controls: {f: {range: [-most, most]}}
+cost: {terminal: [{expression: T}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+@pytest.mark.parametrize("units", EXTREME)
+def test_small_bounds_hold_in_their_own_unit(tmp_path: Path, units: Sequence[str]) -> None:
+    """The least time over L by a force of at most F is 2 sqrt(L m / F), the second of the file."""
+    problem, plant = read_problem(_write(tmp_path, FASTEST, units), load_on_demand, NO_MECHANISM)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.cost.total == pytest.approx(float(units[1]), rel=1e-6)
+
+
+AROUND = """
+model: table.yaml
+horizon: second
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM, most: 11*metre*kilogram/second**2}
+start: {pose: {}}
+end: {pose: {x: metre, y: 0.3*metre}, velocity: zero}
+bounds: {inputs: {x: [-most, most]}}
+constraints:
+  - {expression: (q_x - 0.5*metre)**2 + (q_y - 0.06*metre)**2, range: [(0.1*metre)**2, null]}
+cost: {inputs: 1}
+solver: {method: mbs, fallback: false}
+"""
+TABLE = """
+name: table
+gravity: [0, 0, 0]
+bodies:
+  - {name: x, joint: {type: prismatic, axis: x}, mass: KILOGRAM}
+  - {name: y, parent: x, joint: {type: prismatic, axis: y}, mass: KILOGRAM}
+"""
+
+
+@pytest.mark.parametrize("units", EXTREME)
+def test_a_mechanism_passes_an_obstacle_in_any_unit(tmp_path: Path, units: Sequence[str]) -> None:
+    """The forces are the ones of 1 m, 1 s, 1 kg, times the units.
+
+    The row's limit of 0.01 m^2 is relaxed by 1e-8 in metres, and by 1e-8 of the row's size in other units.
+    """
+    costs = []
+    for own in (("1", "1", "1"), units):
+        (tmp_path / "table.yaml").write_text(TABLE.replace("KILOGRAM", own[2]), "utf-8")
+        outcome = solve(*read_problem(_write(tmp_path, AROUND, own), load_on_demand))
+        assert isinstance(outcome, Solution), outcome.finding
+        metre, second, kilogram = map(float, own)
+        costs.append(outcome.cost.total / ((metre * kilogram) ** 2 / second**3))
+    assert costs[1] == pytest.approx(costs[0], rel=1e-5)
 
 
 def test_a_launch_in_metres_and_kilograms() -> None:

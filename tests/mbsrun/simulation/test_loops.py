@@ -576,7 +576,7 @@ def test_the_inverse_command_writes_a_table(
     assert not end.value.code
     assert "2 more forces than degrees of freedom: the ones of least norm are shown" in capsys.readouterr().out
     header, *rows = out.read_text().splitlines()
-    assert header.endswith("u[q1],u[q2],u[q3],lam[pin.x],lam[pin.z],unbalanced")
+    assert header.endswith("u[q1] [N m],u[q2] [N m],u[q3] [N m],lam[pin.x] [N],lam[pin.z] [N],unbalanced")
     assert len(rows) == 3
     monkeypatch.setattr(sys, "argv", [*words, "--motion", "knee=t"])
     with pytest.raises(SystemExit) as end:
@@ -622,7 +622,7 @@ def test_the_command_closes_the_start_and_reports_closure(run: Run, tmp_path: Pa
     assert summary["closure"]["largest_position"] < 1e-13
     assert summary["settings"]["loops"] == "projection"
     lines = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
-    assert lines[0].endswith("open,opening,lam[pin.x],lam[pin.z]")
+    assert lines[0].endswith("open,opening,lam[pin.x] [N],lam[pin.z] [N]")
     first = dict(zip(lines[0].split(","), map(float, lines[1].split(",")), strict=True))
     assert [first[f"q[q{i}] [rad]"] for i in (1, 2, 3)] == pytest.approx([0.4, -0.4, 0.4], abs=1e-12)
     assert [first[f"qd[q{i}] [rad/s]"] for i in (1, 2, 3)] == pytest.approx([1, -1, 1], abs=1e-12)

@@ -9,9 +9,7 @@ unknown that bounds expressions is their largest value along the guessed motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +19,12 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.driving import find_point_forces, follow
 from mbsrun.ocp.problem.problem import Problem, Range, State
-from mbsrun.ocp.transcription.scales import NOTHING
 from mbsrun.quantities import name_components
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4  # relative; a hundredth of it absolute
 MAX_CALLS = 20_000  # of the rates
-ROUGH = 1e3  # sizes up to here, and down to its inverse, count as 1: estimates are rough
-LINEAR = 1e-6  # relative change of a slope that is rounding
 
 
 class _TooLongError(Exception):
@@ -60,80 +55,6 @@ def guess_largest(motion: Trajectory, problem: Problem, plant: Plant) -> Traject
             found = Values(unknown.largest, problem, plant)(list_parts(motion, plant))
             unknowns[i] = max(found[np.isfinite(found)], default=unknown.guess)
     return replace(motion, unknowns=unknowns)
-
-
-def size_states(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
-    """Return a complete motion in which open states and controls that are guessed as 0 have a size.
-
-    A state has the size of the change by its rate: a velocity from rest to rest is guessed as 0, in any unit; its rate
-    along the guess, for the horizon, is not. For others, see `_find_needs`.
-    """
-    states = problem.every_state
-    unsized = [i for i, state in enumerate(states) if _is_unsized(state.bounds, motion.states[:, i])]
-    if unsized:
-        rates = Values([states[i].rate for i in unsized], problem, plant)(list_parts(motion, plant))
-        sizes = np.abs(np.nan_to_num(rates, posinf=0.0, neginf=0.0)).max(axis=0) * motion.t[-1]
-        motion = _set_states(motion, dict(zip(unsized, sizes.tolist(), strict=True)))
-    needs = _find_needs(motion, problem, plant) if states else {}
-    controls = motion.controls.copy()
-    for (kind, i), size in needs.items():
-        if kind == "controls":
-            controls[:, i] = size
-    own = {i: size for (kind, i), size in needs.items() if kind == "states"}
-    return replace(_set_states(motion, own), controls=controls)
-
-
-def _is_unsized(bounds: Range, values: Array) -> bool:
-    return not np.isfinite(bounds).all() and bool(np.abs(values).max(initial=0.0) < NOTHING)
-
-
-def _set_states(motion: Trajectory, sizes: Mapping[int, float]) -> Trajectory:
-    found = [array.copy() for array in (motion.states, motion.point_states)]
-    for array in found:
-        array[..., list(sizes)] = list(sizes.values())
-    return replace(motion, states=found[0], point_states=found[1])
-
-
-def _find_needs(motion: Trajectory, problem: Problem, plant: Plant) -> dict[tuple[str, int], float]:
-    """Return sizes of open states and controls that have none: what changes a state by its own size, for the horizon.
-
-    A force that moves a mass by 1e7 m in 1 s is of 1e7 N beside its mass. The least such size counts, of rates that are
-    linear in it; it is rough, so only beyond ROUGH.
-    """
-    states, parts = problem.every_state, list_parts(motion, plant)
-    limits = {
-        "states": [state.bounds for state in states],
-        "controls": [control.bounds for control in problem.controls],
-    }
-    unsized = [
-        (kind, i)
-        for kind, values in (("states", motion.states), ("controls", motion.controls))
-        for i, bounds in enumerate(limits[kind])
-        if _is_unsized(bounds, values[:, i])
-    ]
-    rates = Values([state.rate for state in states], problem, plant)
-    slopes = {place: _find_slopes(rates, parts, place) for place in unsized}
-    sizes, found = np.abs(parts["states"]).max(axis=0), dict[tuple[str, int], float]()
-    for place in unsized * len(unsized):  # a force needs the size of a velocity, and a velocity the size of a way
-        moves = (slopes[place] > 0) & (sizes > NOTHING)
-        if place not in found and moves.any():
-            found[place] = float((sizes[moves] / slopes[place][moves]).min()) / motion.t[-1]
-            if place[0] == "states":
-                sizes[place[1]] = found[place]
-    return {place: size for place, size in found.items() if not 1 / ROUGH <= size <= ROUGH}
-
-
-def _find_slopes(rates: Values, parts: Mapping[str, Array], place: tuple[str, int]) -> Array:
-    """Return the derivatives of rates by a state or a control, the largest along a motion; 0 where it is not linear."""
-    kind, i = place
-    moved = []
-    for step in (0.0, 1.0, 2.0):
-        own = parts[kind].copy()
-        own[:, i] += step
-        moved.append(rates({**parts, kind: own}))
-    with np.errstate(invalid="ignore"):
-        slopes, others = (np.abs(b - a).max(axis=0) for a, b in pairwise(moved))
-    return np.where(np.abs(others - slopes) <= LINEAR * slopes, slopes, 0.0)
 
 
 def list_parts(motion: Trajectory, plant: Plant) -> dict[str, Array]:

@@ -48,6 +48,7 @@ class Instance:
     g_upper: Array
     watch: Watch | None = None
     scales: Array | None = None  # usual sizes of x; None: 1
+    cost_scale: float = 1.0  # of the cost, as a method in scaled variables sees it, beside the one of its weights
 
     def measure(self, g: Array) -> float:
         """Return by how much constraints leave their bounds: the largest."""

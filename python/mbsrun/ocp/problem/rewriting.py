@@ -38,9 +38,11 @@ def soften(problem: Problem, constraint: Constraint, price: Price, name: str) ->
     (lower, upper), text = constraint.range, f"({constraint.expression})"
     sides = []
     if upper < math.inf:
-        sides.append(replace(constraint, expression=f"{text} - {name}", range=(-math.inf, upper)))
+        side = replace(constraint, expression=f"{text} - {name}", name=f"{constraint.label} less its slack")
+        sides.append(replace(side, range=(-math.inf, upper)))
     if lower > -math.inf:
-        sides.append(replace(constraint, expression=f"{text} + {name}", range=(lower, math.inf)))
+        side = replace(constraint, expression=f"{text} + {name}", name=f"{constraint.label} plus its slack")
+        sides.append(replace(side, range=(lower, math.inf)))
     terms = [
         Term(expression, weight, f"slack of {constraint.expression}{squared}")
         for expression, weight, squared in ((name, price.linear, ""), (f"{name}**2", price.quadratic, ", squared"))

@@ -22,7 +22,14 @@ from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.design import equip
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Solution
-from mbsrun.quantities import list_input_units, list_multiplier_units, list_quantities, name_components
+from mbsrun.quantities import (
+    label_forces,
+    label_motion,
+    label_multipliers,
+    list_input_units,
+    list_quantities,
+    name_components,
+)
 from mbsrun.results import Numbers
 
 Array = NDArray[np.float64]
@@ -68,17 +75,12 @@ def write_table(solution: Solution, plant: Plant, path: Path, more: Sequence[str
 
 
 def _name_columns(manifest: Manifest) -> list[str]:
-    units = {c.name: c.unit for c in manifest.coordinates}
-    units_of_lam = list_multiplier_units(manifest)
-    actuated, driven = ([manifest.coordinates[i] for i in which] for which in (manifest.actuated, manifest.driven))
     return [
         "t [s]",
-        *(f"q[{name}] [{units.get(name, '-')}]" for name in manifest.positions),  # entries of quaternions have no unit
-        *(f"qd[{name}] [{unit}/s]" for name, unit in units.items()),
-        *(f"qdd[{name}] [{unit}/s^2]" for name, unit in units.items()),
-        *(f"u[{c.name}] [{c.force_unit}]" for c in actuated),
-        *(f"lam[{name}] [{unit or '-'}]" for name, unit in zip(manifest.equations, units_of_lam, strict=True)),
-        *(f"tau[{c.name}] [{c.force_unit}]" for c in driven),
+        *label_motion(manifest, rates=2),
+        *label_forces(manifest, "u", manifest.actuated),
+        *label_multipliers(manifest),
+        *label_forces(manifest, "tau", manifest.driven),
         *(f"{axis}[{frame.name}] [m]" for frame in manifest.frames if frame.sensor for axis in "xyz"),
     ]
 

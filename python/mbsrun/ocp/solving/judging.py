@@ -92,7 +92,7 @@ def _judge(
         return None
     scales = 1.0 if start.scales is None else start.scales
     point = linearise(x, g, c, J, (start.lower, start.upper), (start.g_lower, start.g_upper), scales)
-    return judge(point, tolerance, weight, outcome.multipliers)
+    return judge(point, tolerance, weight / start.cost_scale, outcome.multipliers)
 
 
 def _is_convex(program: Prepared, outcome: Outcome) -> bool:

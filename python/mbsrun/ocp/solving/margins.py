@@ -89,12 +89,14 @@ class Watch:
         self._values = Values([part.expression for part in self.watched if part.expression], problem, plant)
         self.kinds = self._values.kinds | {part.kind for part in self.watched}
         self._intervals = problem.intervals
+        self._slacks = [i for i, control in enumerate(problem.controls) if control.softens]
 
     def measure(self, read: Read) -> Margins:
         """Return the largest violation of each, and the worst of every interval over the tolerated one."""
         N = self._intervals
         if not self.watched:
             return Margins((), (0.0,) * N)
+        read = self._widen(read) if self._slacks else read
         places = np.linspace(0.0, 1.0, SAMPLES + 1)
         k, c = np.repeat(np.arange(N), places.size), np.tile(places, N)
         values = self._evaluate(read(k, c)).reshape(N, places.size, -1)
@@ -104,6 +106,23 @@ class Watch:
             excess = np.maximum(excess, _measure(values[:, :, i], margin.range).max(axis=1) / margin.tolerated)
             excess[margin.interval] = max(excess[margin.interval], margin.violation / margin.tolerated)
         return Margins(tuple(worst), tuple(np.clip(excess, 0.0, MOST).tolist()))
+
+    def _widen(self, read: Read) -> Read:
+        """Return a motion whose slacks, constant over intervals, also widen ranges in the intervals beside theirs.
+
+        Else a soft constraint would count as violated where an interval with a smaller slack begins.
+        """
+        own = read(np.arange(self._intervals), np.zeros(self._intervals))["controls"][:, self._slacks]
+        beside = np.pad(own, ((1, 1), (0, 0)), mode="edge")
+        widest = np.maximum(own, np.maximum(beside[:-2], beside[2:]))
+
+        def read_widened(k: Indices, c: Array) -> Parts:
+            parts = read(k, c)
+            controls = parts["controls"].copy()
+            controls[:, self._slacks] = widest[k]
+            return {**parts, "controls": controls}
+
+        return read_widened
 
     def _evaluate(self, parts: Parts) -> Array:
         """Return the values (B, watched)."""

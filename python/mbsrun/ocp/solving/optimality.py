@@ -50,7 +50,7 @@ class Point:
     c: Array  # gradient of the cost
     J: Matrix  # Jacobian of the rows that read several variables; others are bounds of their variable
     rows: Indices  # their numbers
-    size: Array  # D
+    size: Array  # D, of variables over their usual sizes
     below: Array  # how far each variable may fall, and rise
     above: Array
     row_below: Array  # of rows: likewise; 0 in equations
@@ -109,8 +109,11 @@ def judge(point: Point, tolerance: float, weight: float, multipliers: Array | No
 def linearise(
     x: Array, g: Array, c: Array, J: Matrix, bounds: Pair, ranges: Pair, scales: Array | float = 1.0
 ) -> Point:
-    """Make a point of a program of its values and first derivatives, for variables of usual sizes."""
-    size, fixed, equal = np.maximum(scales, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
+    """Make a point of a program of its values and first derivatives, in variables over their usual sizes."""
+    s = np.broadcast_to(scales, x.shape)
+    x, c, bounds = x / s, c * s, (bounds[0] / s, bounds[1] / s)
+    J = Matrix(J @ sparse.diags_array(s)) if (s != 1).any() else J
+    size, fixed, equal = np.maximum(1.0, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
     below, above = (np.where(fixed, 0.0, distance) for distance in (x - bounds[0], bounds[1] - x))
     row_below, row_above = (np.where(equal, 0.0, distance) for distance in (g - ranges[0], ranges[1] - g))
     row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
@@ -125,8 +128,9 @@ def linearise(
     is_kept[alone] = False
     kept = np.flatnonzero(is_kept)
     sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
-    finest = np.min(scales, initial=1.0)  # solvers scale no row by less
-    excess = (_measure_excess(g, ranges) / np.maximum(finest, reach), _measure_excess(x, bounds) / size)
+    has_sizes = np.bincount(row, weights=(s != 1)[column], minlength=g.size) > 0
+    unit = np.where(has_sizes & (reach > 0), 0.0, 1.0)  # rows in unusual sizes have the one of their terms
+    excess = (_measure_excess(g, ranges) / np.maximum(unit, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
         _pick_rows(J, is_kept),

@@ -36,7 +36,8 @@ from mbsrun.ocp.ground.status import (
 )
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.phases import Unreached, adapt_guess, carry_states, guess_phases, solve_links
-from mbsrun.ocp.guessing.state_guess import complete, guess_largest, size_states
+from mbsrun.ocp.guessing.sizes import size_added
+from mbsrun.ocp.guessing.state_guess import complete, guess_largest
 from mbsrun.ocp.methods import METHODS, Assignment, Instance
 from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.problem.problem import Loops, SolverOptions
@@ -60,6 +61,7 @@ from mbsrun.ocp.statement.surplus import free_targets
 from mbsrun.ocp.transcription.clashes import Found, Names, describe, describe_point, name_parts, see_solver
 from mbsrun.ocp.transcription.linking import Defined
 from mbsrun.ocp.transcription.phases import PhasedTranscription, transcribe_phases
+from mbsrun.ocp.transcription.scales import scale_cost
 
 OPENED = 1e-8  # the largest gap of loops in a solution [m, 1], unless the tolerance is larger
 SIZABLE = 1e-4  # of the cost: where small changes may lower it by more, a solve goes on
@@ -138,7 +140,8 @@ class PhasedSolver:
         options, run = problem.solver, found.run
         if not isinstance(found, PhasedSolution) or run.status != SOLVED or not run.decrease or not self._is_judged:
             return found
-        cost, worth = abs(found.cost), 1 / options.objective_scaling if options.objective_scaling else problem.weight
+        worth = 1 / options.objective_scaling if options.objective_scaling else problem.weight
+        cost, worth = abs(found.cost), worth / outcome.start.cost_scale
         if cost <= options.tolerance * worth or run.decrease <= SIZABLE * cost:
             return found
         finer = replace(problem, solver=replace(options, tolerance=SHARPER * options.tolerance))
@@ -171,16 +174,31 @@ class PhasedSolver:
         own, x = self.transcription, self.pack(problem, guess)
         freed = self._free_targets(problem, guess)
         bounds = own.variable_bounds(freed)
-        sized = self._size_states(problem, usual)
+        sized = self._size_added(problem, usual)
         is_packed = sized is guess and not own.defined  # what links define is no part of usual sizes
+        parameters = own.parameters(problem)
         scales = own.find_scales(x if is_packed else own.pack(problem, sized), bounds)
+        if (scales != 1).any():
+            scales = own.size_inputs(scales, x, self.program.numpy.jacobian(x, parameters), bounds)
         told = None if watch is None else report(watch)
-        return Instance(x, own.parameters(problem), *bounds, *own.constraint_bounds(freed), told, scales)
+        start = Instance(x, parameters, *bounds, *own.constraint_bounds(freed), told, scales)
+        return replace(start, cost_scale=self._scale_cost(problem, start, scales))
 
-    def _size_states(self, problem: PhasedProblem, usual: Guess) -> Guess:
+    def _scale_cost(self, problem: PhasedProblem, start: Instance, scales: Array) -> float:
+        """Return the factor of the cost beside the one of its weights: by its slopes in scaled variables.
+
+        They count at the guess, and where variables that are guessed as 0 have their sizes.
+        """
+        if problem.solver.objective_scaling or (scales == 1).all():
+            return 1.0
+        places = start.x, np.clip(np.where(start.x == 0, scales, start.x), start.lower, start.upper)
+        slopes = [self.program.numpy.gradient(x, start.parameters) * scales / problem.weight for x in places]
+        return scale_cost(max(float(np.abs(slope[np.isfinite(slope)]).max(initial=0.0)) for slope in slopes))
+
+    def _size_added(self, problem: PhasedProblem, usual: Guess) -> Guess:
         """Return motions of usual sizes; the same ones where all states have a size."""
         parts = zip(usual.trajectories, problem.phases, self.plants.phases, strict=True)
-        sized = tuple(size_states(motion, phase.problem, plant) for motion, phase, plant in parts)
+        sized = tuple(size_added(motion, phase.problem, plant) for motion, phase, plant in parts)
         same = all(a is b for a, b in zip(sized, usual.trajectories, strict=True))
         return usual if same else replace(usual, trajectories=sized)
 
@@ -234,7 +252,8 @@ class PhasedSolver:
 
     def _call(self, problem: PhasedProblem, start: Instance) -> Outcome:
         """Run the method from a point."""
-        options = self.choose_method(problem)
+        chosen = self.choose_method(problem)
+        options = replace(chosen, objective_scaling=start.cost_scale * (chosen.objective_scaling or 1.0))
         outcome = call(self._find_method(options), start)
         return replace(outcome, run=replace(outcome.run, method=methods.choose(options)))
 

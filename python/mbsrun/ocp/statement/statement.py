@@ -315,7 +315,7 @@ class _Reading(PartReading):
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
             constraints=(*constraints, *complements, *self.orient(end), *list_equilibria(section, self.plant)),
-            guess=self.guess(section.guess, bounds, start_q, free_q, end),
+            guess=self.guess(section.guess, bounds, start_q, free_q, section.start.pose if section.start else {}, end),
             parameters=parameters,
             unknowns=unknowns,
             accuracy=accuracy,
@@ -785,16 +785,26 @@ class _Reading(PartReading):
         return values.get("x"), values.get("y"), values.get("z")
 
     def guess(
-        self, section: GuessSection, bounds: Bounds, start_q: Sequence[float], free: Sequence[int], end: End
+        self,
+        section: GuessSection,
+        bounds: Bounds,
+        start_q: Sequence[float],
+        free: Sequence[int],
+        given: StartValues,
+        end: End,
     ) -> GuessOptions:
-        """Read how to guess; `free` are the coordinates without a value at the start."""
+        """Read how to guess; `free` are the coordinates without a value at the start, whose pose is given."""
         for i, name in enumerate(section.upright):
             self.look_up(("guess", "upright", i), name, self.frames)
         start = self.guessed_pose("start", section.start, bounds)
         for i, _ in start:
             if i not in free:
-                place: Place = ("guess", "start", self.coordinates.known[i])
-                self.fault(place, "this coordinate has a value at the start", "leave it out, or free it by null there")
+                name, finding = self.coordinates.known[i], "this coordinate has a value at the start"
+                remedy = "leave it out, or free it by null there"
+                if self.closure is not None and isinstance(given, dict) and name not in given:
+                    finding = "the loops give this coordinate at the start"
+                    remedy = "leave it out; the model's assembly chooses the way to close them"
+                self.fault(("guess", "start", name), finding, remedy)
         last = self.guessed_pose("end", section.end, bounds)
         if self.closure is not None and not self.faults:
             held = {i: value for i, value in enumerate(start_q) if i not in free}

@@ -175,6 +175,10 @@ class Layout:
         points = np.concatenate((self.point_inputs, extras.point_controls), axis=2)
         return np.concatenate((self.inputs, extras.controls, points.reshape(N, -1)), axis=1)
 
+    def list_inputs(self) -> Indices:
+        """List the inputs of the mechanism that the solver chooses."""
+        return np.concatenate((self.inputs.ravel(), self.point_inputs.ravel()))
+
     def split(self, states: NDArray[Scalar]) -> tuple[NDArray[Scalar], NDArray[Scalar]]:
         """Split states (..., nq + n), or any array with their last axis, into coordinates and velocities."""
         return states[..., : self.nq], states[..., self.nq :]

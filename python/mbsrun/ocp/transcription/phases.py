@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbsrun.ocp.ground.functions import Array, Indices
-from mbsrun.ocp.ground.program import Chain, Program
+from mbsrun.ocp.ground.program import Chain, Matrix, Program
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.phases import Link, PhasedProblem, Plants
 from mbsrun.ocp.solution.phases import Guess
@@ -21,7 +21,7 @@ from mbsrun.ocp.transcription.chain import Joined, Joint, order_stages
 from mbsrun.ocp.transcription.delays import Half, Placed, find_shifts, write_jumps, write_repeats
 from mbsrun.ocp.transcription.impacts import ImpactRows, write_impact
 from mbsrun.ocp.transcription.linking import Defined, Rows, write_conditions, write_costs, write_transfer
-from mbsrun.ocp.transcription.scales import find_scales
+from mbsrun.ocp.transcription.scales import ROUNDED, USUAL, find_scales, find_terms, round_scale
 from mbsrun.ocp.transcription.sides import Side, name_impulses, read_side
 from mbsrun.ocp.transcription.standing import find_standing
 from mbsrun.ocp.transcription.transcription import Transcription, transcribe
@@ -125,6 +125,25 @@ class PhasedTranscription:
             scales[own] = find_scales(part, x[own], (bounds[0][own], bounds[1][own]))
             at = own.stop
         return scales
+
+    def size_inputs(self, scales: Array, x: Array, J: Matrix, bounds: tuple[Array, Array]) -> Array:
+        """Return scales in which open inputs without a guess balance the other terms of the rows that read them.
+
+        Derivatives J of the rows are given.
+        """
+        parts = [own.layout.list_inputs() + at.variables for own, at in zip(self.phases, self.offsets, strict=False)]
+        inputs = self.see(np.intersect1d(np.concatenate(parts), self.program.kept))
+        is_open = ~np.isfinite(np.subtract(*bounds)[inputs])
+        inputs = inputs[is_open & (scales[inputs] == 1) & (np.abs(x[inputs]) <= ROUNDED)]
+        if not inputs.size:
+            return scales
+        is_input = np.isin(np.arange(scales.size), inputs)
+        terms, read = find_terms(J, np.where(is_input, 0.0, scales)), np.repeat(is_input, np.diff(J.indptr))
+        own = np.abs(J.data[read])
+        sizes = terms[J.indices[read]][own > 0] / own[own > 0]
+        found = scales.copy()
+        found[inputs] = round_scale(float(sizes.max(initial=0.0)), np.array([np.inf]), USUAL)
+        return found
 
     def split(self, x: Array) -> list[Array]:
         """Return the variables of each phase, of all variables."""

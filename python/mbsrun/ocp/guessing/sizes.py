@@ -1,0 +1,117 @@
+"""The usual sizes of states and controls that are guessed as 0 and have no bounds: by the rates, over the horizon.
+
+A guess, a bound or an end that is not 0 is a size. Others follow from the rates r along the guess, whose horizon is T:
+
+    a state s changes by T |r_s|: a velocity from rest to rest under gravity,
+    a state or control z that moves a state s of known size balances its rate, |z| = R / |dr_s/dz|: a velocity, where
+    positions are known, and then a force. R is the largest of |s| / T, |r_s|, and the terms of other known sizes.
+    Where z moves several states, the least of these sizes counts.
+
+The larger of both counts. A size that is found this way gives sizes to others in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbsgen.expressions import evaluate, names, parse
+from mbsrun.jets import Jet, make_jets, vary
+from mbsrun.ocp.evaluation.values import Parts, Values
+from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.state_guess import list_parts
+from mbsrun.ocp.problem.problem import Problem, Range, State
+
+ROUNDED = 1e-9  # computed sizes below this are zeros that rounded; numbers of a file are none
+
+
+def size_added(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Return a complete motion in which open states and controls that are guessed as 0 have their usual sizes.
+
+    It is the same motion where all have a size.
+    """
+    states = problem.every_state
+    guessed = np.concatenate([_find_largest(motion.states), _find_largest(motion.controls)])
+    stated = np.concatenate([[_find_stated(state) for state in states], guessed[len(states) :]])
+    sizes = np.maximum(np.where((stated == 0) & (guessed < ROUNDED), 0.0, guessed), stated)
+    limits = [*(state.bounds for state in states), *(control.bounds for control in problem.controls)]
+    closed = np.array([_find_magnitude(pair) if np.isfinite(pair).all() else 0.0 for pair in limits])
+    known = np.where(sizes == 0, closed, sizes)
+    if states and (known == 0).any():
+        rates, slopes = _differentiate_rates(motion, problem, plant)
+        found = _spread_sizes(known, rates, slopes, float(motion.t[-1]))
+        sizes = np.where((sizes == 0) & (closed == 0), found, sizes)
+    changed = np.flatnonzero(sizes != guessed)
+    return _put(motion, changed, sizes) if changed.size else motion
+
+
+def _spread_sizes(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
+    """Return sizes (n,) with the unknown ones, 0, found from rates (ns,) of states and their derivatives (ns, n)."""
+    sizes, ns = sizes.copy(), len(rates)
+    changes = np.concatenate([rates * T, np.zeros(len(sizes) - ns)])
+    changes[changes < ROUNDED] = 0.0
+    while True:
+        balanced = np.maximum(np.maximum(sizes[:ns] / T, rates), (slopes * sizes).max(axis=1, initial=0.0))
+        moves = (sizes[:ns, None] > 0) & (slopes > 0)
+        moved = np.where(moves, balanced[:, None] / np.where(moves, slopes, 1.0), np.inf).min(axis=0, initial=np.inf)
+        found = np.maximum(changes, np.where(np.isfinite(moved), moved, 0.0))
+        is_new = (sizes == 0) & (found > 0)
+        if not is_new.any():
+            return sizes
+        sizes[is_new] = found[is_new]
+
+
+def _differentiate_rates(motion: Trajectory, problem: Problem, plant: Plant) -> tuple[Array, Array]:
+    """Return the largest rates (ns,) along a motion, and their derivatives by states and controls (ns, ns + nc)."""
+    parts, states = list_parts(motion, plant), problem.every_state
+    added = [*(state.name for state in states), *(control.name for control in problem.controls)]
+    rates = Values([state.rate for state in states], problem, plant)(parts)
+    slopes = [_differentiate(state.rate, added, parts, problem, plant) for state in states]
+    return _find_largest(rates), np.stack(slopes)
+
+
+def _differentiate(text: str, added: Sequence[str], parts: Parts, problem: Problem, plant: Plant) -> Array:
+    """Return the largest magnitudes of an expression's derivatives by some of the names that it may read."""
+    expression = parse(text)
+    every = sorted(names(expression))
+    if not (read := [name for name in every if name in added]):
+        return np.zeros(len(added))
+    n, values = len(read), Values(every, problem, plant)(parts)
+    jets: Mapping[str, Jet] = {
+        name: vary(column, read.index(name), n) if name in read else Jet(column, np.zeros((1, n)), np.zeros((1, n, n)))
+        for name, column in zip(every, values.T, strict=True)
+    }
+    with np.errstate(all="ignore"):
+        slopes = _find_largest(evaluate(expression, jets, make_jets(n)).g.reshape(-1, n))
+    found = dict(zip(read, slopes, strict=True))
+    return np.array([found.get(name, 0.0) for name in added])
+
+
+def _put(motion: Trajectory, places: Indices, sizes: Array) -> Trajectory:
+    """Put sizes into a motion in place of states and controls, by their places in the row of both."""
+    ns = motion.states.shape[1]
+    of_states, of_controls = places[places < ns], places[places >= ns]
+    found = [array.copy() for array in (motion.states, motion.point_states, motion.controls)]
+    for array, chosen, offset in zip(found, (of_states, of_states, of_controls), (0, 0, ns), strict=True):
+        array[..., chosen - offset] = sizes[chosen]
+    return replace(motion, states=found[0], point_states=found[1], controls=found[2])
+
+
+def _find_largest(values: Array) -> Array:
+    """Return the largest finite magnitude in each column."""
+    return np.asarray(np.abs(np.nan_to_num(values, posinf=0.0, neginf=0.0)).max(axis=0, initial=0.0))
+
+
+def _find_magnitude(limits: Range) -> float:
+    """Return the largest finite magnitude of two limits; 0 where both are infinite."""
+    return max((abs(limit) for limit in limits if np.isfinite(limit)), default=0.0)
+
+
+def _find_stated(state: State) -> float:
+    """Return the largest number that a file gives a state at its ends or as its guess."""
+    guess = state.guess if isinstance(state.guess, tuple) else (state.guess or 0.0,)
+    return max(_find_magnitude((a, b)) for a, b in (state.start, state.end, (min(guess), max(guess))))
