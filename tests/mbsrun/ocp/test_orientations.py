@@ -141,3 +141,29 @@ def test_faults_of_orientations_name_their_places(wrist: OptimalControl) -> None
     ):
         with pytest.raises(ProblemError, match=finding):
             wrist.with_changes(end={"orientations": given})
+
+
+def stack(aims: Aims) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the axes as columns."""
+    return np.array([axis for _, axis in aims]).T
+
+
+def test_axes_are_the_columns_of_scipys_rotations(rng: np.random.Generator) -> None:
+    """Of turns about fixed axes, of quaternions of any length, and of directions of two axes."""
+    for _ in range(4):
+        angles = rng.uniform(-3, 3, 3)
+        R = Rotation.from_euler("xyz", angles).as_matrix()
+        assert [k for k, _ in turn_by(*angles)] == [0, 1, 2]
+        assert stack(turn_by(*angles)) == pytest.approx(R, abs=1e-14)
+        turned = turn_to(*(1.7 * Rotation.from_matrix(R).as_quat()))
+        assert turned is not None
+        assert stack(turned) == pytest.approx(R, abs=1e-14)
+        for i, j in ((0, 1), (1, 2), (0, 2), (2, 0)):
+            aims = point({i: 3 * R[:, i], j: 0.1 * R[:, j]})
+            assert aims is not None
+            assert stack(aims) == pytest.approx(R, abs=1e-14)
+    assert turn_to(0, 0, 0, 0) is None
+    assert point({0: (1, 0, 0), 1: (0, 0, 0)}) is None
+    assert point({0: (1, 0, 0), 1: (1e-8, 1, 0)}) is None
+    assert point({0: (1, 0, 0), 1: (1e-10, 1, 0)}) is not None
+    assert point({k: np.eye(3)[k] for k in range(3)}) is None

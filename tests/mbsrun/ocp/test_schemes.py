@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mpmath
 import numpy as np
 import pytest
@@ -128,3 +130,13 @@ def test_lobatto_points_to_fifty_digits(degree: int) -> None:
 def test_degrees_outside_the_range_are_refused(degree: int) -> None:
     with pytest.raises(ValueError, match="not in 1"):
         schemes.build(Family.RADAU, degree)
+
+
+@pytest.mark.parametrize("moment", range(4))
+def test_integrals_of_bases_are_exact(scheme: Scheme, moment: int) -> None:
+    """The integral of (c - s)^m s^p from 0 to c is c^(m + p + 1) m! p! / (m + p + 1)!."""
+    nodes, places = np.concatenate(([0.0], np.unique(scheme.points[scheme.points > 0]))), np.array([0.3, 1.0])
+    rows = schemes.integrate_basis(nodes, places, moment)
+    for p in range(len(nodes)):
+        beta = math.factorial(moment) * math.factorial(p) / math.factorial(moment + p + 1)
+        assert rows @ nodes**p == pytest.approx(beta * places ** (moment + p + 1), rel=1e-11, abs=1e-14)

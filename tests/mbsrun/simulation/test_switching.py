@@ -6,6 +6,7 @@ import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -646,3 +647,23 @@ def test_a_one_way_clutch_holds_one_way_and_lets_go_the_other(make: Make) -> Non
 def test_clutches_that_contradict_themselves_are_refused(options: str, message: str, make: Make) -> None:
     with pytest.raises(InputError, match=message):
         slide(make, options)
+
+
+def test_what_happened_at_a_time_waits_for_a_step() -> None:
+    """Events, losses and jumps belong to the chunk that has the next step; one without a step leaves them."""
+    happened = {"passed": ("hit",), "loss": 1.5, "driven": 2.5, "guards": ("stop",), "jumps": ("jump",)}
+    course = SimpleNamespace(
+        **happened,
+        modes=np.array([1]),
+        is_locked=False,
+        dynamics=SimpleNamespace(places=1),
+        plant=SimpleNamespace(make_dense=lambda *_: None),
+    )
+    for count in (1, 3):
+        chunk = switching._Course.gather(course, None, np.arange(float(count)), np.zeros((count, 2)), None, None)  # type: ignore[arg-type]
+        assert chunk.segment is not None
+        assert (chunk.segment.events, chunk.segment.loss) == (("hit",), 1.5)
+        left = {name: getattr(course, name) for name in happened}
+        assert left == (
+            happened if count == 1 else {"passed": (), "loss": 0.0, "driven": 0.0, "guards": (), "jumps": ()}
+        )
