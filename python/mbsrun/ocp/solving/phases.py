@@ -28,6 +28,7 @@ from mbsrun.ocp.ground.status import (
     INFEASIBLE,
     INVALID,
     JUMPED,
+    NOT_OPTIMAL,
     OPEN,
     SOLVED,
     UNREACHABLE,
@@ -127,18 +128,32 @@ class PhasedSolver:
         outcome = appeal(self.program, outcome, problem.solver, problem.weight)
         if outcome.run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(outcome.x).all():
             return self._explain(problem, outcome, known)
-        return self._sharpen(problem, outcome, self._answer(problem, outcome))
+        found = self._answer(problem, outcome)
+        if isinstance(found, PhasedSolution):
+            return self._sharpen(problem, outcome, found)
+        return self._insist(problem, outcome, found) if found.run.status == NOT_OPTIMAL else found
 
-    def _sharpen(
-        self, problem: PhasedProblem, outcome: Outcome, found: PhasedSolution | Failure
-    ) -> PhasedSolution | Failure:
+    def _insist(self, problem: PhasedProblem, outcome: Outcome, found: Failure) -> PhasedSolution | Failure:
+        """Go on with a smaller tolerance where the judge finds that an answer is not optimal.
+
+        A method's tolerance is absolute, and small beside a large weight; the judge compares with the cost's slopes.
+        """
+        finer = replace(problem, solver=replace(problem.solver, tolerance=SHARPER * problem.solver.tolerance))
+        again = self._call(finer, replace(outcome.start, x=outcome.x))
+        again = appeal(self.program, again, problem.solver, problem.weight)
+        if again.run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(again.x).all():
+            return found
+        better = self._answer(problem, again)
+        return replace(better, run=join(found.run, better.run)) if isinstance(better, PhasedSolution) else found
+
+    def _sharpen(self, problem: PhasedProblem, outcome: Outcome, found: PhasedSolution) -> PhasedSolution:
         """Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it.
 
         The tolerance is for a cost over its largest weight, and a cost may be small beside that. Where the solve
         comes to another minimum, the first one stays.
         """
         options, run = problem.solver, found.run
-        if not isinstance(found, PhasedSolution) or run.status != SOLVED or not run.decrease or not self._is_judged:
+        if run.status != SOLVED or not run.decrease or not self._is_judged:
             return found
         worth = 1 / options.objective_scaling if options.objective_scaling else problem.weight
         cost, worth = abs(found.cost), worth / outcome.start.cost_scale
