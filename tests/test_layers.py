@@ -167,6 +167,7 @@ MBSRUN = Package(
         "ocp.transcription",
         "ocp.statement.checks ocp.statement.orienting",
         "ocp.statement.phase_checks ocp.statement.sections ocp.statement.surplus",
+        "ocp.statement.metabolics",
         "ocp.statement.muscles ocp.statement.phase_sections ocp.statement.referring",
         "ocp.statement.parts",
         "ocp.statement.restating",

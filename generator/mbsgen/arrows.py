@@ -51,7 +51,7 @@ from mbsgen.expressions import (
     substitute,
     write,
 )
-from mbsgen.manifest import Appearance, Element, Fibres, Formula, Given, Point, Reading, Touch
+from mbsgen.manifest import Appearance, Contraction, Element, Fibres, Formula, Given, Point, Reading, Touch
 from mbsgen.model.elimination import eliminate
 from mbsgen.model.following import find_rules, list_joints
 from mbsgen.model.model import (
@@ -232,7 +232,14 @@ class _Writing:
         if muscle.tendon_state is not None:
             texts |= {"tendon_state": muscle.tendon_state, "equilibrium": muscle.equilibrium}
             texts |= {} if muscle.settling is None else {"settling": muscle.settling}
-        return Fibres(**{key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in texts.items()})
+        parts = {"active": muscle.active_force, "passive": muscle.passive_force, "isometric": muscle.isometric_force}
+        parts |= {"velocity": muscle.fibre_velocity, "stretch": muscle.stretch}
+        parts |= {"strength": muscle.strength, "best": muscle.fibre}
+        own, forces = (
+            {key: self._read(x, OWN | {TENDON_RATE, FIBRE, COSINE}) for key, x in given.items()}
+            for given in (texts, parts)
+        )
+        return Fibres(**own, contraction=Contraction(**forces))
 
     def _add_contact(self, k: int, found: Touch, contact: Contact) -> Touch:
         if found.law is None:

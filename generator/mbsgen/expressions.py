@@ -11,13 +11,15 @@ Beside the usual functions there are
     step(x, w)              1/(1 + exp(-x/w)), a smooth step from 0 to 1 of width w
     softplus(x, w)          w log(1 + exp(x/w)), a smooth max(x, 0), of which step(x, w) is the derivative
 
+    smoothmax(x, y, w)      x + (y - x) step(y - x, w), a smooth max(x, y), equal to it where they are far apart
     bezier(x, x0, y0, xc, yc, x1, y1, c)
                             y over x along the quintic Bezier curve from (x0, y0) to (x1, y1) whose tangents meet at
                             (xc, yc), of curviness c; y0 before x0, y1 after x1
 
-step and softplus have all derivatives, and no argument makes them overflow. max, min and abs have a kink; their second
-derivatives are taken as 0 there as elsewhere. The curve of bezier has the control points P0, P0 + c (Pc - P0) twice,
-P1 + c (Pc - P1) twice, and P1 (Millard, Uchida, Seth, Delp, 2013), so that it has no curvature at its ends.
+step, softplus and smoothmax have all derivatives, and no argument makes them overflow. max, min and abs have a kink;
+their second derivatives are taken as 0 there as elsewhere. The curve of bezier has the control points P0,
+P0 + c (Pc - P0) twice, P1 + c (Pc - P1) twice, and P1 (Millard, Uchida, Seth, Delp, 2013), so that it has no curvature
+at its ends.
 """
 
 from __future__ import annotations
@@ -47,9 +49,11 @@ MAX_DIGITS = 64  # characters of one number
 _UNARY = ("sin", "cos", "tan", "asin", "acos", "atan", "sqrt", "exp", "log", "tanh", "abs")
 PRIMITIVES: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), "atan2": 2, "max": 2})  # of an Algebra
 BEZIER = "bezier"
+LONG = (BEZIER, "smoothmax")  # their definitions repeat arguments
 DEFINED: Mapping[str, tuple[str, ...]] = MappingProxyType(  # by others: their arguments; see _DEFINITIONS
     {
         **dict.fromkeys(("min", "step", "softplus"), ("x", "w")),
+        "smoothmax": ("x", "y", "w"),
         BEZIER: ("x", "x0", "y0", "xc", "yc", "x1", "y1", "c"),
     }
 )
@@ -519,6 +523,7 @@ _DEFINITIONS: Mapping[str, Mapping[str, Expression]] = MappingProxyType(  # in s
         "min": {"": parse("-max(-x, -w)")},
         "step": {"": parse("(1 + tanh(x/(2*w)))/2")},
         "softplus": {"": parse("w*(max(x/w, 0) + log(exp(-max(x/w, 0)) + exp(x/w - max(x/w, 0))))")},
+        "smoothmax": {"more": parse("y - x"), "": parse("x + more*step(more, w)")},
         BEZIER: _define_bezier(),
     }
 )

@@ -233,6 +233,18 @@ class Grip(_Entry):
     speed: float  # [m/s]
 
 
+class Contraction(_Entry):
+    """Forces and rate of the fibres of a muscle as expressions."""
+
+    active: str  # [N]
+    passive: str  # and of damping [N]
+    isometric: str  # active force at rest [N]
+    velocity: str  # [m/s]
+    stretch: str  # length over the best length
+    strength: str  # [N]
+    best: str  # length [m]
+
+
 class Fibres(_Entry):
     """Numbers of a muscle as expressions, over its length, rate and signals."""
 
@@ -244,6 +256,7 @@ class Fibres(_Entry):
         ""  # of an elastic tendon: 0 along a motion; fibre_length, fibre_cosine, tendon_state_rate are in it
     )
     settling: str = ""  # of an elastic tendon, unless fibres damp: tendon_state_rate [1/s], where equilibrium is 0
+    contraction: Contraction | None = None  # fibre_length, fibre_cosine and tendon_state_rate are in it
 
 
 class Element(_Entry):

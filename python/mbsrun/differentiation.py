@@ -50,6 +50,7 @@ _PAIRS: Mapping[str, tuple[Expression, Expression]] = {  # of functions of x and
     "step": (parse("step(x, w)*step(-x, w)/w"), parse("-x*step(x, w)*step(-x, w)/w**2")),
     "softplus": (parse("step(x, w)"), parse("(softplus(x, w) - x*step(x, w))/w")),
 }
+_SMOOTHMAX = parse("x + (y - x)*step(y - x, w)")
 
 
 class DerivativeError(ExpressionError):
@@ -112,6 +113,8 @@ def _differentiate_call(
     inner = [_differentiate(argument, rates) for argument in arguments]
     if function in _SLOPES:
         return _multiply(substitute(_SLOPES[function], {"x": arguments[0]}), inner[0])
+    if function == "smoothmax":
+        return _differentiate(substitute(_SMOOTHMAX, dict(zip("xyw", arguments, strict=True))), rates)
     if function == BEZIER:
         raise DerivativeError(f"{write(Call(function, arguments))} is not differentiated here", SMOOTH)
     if function not in _PAIRS:

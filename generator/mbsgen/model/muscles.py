@@ -94,6 +94,31 @@ class Muscle:
         return self._read(parse(text), y=y, cosine=Name(COSINE), s=self._share)
 
     @property
+    def active_force(self) -> Expression:
+        """Return the active force of the fibres [N]; TENDON_RATE, FIBRE and COSINE are in it, as in all that follow."""
+        return self._read(parse("strength*activation*active*faster"), active=self._active, faster=self._faster)
+
+    @property
+    def passive_force(self) -> Expression:
+        """Return the passive force of the fibres, and of their damping [N]."""
+        return self._read(parse("strength*(slack + damping*y)"), slack=self._slack, y=self._quickness)
+
+    @property
+    def isometric_force(self) -> Expression:
+        """Return the active force that the fibres would have at rest [N]."""
+        return self._read(parse("strength*activation*active"), active=self._active)
+
+    @property
+    def fibre_velocity(self) -> Expression:
+        """Return the rate of the fibres' length [m/s]."""
+        return self._read(parse("y*speed*fibre"), y=self._quickness)
+
+    @property
+    def stretch(self) -> Expression:
+        """Return the length of the fibres over their best length."""
+        return Operation("/", Name(FIBRE), self.fibre)
+
+    @property
     def _share(self) -> Expression:
         """Return the force of an elastic tendon, over the strength."""
         assert self.tendon_state is not None, "an elastic tendon"
@@ -111,32 +136,39 @@ class Muscle:
         """Return f_p."""
         if self.passive == ZERO:
             return ZERO
-        return self._bend(self.curves.passive, self.passive, n=Operation("/", Name(FIBRE), self.fibre))
+        return self._bend(self.curves.passive, self.passive, n=self.stretch)
 
     @property
     def _active(self) -> Expression:
         """Return f_l."""
-        n = Operation("/", Name(FIBRE), self.fibre)
+        n = self.stretch
         return substitute(
             self.curves.active, {"n": n if self.width == ONE else self._read(parse("1 + (n - 1)/width"), n=n)}
         )
 
     @property
-    def _pull(self) -> Expression:
-        """Return the force of the fibres along the tendon, over the strength; FIBRE and COSINE are in it."""
+    def _quickness(self) -> Expression:
+        """Return y."""
         rate: Expression = Name(LENGTH_RATE)
         if self.tendon_state is not None:
             longer = self._bend(self.curves.stretch_rate, self.tendon_strain, rate=Name(TENDON_RATE))
             rate = Operation("-", rate, Operation("*", self.tendon, longer))
         turned = "rate/(speed*fibre)" if self.pennation == ZERO else "rate*cosine/(speed*fibre)"
-        y = self._read(parse(turned), rate=rate, cosine=Name(COSINE))
-        is_rigid = self.tendon_state is None
-        velocity = self.curves.rigid_velocity if is_rigid else self.curves.velocity
-        faster = substitute(velocity, {"y": y, "activation": self.activation})
-        force = self._read(_PULL, active=self._active, faster=faster, slack=self._slack)
+        return self._read(parse(turned), rate=rate, cosine=Name(COSINE))
+
+    @property
+    def _faster(self) -> Expression:
+        """Return f_v."""
+        velocity = self.curves.rigid_velocity if self.tendon_state is None else self.curves.velocity
+        return substitute(velocity, {"y": self._quickness, "activation": self.activation})
+
+    @property
+    def _pull(self) -> Expression:
+        """Return the force of the fibres along the tendon, over the strength; FIBRE and COSINE are in it."""
+        force = self._read(_PULL, active=self._active, faster=self._faster, slack=self._slack)
         if self.damping != ZERO:
-            force = Operation("+", force, self._read(_DAMPING, y=y))
-        if is_rigid and not self.curves.may_push:
+            force = Operation("+", force, self._read(_DAMPING, y=self._quickness))
+        if self.tendon_state is None and not self.curves.may_push:
             force = Call("max", (force, ZERO))
         return force if self.pennation == ZERO else Operation("*", force, Name(COSINE))
 

@@ -20,6 +20,7 @@ from mbsgen.expressions import Expression, Name, Number, fold, is_free_name, par
 from mbsgen.manifest import Fibres
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.problem import Constraint
+from mbsrun.ocp.statement.metabolics import write_rate
 from mbsrun.ocp.statement.sections import (
     ControlSection,
     MusclesSection,
@@ -87,6 +88,20 @@ def list_equilibria(section: ProblemSection, plant: Plant) -> tuple[Constraint, 
     return tuple(_balance(x, plant) for x in _list_muscles(plant, lambda *_: None) if x.tendon is not None)
 
 
+def list_metabolic_rates(section: ProblemSection, plant: Plant) -> Mapping[str, str]:
+    """Return the metabolic rates that a problem with `muscles` prices, by their names."""
+    wanted = section.muscles
+    if wanted is None or wanted.metabolics is None:
+        return {}
+    found = {}
+    for muscle in _list_muscles(plant, lambda *_: None):
+        assert muscle.fibres.contraction is not None, "every muscle has one"
+        rate = write_rate(muscle.fibres.contraction, Name(muscle.drive(wanted)), wanted.metabolics)
+        tendon = None if muscle.tendon is None else RATE.format(muscle.tendon)
+        found[f"metabolics {muscle.name}"] = _write(name_numbers(muscle.fibres, muscle.name, tendon, rate), plant)
+    return found
+
+
 def _price(muscle: _Muscle, wanted: MusclesSection) -> TermSection:
     return TermSection.model_construct(expression=f"{muscle.drive(wanted)}**2", weight=wanted.effort)
 
@@ -110,18 +125,28 @@ def _control(bounds: Any, guess: Any) -> ControlSection:
 def _balance(muscle: _Muscle, plant: Plant) -> Constraint:
     """Make the constraint of the equilibrium of an elastic tendon."""
     assert muscle.tendon is not None, "the tendon is elastic"
-    numbers = {name: Number(float(x)) for name, x in plant.parameters.items() if is_free_name(name)}
-    equation = write_equilibrium(muscle.fibres, muscle.name, RATE.format(muscle.tendon))
-    text = write(fold(substitute(equation, numbers)))
+    text = _write(write_equilibrium(muscle.fibres, muscle.name, RATE.format(muscle.tendon)), plant)
     return Constraint(text, (0.0, 0.0), name=f"the equilibrium of {muscle.name}")
+
+
+def _write(expression: Expression, plant: Plant) -> str:
+    """Write an expression with the numbers of the model's parameters."""
+    numbers = {name: Number(float(x)) for name, x in plant.parameters.items() if is_free_name(name)}
+    return write(fold(substitute(expression, numbers)))
 
 
 def write_equilibrium(fibres: Fibres, name: str, rate: str) -> Expression:
     """Write the equation of a muscle with an elastic tendon, of a name, over quantities of a motion."""
-    own: Mapping[str, Expression] = {"length": Name(f"length_{name}"), "rate": Name(f"rate_{name}")}
+    return name_numbers(fibres, name, rate, parse(fibres.equilibrium))
+
+
+def name_numbers(fibres: Fibres, name: str, rate: str | None, expression: Expression) -> Expression:
+    """Write an expression of a muscle's numbers over quantities of a motion; `rate` is of the tendon's state."""
+    own: dict[str, Expression] = {"length": Name(f"length_{name}"), "rate": Name(f"rate_{name}")}
     fibre, cosine = (substitute(parse(text), own) for text in (fibres.fibre, fibres.cosine))
-    more = {"fibre_length": fibre, "fibre_cosine": cosine, "tendon_state_rate": Name(rate)}
-    return substitute(parse(fibres.equilibrium), {**own, **more})
+    own |= {"fibre_length": fibre, "fibre_cosine": cosine}
+    own |= {} if rate is None else {"tendon_state_rate": Name(rate)}
+    return substitute(expression, own)
 
 
 def _list_muscles(plant: Plant, blame: Blame) -> Iterator[_Muscle]:

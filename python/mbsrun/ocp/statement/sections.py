@@ -439,6 +439,19 @@ class IntegralSection(Section):
     range: RangeField = Field(examples=[[None, 1.0]])
 
 
+class MetabolicsSection(Section):
+    """The metabolic rates of all muscles, as a term of the cost each."""
+
+    weight: NumberField = Field(default=Number(1.0), examples=[0.001])
+    slow: NumberField = Field(default=Number(0.5), examples=[0.5])  # part of slow fibres
+    specific_tension: NumberField = Field(default=Number(0.25e6), examples=[0.25e6])  # Pa: the mass of a muscle follows
+    density: NumberField = Field(default=Number(1059.7), examples=[1059.7])  # kg/m3
+    force_dependent: bool = Field(default=False, examples=[True])  # heat of shortening by the isometric force
+    velocity_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # s/m, as OpenSim has them
+    power_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # 1/W
+    heat_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # 1/W
+
+
 class MusclesSection(Section):
     """Excitations of all muscles of the model, as controls."""
 
@@ -446,6 +459,7 @@ class MusclesSection(Section):
     rise: NumberField | None = Field(default=None, examples=[0.015])  # of activations, s; without, they are excitations
     fall: NumberField | None = Field(default=None, examples=[0.06])
     effort: NumberField = Field(default=Number(1.0), examples=[1.0])  # weight of the squares of excitations
+    metabolics: MetabolicsSection | None = Field(default=None, examples=[None])
     start: EndField = Field(default=None, examples=[0.05])  # of activations
     guess: NumberField = Field(default=Number(0.2), examples=[0.2])
 

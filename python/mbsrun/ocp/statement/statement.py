@@ -76,14 +76,13 @@ from mbsrun.ocp.statement.checks import (
     find_unknown_conflicts,
     list_open_inputs,
 )
-from mbsrun.ocp.statement.muscles import add_muscles, list_equilibria
+from mbsrun.ocp.statement.muscles import add_muscles, list_equilibria, list_metabolic_rates
 from mbsrun.ocp.statement.orienting import list_conditions, point, turn_by, turn_to
 from mbsrun.ocp.statement.parts import PartReading
 from mbsrun.ocp.statement.restating import Rewriting
 from mbsrun.ocp.statement.sections import (
     BoundsSection,
     ConstraintSection,
-    CostSection,
     EndSection,
     GuessSection,
     HorizonSection,
@@ -280,7 +279,7 @@ class _Reading(PartReading):
             guide = Guide(drives, self.manifest, self.constants, guesses)
             start = self.start_driven(start, guide, horizon)
         start_q, free_q, start_qd, free_qd = self.read_start(start, bounds)
-        cost, end = self.cost(section.cost, horizon), self.end(section.end, bounds)
+        cost, end = self.cost(section, horizon), self.end(section.end, bounds)
         if self.closure is not None:
             end = self.closed_end(self.closure, end, start_q)
         constraints = tuple(self.constraint(i, part) for i, part in enumerate(section.constraints) if part.soft is None)
@@ -431,8 +430,10 @@ class _Reading(PartReading):
             accuracy = self.number(("refine", "accuracy"), section.accuracy, least=LEAST_ACCURACY)
         return Refinement(accuracy, section.rounds)
 
-    def cost(self, section: CostSection, horizon: float) -> Cost:
+    def cost(self, whole: ProblemSection, horizon: float) -> Cost:
+        section = whole.cost
         running = tuple(self.term("running", i, term) for i, term in enumerate(section.running))
+        running += self.metabolics(whole)
         running += tuple(x for i, part in enumerate(section.track) for x in self.referring.track(i, part, horizon))
         terminal = tuple(self.term("terminal", i, term) for i, term in enumerate(section.terminal))
         rates = self.number(("cost", "input_rates"), section.input_rates, least=0)
@@ -444,6 +445,14 @@ class _Reading(PartReading):
         if not any(cost.weights) and not section.largest and not self.is_phase:
             self.fault(("cost",), "every weight is 0", "give inputs or input_rates a positive weight")
         return cost
+
+    def metabolics(self, section: ProblemSection) -> tuple[Term, ...]:
+        """Return the terms of the muscles' metabolic rates."""
+        rates = list_metabolic_rates(section, self.plant)
+        if section.muscles is None or section.muscles.metabolics is None:
+            return ()
+        weight = self.number(("muscles", "metabolics", "weight"), section.muscles.metabolics.weight, least=0)
+        return tuple(Term(text, weight, name) for name, text in rates.items())
 
     def term(self, key: str, i: int, section: TermSection) -> Term:
         place: Place = ("cost", key, i)

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from mbsgen.expressions import (
-    BEZIER,
+    LONG,
     PRIMITIVES,
     Algebra,
     Call,
@@ -65,7 +65,7 @@ _TREES: Algebra[Expression] = Algebra(
     negate=Negation,
     operations={symbol: _operate(symbol) for symbol in "+-*/"},
     power=Power,
-    functions={name: partial(_call, name) for name in (*PRIMITIVES, BEZIER)},  # which is long, written out
+    functions={name: partial(_call, name) for name in (*PRIMITIVES, *LONG)},
 )
 
 
