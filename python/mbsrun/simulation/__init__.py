@@ -4,7 +4,7 @@ from mbsrun.closure import OpenError
 from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.integration.methods import METHODS, Formulation
-from mbsrun.simulation.motion import Event, Keeping, Kind, Mode, Motion, Settings
+from mbsrun.simulation.motion import Event, Impacts, Keeping, Kind, Mode, Motion, Settings
 from mbsrun.simulation.saltation import Sensitivity, differentiate
 from mbsrun.simulation.simulate import simulate
 
@@ -14,6 +14,7 @@ __all__ = [
     "Drive",
     "Event",
     "Formulation",
+    "Impacts",
     "Keeping",
     "Kind",
     "Mode",

@@ -36,6 +36,13 @@ class Keeping(Enum):
     RATTLE = "rattle"  # by impulses at both ends of a step: one closes positions, one velocities
 
 
+class Impacts(Enum):
+    """The law of restitution in impacts of rigid contacts."""
+
+    NEWTON = "newton"  # of velocities
+    POISSON = "poisson"  # of impulses
+
+
 @dataclass(frozen=True)
 class Settings:
     """How to integrate. Times in s."""
@@ -49,6 +56,7 @@ class Settings:
     stages: int = 2  # of radau-iia and gauss
     rho: float = 0.8  # of generalized-alpha: the part of the highest frequencies' amplitude that a step keeps
     loops: Keeping | None = None  # None: the method's first
+    impacts: Impacts = Impacts.NEWTON
     alpha: float = 5.0  # 1/s: gains of Baumgarte's terms, of the rate
     beta: float = 5.0  # 1/s: and of the gap
     output_step: float | None = None  # between the states that are kept; None: duration / STORED

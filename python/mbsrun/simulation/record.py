@@ -27,7 +27,7 @@ from mbsrun.kernel import Kernels
 from mbsrun.quantities import Quantity, find_unit, label_forces, label_motion, label_multipliers, list_input_units
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.integration.methods import METHODS
-from mbsrun.simulation.motion import ClosureRecord, Keeping, Kind, Mode, Motion, Settings
+from mbsrun.simulation.motion import ClosureRecord, Impacts, Keeping, Kind, Mode, Motion, Settings
 
 Array = NDArray[np.float64]
 
@@ -60,6 +60,8 @@ def describe_settings(settings: Settings) -> dict[str, object]:
     found = {name: getattr(settings, name) for name in wanted} | {"formulation": settings.formulation.value}
     if settings.loops is not None:
         found["loops"] = settings.loops.value
+    if settings.impacts is not Impacts.NEWTON:
+        found["impacts"] = settings.impacts.value
     if settings.loops is Keeping.BAUMGARTE:
         found |= {"alpha": settings.alpha, "beta": settings.beta}
     return found

@@ -38,7 +38,7 @@ from mbsrun.simulation.course import Course, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
 from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.integration.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
-from mbsrun.simulation.motion import Keeping, Settings
+from mbsrun.simulation.motion import Impacts, Keeping, Settings
 
 Array = NDArray[np.float64]
 
@@ -131,6 +131,7 @@ class SettingsSection(Section):
     max_steps: int = Field(default=Settings.max_steps, ge=1, examples=[1_000_000])
     max_seconds: NumberField = Field(default=Number(Settings.max_seconds), examples=[60.0])
     loops: Keeping | None = Field(default=None, examples=["projection"])
+    impacts: Impacts = Field(default=Settings.impacts, examples=["newton"])
     alpha: NumberField = Field(default=Number(Settings.alpha), examples=[5.0])
     beta: NumberField = Field(default=Number(Settings.beta), examples=[5.0])
     start: _StartSection = Field(default=_StartSection(), examples=[{}])
@@ -191,6 +192,7 @@ class _Reading(Reading):
             max_steps=section.max_steps,
             max_seconds=self.number(("max_seconds",), section.max_seconds, positive),
             loops=section.loops,
+            impacts=section.impacts,
             alpha=self.number(("alpha",), section.alpha, 0.0),
             beta=self.number(("beta",), section.beta, 0.0),
         )

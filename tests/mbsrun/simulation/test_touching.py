@@ -24,38 +24,19 @@ from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.motion import Chunk, HaltError
 from mbsrun.simulation.saltation import differentiate
 from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
 
 G = 9.81
-NEEDED = Extent(("exp2", "impl", "semi", "semi_res", "energy", "power", "frames", "touching", "distances"), 1)
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
-PLANAR = """
-name: planar
-gravity: [gx, 0, gz]
-parameters: {{gx: {{value: 0, kind: runtime}}, gz: {{value: -9.81, kind: runtime}}}}
-bodies:
-  - name: body
-    joint:
-      - {{name: x, type: prismatic, axis: x, actuated: false}}
-      - {{name: z, type: prismatic, axis: z, actuated: false}}
-      - {{name: turn, type: revolute, axis: y, actuated: false}}
-    mass: 1
-    inertia: [1, {inertia}, 1]
-contacts:
-"""
-POINT = (
-    "  - {{name: {}, body: body, position: [{}, 0, {}], radius: {}, restitution: 0, friction: {{coefficient: 0}}}}\n"
-)
 WIDTH, HEIGHT = 0.1, 0.3  # halves of the block
 BLOCK = PLANAR.format(inertia=(WIDTH**2 + HEIGHT**2) / 3) + "".join(
     POINT.format(name, x, -HEIGHT, 0) for name, x in (("left", -WIDTH), ("right", WIDTH))
 )
 RADIUS = 0.2
 DISC = PLANAR.format(inertia=RADIUS**2 / 2) + POINT.format("rim", 0, 0, RADIUS)
-HALF = 0.5  # of the rod
-ROD = PLANAR.format(inertia=HALF**2 / 3) + POINT.format("tip", 0, -HALF, 0)
 
 
 @pytest.fixture(scope="session")
@@ -71,14 +52,6 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
         return known[text]
 
     return build
-
-
-def grip(kernels: Mechanism, coefficient: float, restitution: float = 0.0) -> Mechanism:
-    """Change the laws of all contacts, of which the kernels know nothing."""
-    found, laws = copy.copy(kernels), {"coefficient": coefficient, "restitution": restitution}
-    points = tuple(point.model_copy(update=laws) for point in kernels.manifest.rigid)
-    found.manifest = kernels.manifest.model_copy(update={"rigid": points})
-    return found
 
 
 def tilt(kernels: Mechanism, slope: float) -> Mechanism:

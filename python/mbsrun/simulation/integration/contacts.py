@@ -11,7 +11,9 @@ rows J, the directions G of their forces, and beta = Jd qd,
 
 Where points can share their load in many ways, they share it in proportion to their normal forces. With friction, the
 conditions of no mode may hold, or of several: Painleve's paradox, which is said. Impacts obey the same conditions, of
-impulses and of velocities after them, with w+ = -e w- along the normal (Newton).
+impulses and of velocities after them, with w+ = -e w- along the normal (Newton). Or they consist of compression, an
+impact with e = 0, and expansion: there the impulses along the normals are e times as large as before, or more where a
+point would enter the other side (Poisson). Friction obeys Coulomb in both.
 
 Pfeiffer, Glocker, "Multibody dynamics with unilateral contacts" (1996), chapters 5 to 8; Genot, Brogliato, "New results
 on Painleve paradoxes", European Journal of Mechanics A 18 (1999).
@@ -59,6 +61,7 @@ class Mode:
     ways: Array  # (P, 3)
     shares: Array  # (P,): forces in proportion to which points share their load
     is_locked: bool = False  # no joint can move
+    leaving: tuple[int, ...] = ()  # points that have their given impulses alone, and may leave
 
     @property
     def closed(self) -> list[int]:
@@ -133,10 +136,19 @@ class Contacts:
         M = self.dynamics.mass_matrix(q, qd, v)
         return M, -self.dynamics.solve(M, self.dynamics.residual(q, qd, np.zeros_like(qd), v))
 
-    def load(self, touch: Touch, M: Array, free: Array, mode: Mode, goal: Array | None = None) -> Loads:
+    def load(
+        self,
+        touch: Touch,
+        M: Array,
+        free: Array,
+        mode: Mode,
+        goal: Array | None = None,
+        given: Array | None = None,
+    ) -> Loads:
         """Return accelerations and forces in a mode; with `goal` (K, P), velocities of an impact along the normals.
 
-        `free` (K, n) are the accelerations without contacts, or the velocities before the impact.
+        `free` (K, n) are the accelerations without contacts, or the velocities before the impact; `given` (P,) are the
+        impulses along the normals of points that leave.
         """
         closed, is_impact = mode.closed, goal is not None
         K, points = touch.gap.shape
@@ -148,16 +160,24 @@ class Contacts:
         for k in closed:
             n, S, share = touch.normal[:, k], touch.slide[:, k], float(np.sqrt(mode.shares[k]))
             is_stuck = mode.states[k] == State.STICK
-            units.append((k, n if is_stuck else n - self.coefficient[k] * find_way(touch, mode, k)))
-            rows.append(np.einsum("ki,kin->kn", n, S))
-            ends.append(touch.pull[:, k] if goal is None else -goal[:, k])
-            weights.append(1.0)
+            unit = n if is_stuck else n - self.coefficient[k] * find_way(touch, mode, k)
+            if given is not None and k in mode.leaving:
+                free = free + given[k] * np.linalg.solve(M, np.einsum("ki,kin->kn", unit, S)[..., None])[..., 0]
+                normal[:, k] += given[k]
+                friction[:, k] += given[k] * (unit - n)
+            else:
+                units.append((k, unit))
+                rows.append(np.einsum("ki,kin->kn", n, S))
+                ends.append(touch.pull[:, k] if goal is None else -goal[:, k])
+                weights.append(1.0)
             if is_stuck and self.coefficient[k] > 0:
                 for t in _span(n):
                     units.append((k, t))
                     rows.append(np.einsum("ki,kin->kn", t, S))
                     ends.append(np.zeros(K) if is_impact else (t * touch.drift[:, k]).sum(axis=1))
                     weights.append(share)
+        if not rows:
+            return Loads(free, normal, friction, np.zeros(K))
         columns = [np.einsum("ki,kin->kn", unit, touch.slide[:, k]) for k, unit in units]
         J, G, b, D = np.stack(rows, 1), np.stack(columns, 2), np.stack(ends, 1), np.array(weights)
         response = np.linalg.solve(M, G)
@@ -204,25 +224,27 @@ class Search:
         released: Collection[int] = (),
         goal: Array | None = None,
         held: Collection[int] = (),
+        given: Array | None = None,
     ) -> None:
         """Take a state (K = 1), with M and the accelerations or velocities without contacts.
 
         `near` points touch, `slipping` ones among them slip, and `released` ones are no longer held as they were;
-        `goal` as in `Contacts.load`. Latches keep `held` points closed, whatever pulls.
+        `goal` as in `Contacts.load`. Latches keep `held` points closed, whatever pulls. With
+        `given` (P,), impulses along the normals are as large at least; points that have no more may leave.
         """
         self.contacts, self.touch, (self.M, self.free) = contacts, touch, inertia
         self.near, self.slipping, self.released, self.goal = near, slipping, released, goal
-        self.held = held
+        self.held, self.given = held, given
 
     def find(self) -> tuple[Mode, Loads]:
         """Return a mode and its loads. Raises ParadoxError."""
         near, slipping, found = self.near, self.slipping, list[tuple[Mode, Loads]]()
         names = ", ".join(self.contacts.names[k] for k in near)
         is_simple = not any(self.contacts.coefficient[k] > 0 for k in near)
-        for count, states in enumerate(self._list()):
+        for count, (states, leaving) in enumerate(self._list()):
             if count > MOST:
                 break
-            mode = self._try(states)
+            mode = self._try(states, leaving)
             if mode is None or any(self._is_same(mode[1], other) for _, other in found):
                 continue
             found.append(mode)
@@ -236,8 +258,11 @@ class Search:
             raise ParadoxError(finding)
         return found[0]
 
-    def _list(self) -> Iterator[tuple[State, ...]]:
-        """List modes, from all points closed to all open."""
+    def _list(self) -> Iterator[tuple[tuple[State, ...], tuple[int, ...]]]:
+        """List the states of points, from all closed to all open, with the points that leave."""
+        if self.given is not None:
+            yield from self._list_leaving()
+            return
         options = [
             (State.OPEN,)
             if k not in self.near
@@ -248,20 +273,30 @@ class Search:
             else (State.STICK, State.SLIP, State.OPEN)
             for k in range(len(self.contacts.names))
         ]
-        yield from itertools.product(*options)
+        yield from ((states, ()) for states in itertools.product(*options))
+
+    def _list_leaving(self) -> Iterator[tuple[tuple[State, ...], tuple[int, ...]]]:
+        """List modes in which points near have their given impulses alone, or more."""
+        options = []
+        for k in range(len(self.contacts.names)):
+            states = (State.SLIP,) if self.contacts.coefficient[k] == 0 else (State.STICK, State.SLIP)
+            leaves = (False,) if k in self.held else (False, True)
+            options.append([(x, y) for y in leaves for x in states] if k in self.near else [(State.OPEN, False)])
+        for chosen in itertools.product(*options):
+            yield tuple(x for x, _ in chosen), tuple(k for k, (_, leaves) in enumerate(chosen) if leaves)
 
     def _is_same(self, one: Loads, other: Loads) -> bool:
         size = np.abs(one.qdd).max() + np.abs(other.qdd).max() + np.abs(self.free).max()
         return bool(np.abs(one.qdd - other.qdd).max() <= 1e-6 * size)
 
-    def _try(self, states: tuple[State, ...]) -> tuple[Mode, Loads] | None:
+    def _try(self, states: tuple[State, ...], leaving: tuple[int, ...]) -> tuple[Mode, Loads] | None:
         """Return a mode, if its conditions hold."""
         count = len(states)
         ways, shares = np.zeros((count, 3)), np.ones(count)
         fixed = [k for k in range(count) if k in self.slipping and self.goal is None]
         for k in self.slipping:
             ways[k] = self.touch.slip[0, k] / np.linalg.norm(self.touch.slip[0, k])
-        mode = Mode(states, ways, shares)
+        mode = Mode(states, ways, shares, leaving=leaving)
         slips = [k for k, x in enumerate(states) if x == State.SLIP and self.contacts.coefficient[k] > 0]
         turning = [k for k in slips if k not in fixed]
         loads = self._load(mode)
@@ -277,7 +312,7 @@ class Search:
         return None
 
     def _load(self, mode: Mode) -> Loads:
-        return self.contacts.load(self._fix(mode), self.M, self.free, mode, self.goal)
+        return self.contacts.load(self._fix(mode), self.M, self.free, mode, self.goal, self.given)
 
     def _fix(self, mode: Mode) -> Touch:
         """Return the points with the velocities that give slipping ones their way."""
@@ -337,7 +372,9 @@ class Search:
             most = mu * N * (1 + room * NEAR) + 1e-3 * least
             breaks = state == State.STICK and most < T
             turns_back = k in turning and across[k] @ mode.ways[k] < -NEAR * reach[k]
-            pulls = room * least + N < 0 and k not in self.held
-            if pulls or breaks or turns_back:
+            lowest = 0.0 if self.given is None else self.given[k]
+            pulls = room * least + N < lowest and k not in self.held
+            enters = k in mode.leaving and along[k] < -NEAR * reach[k]
+            if pulls or enters or breaks or turns_back:
                 return False
         return True

@@ -11,7 +11,7 @@ from mbsrun.ocp.ground import schemes
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration import adaptive, explicit, implicit, multipliers, stepping, switching, variational
 from mbsrun.simulation.integration.method import Family, Integrator, Method
-from mbsrun.simulation.motion import Keeping, Settings
+from mbsrun.simulation.motion import Impacts, Keeping, Settings
 
 __all__ = [
     "METHODS",
@@ -138,6 +138,13 @@ def find_idle(settings: Settings, given: Collection[str]) -> Iterator[tuple[str,
 def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
     """Find what a model's loops and driven joints forbid: the setting, the finding and the remedy."""
     method = METHODS[settings.method]
+    if settings.impacts is Impacts.POISSON and (not manifest.rigid or method.stability is None):
+        finding = "poisson concerns rigid contacts, from event to event"
+        yield (
+            "impacts",
+            finding,
+            "leave it out: stops of joints with one restitution have the same impacts by both laws",
+        )
     if manifest.rigid and method.stability is not None:
         yield from _refuse_contacts(settings, manifest)
     elif latches := [point.name for point in manifest.rigid if point.hold > 0]:

@@ -24,7 +24,7 @@ from mbsrun.simulation.integration.contacts import Contacts, Loads, Mode, Parado
 from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.integration.tableaus import Pair
-from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Kind, Segment, Settings
+from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Impacts, Kind, Segment, Settings
 
 Array = NDArray[np.float64]
 
@@ -191,10 +191,18 @@ class _Course(Course):
     ) -> tuple[Array, Loads]:
         """Return the velocities after an impact, and its impulses."""
         slipping = self.find_slipping(touch, points)
-        goal = (-restitution * speed)[None]
-        held, inertia = self.find_held(points), (M[None], qd[None])
-        loads = Search(self.contacts, touch, inertia, points, slipping, goal=goal, held=held).find()[1]
-        return loads.qdd[0], loads
+        held, none = self.find_held(points), np.zeros((1, len(speed)))
+
+        def solve(before: Array, goal: Array, given: Array | None = None) -> Loads:
+            inertia = M[None], before[None]
+            return Search(self.contacts, touch, inertia, points, slipping, goal=goal, held=held, given=given).find()[1]
+
+        if self.settings.impacts is Impacts.NEWTON:
+            loads = solve(qd, (-restitution * speed)[None])
+            return loads.qdd[0], loads
+        pressed = solve(qd, none)
+        found = solve(pressed.qdd[0], none, restitution * np.maximum(pressed.normal[0], 0))
+        return found.qdd[0], replace(found, normal=pressed.normal + found.normal)
 
     def decide(self, time: float, piece: Piece, q: Array, qd: Array, points: list[int]) -> Mode:
         """Find the mode in which the motion goes on."""
