@@ -155,6 +155,24 @@ static int alike(casadi_real a, casadi_real b)
     return fabs(a - b) <= 1e-12 * fmax(fabs(a), fabs(b));
 }
 
+static void openings(void)
+{
+    static const casadi_int driven[1] = {0};
+    mbs_run r;
+    anew(0);
+    plant.d = 1, plant.driven = driven, held[1] = 1;
+    outcome.evaluations = outcome.rejected = outcome.switches = outcome.steps = outcome.status = outcome.loop = 7;
+    outcome.pivot = outcome.gap = 7;
+    r = open_here();
+    LAW("a run begins with nothing counted",
+        !outcome.evaluations && !outcome.rejected && !outcome.switches && !outcome.steps && !outcome.status);
+    LAW("and no pivot or gap seen", outcome.pivot == 1 && outcome.gap == 0 && outcome.loop == 0 && r.last == 1);
+    LAW("joints that are driven or held are not free", r.free == 0);
+    held[1] = 0;
+    r = open_here();
+    LAW("the others are", r.free == 1 && r.moves[0] == 1);
+}
+
 static void estimates(void)
 {
     const casadi_real x[4] = {3, -4, 0, 1}, y[4] = {2, 5, 0, -2};
@@ -611,6 +629,7 @@ static void series(void)
 int main(void)
 {
     read_parts();
+    openings();
     estimates();
     first_steps();
     dips();

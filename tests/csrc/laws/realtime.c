@@ -39,6 +39,12 @@ int mbs_stages_set_bounds(mbs_stages *s)
     return given.bad;
 }
 
+void mbs_stages_respond(mbs_stages_recursion *r, const real *first, const real *zero, real *dw, real *dy)
+{
+    (void)r, (void)zero, (void)dy;
+    dw[0] = first[0], dw[1] = 3 * first[0];
+}
+
 #define SIZE 3
 static real room[20][SIZE];
 static char fixed[SIZE];
@@ -238,8 +244,35 @@ static void stepping(void)
     LAW("a new beginning forgets both", !s->live && !s->ready);
 }
 
+static void gaining(void)
+{
+    mbs_stages *s = &solver;
+    const real *gain;
+    anew(s);
+    s->rw = room[19], s->residual_c = room[14], s->dw = room[12], s->dy = room[13];
+    fixed[0] = 1;
+    LAW("without a step there is no gain", mbs_stages_gain(s, 0) == NULL);
+    s->live = 1, s->realtime.status = MBS_STAGES_DIVERGED;
+    LAW("nor after one that was not made", mbs_stages_gain(s, 0) == NULL);
+    s->realtime.status = MBS_STAGES_STEPPED;
+    gain = mbs_stages_gain(s, 0);
+    LAW("a gain is in the caller's units", gain && near(gain[0], 1) && near(gain[1], 3 * 0.5 / 1e-3));
+    s->live = 0, s->ready = 1;
+    LAW("also before a step", mbs_stages_gain(s, 0) != NULL);
+    gain = mbs_stages_gain(s, 1);
+    LAW("what is no first state moves nothing", gain && gain[0] == 0 && gain[1] == 0);
+    gain = mbs_stages_gain(s, -1);
+    LAW("on either side", gain && gain[0] == 0);
+    fixed[0] = 0;
+    gain = mbs_stages_gain(s, 0);
+    LAW("nor does a free one", gain && gain[0] == 0);
+    fixed[0] = 1, s->variable_scale[0] = 0;
+    LAW("no number is no gain", mbs_stages_gain(s, 0) == NULL);
+}
+
 int main(void)
 {
+    gaining();
     limiting();
     minding();
     loading();

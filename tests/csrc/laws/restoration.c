@@ -144,6 +144,9 @@ static void returning(void)
     LAW("violations are those of the caller's rows", violation(s, 0) == 8.5 && violation(s, 1) == -8.5);
     LAW("the largest counts", mbs_stages_worst_violation(s) == 8.5);
     LAW("nine tenths are enough", mbs_stages_restored(s));
+    q->c[0] = 6e-3, q->c[1] = -8e-3, q->x[3] = q->x[5] = 0;
+    LAW("however small it is", mbs_stages_worst_violation(s) == 8e-3);
+    q->c[0] = 6, q->x[3] = 3, q->x[5] = 0.5;
     q->c[1] = -9.1;
     LAW("more is not", mbs_stages_worst_violation(s) == 9.1 && !mbs_stages_restored(s));
     q->c[1] = -8.9;

@@ -119,8 +119,45 @@ static void scale_by_slopes(void)
     LAW("a usual one stays", scale_row(&o, (real)0.02, (real)1e-6) == 1);
 }
 
+/* The defaults that the header states. */
+static void list_defaults(void)
+{
+    const mbs_stages_options o = mbs_stages_default_options();
+    LAW("tolerances", o.tol == 1e-8 && o.constr_viol_tol == 1e-4 && o.acceptable_tol == 1e-6 && o.acceptable_iter == 15);
+    LAW("limits", o.max_iter == 3000 && o.max_wall_time == 0 && o.diverging_iterates_tol == 1e20);
+    LAW("starts", o.mu_init == 0 && o.mu_target == 0 && !o.adaptive && !o.warm_start_init_point && !o.by_stage);
+    LAW("scales", o.scaled == 1 && !o.scale_by_bounds && o.nlp_scaling_max_gradient == 100 && o.nlp_scaling_min_value == 1e-16);
+    LAW("bounds", o.bound_push == 0.01 && o.bound_relax_factor == 1e-8 && !o.follow && o.most_violation == 0);
+    LAW("the barrier parameter", o.barrier_tol_factor == 10 && o.mu_linear_decrease_factor == 0.2);
+    LAW("near the end", o.mu_superlinear_decrease_power == 1.5 && o.tau_min == 0.99 && o.kappa_d == 1e-5);
+    LAW("multipliers", o.kappa_sigma == 1e10 && o.s_max == 100 && o.bound_mult_reset_threshold == 1000);
+    LAW("the filter", o.theta_max_fact == 100 && o.theta_min_fact == 1e-4 && o.gamma_theta == 1e-5 && o.gamma_phi == 1e-8);
+    LAW("acceptance", o.delta == 1 && o.s_theta == 1.1 && o.s_phi == 2.3 && o.eta_phi == 1e-8 && o.obj_max_inc == 5);
+    LAW("lengths", o.alpha_min_frac == 0.05 && o.max_soc == 4 && o.kappa_soc == 0.99);
+    LAW("watchdogs", o.watchdog_shortened_iter_trigger == 10 && o.watchdog_trial_iter_max == 3);
+    LAW("soft steps", o.max_soft_resto_iters == 10 && o.soft_resto_pderror_reduction_factor == 0.9999);
+    LAW("restoration", o.required_infeasibility_reduction == 0.9 && o.resto_penalty_parameter == 1000);
+    LAW("curvature", o.first_hessian_perturbation == 1e-4 && o.min_hessian_perturbation == 1e-20);
+    LAW("more of it", o.max_hessian_perturbation == 1e20 && o.perturb_inc_fact_first == 100 && o.perturb_inc_fact == 6);
+    LAW("refinement", o.max_refinement_steps == 8);
+}
+
+static void find_gentle_scales(void)
+{
+    const mbs_stages_options o = mbs_stages_default_options();
+    LAW("gradients to 100 stay", gentle(&o, 0) == 1 && gentle(&o, 100) == 1);
+    LAW("steeper ones are scaled to it", near(gentle(&o, 400), 0.25));
+    LAW("to a limit", gentle(&o, 1e19) == 1e-16);
+    LAW("bounds give by their size", real_abs(relaxed(-50, 1e-8) + 50 - 5e-7) < 1e-13);
+    LAW("which is 1 at least", relaxed(0.5, -1e-2) == 0.49 && relaxed(0.5, 1e-2) == 0.51);
+    LAW("where there is none, none gives", relaxed(NONE, 1) == NONE && relaxed(-NONE, 1) == -NONE);
+    LAW("bounds are scaled", bound(NULL, 0, NONE, 3) == NONE && bound(&o.delta, 0, NONE, 3) == 3);
+}
+
 int main(void)
 {
+    list_defaults();
+    find_gentle_scales();
     take_multipliers();
     scale_by_slopes();
     LAW("the cube of the ratio", near(choose(0, 2, 1), 0.25));
