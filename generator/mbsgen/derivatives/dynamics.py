@@ -18,7 +18,7 @@ from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
 from mbsgen.derivatives.looped import LoopedAccelerations, LoopedResidual, can_loop, count_pairs
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
-from mbsgen.formulations import catalogue, coupling
+from mbsgen.formulations import catalogue, coupling, ports
 from mbsgen.formulations.multipliers import list_owners
 from mbsgen.formulations.planning import finish, take_factors, write_sums
 from mbsgen.formulations.reductions import Reductions
@@ -116,10 +116,11 @@ def _is_strange(tree: Tree) -> bool:
 
 @dataclass(frozen=True)
 class Written(Generic[C]):
-    """A derivative, and the flops of each way in which it was written."""
+    """A derivative, and the flops of each way in which it was written; `whole` may have more results."""
 
     function: C
     ways: Mapping[str, int]
+    whole: C
 
 
 @dataclass(frozen=True)
@@ -143,15 +144,21 @@ class _Choice:
         written = {way: take_factors(write(), self.reductions) for way, write in tried.items()}
         if order is not Order.ADJOINT:  # the results of an adjoint stay dense
             written = {way: drop_vanishing(tape) for way, tape in written.items()}
-        flops = {way: count_paper(tape) for way, tape in written.items()}
+        select = _leave_values_out if order is Order.JACOBIAN else _leave
+        flops = {way: count_paper(select(tape)) for way, tape in written.items()}
         best = min(flops, key=flops.__getitem__)
-        found = write_sums(written[best], self.reductions)
-        return Written(found, flops | {best: count_paper(found)})
+        whole = write_sums(written[best], self.reductions)
+        found = select(whole)
+        return Written(found, flops | {best: count_paper(found)}, whole)
+
+
+def _leave(tape: Tape) -> Tape:
+    return tape
 
 
 def _without_choice(way: str, tape: Tape) -> Written[Tape]:
     """Count a derivative that is a part of another one, or renamed."""
-    return Written(tape, {way: count_paper(tape)})
+    return Written(tape, {way: count_paper(tape)}, tape)
 
 
 class _Chosen(Derivatives, ABC):
@@ -229,9 +236,15 @@ class _OfResidual(_Chosen):
         return self._choice.among(
             self.tape,
             Order.JACOBIAN,
-            self._by_recursion(recursion.jacobian),
+            self._by_recursion(recursion.expansion),
             {"tape": lambda: kernels.jacobian(self.tape, self.wrt)},
         )
+
+    @property
+    def bias(self) -> Tape:
+        """The tape of the Jacobian, where it holds the residual, too: they share most of their operations."""
+        written = self.written_jac.whole
+        return written if any(o.port == ports.RESIDUAL for o in written.outputs) else self.tape
 
     @cached_property
     def written_lin(self) -> Written[Tape]:
@@ -383,7 +396,7 @@ class _OfAccelerations(_Chosen):
 
     def _count_columns(self, written: Procedure) -> Written[Computation]:
         """Count the Jacobian with the accelerations."""
-        return Written(written, {"implicit": count_stages(narrow(self._columns, self._patterns)).paper})
+        return Written(written, {"implicit": count_stages(narrow(self._columns, self._patterns)).paper}, written)
 
     @cached_property
     def written_adj1(self) -> Written[Tape]:

@@ -120,7 +120,7 @@ def _write_slopes(state: _State, wrt: Sequence[str], order: Order) -> Tape:
 
 def adjoint(tape: Tape, residual: Derivatives, wrt: Sequence[str], constraints: Constraints | None = None) -> Tape:
     """Write the adjoint of `tape`."""
-    state = _State.declare(tape, residual, constraints, seeded=True)
+    state = _State.declare(tape, residual, constraints, seeded=True, sloped=False)
     found = state.replay_weighted(lambda part: straight(part.adj1))
     for given in map(tape.input, wrt):
         pattern, port = given.sparsity, adjoint_port(given.port)
@@ -206,7 +206,12 @@ class _State:
 
     @staticmethod
     def declare(
-        tape: Tape, residual: Derivatives, constraints: Constraints | None = None, *, seeded: bool = False
+        tape: Tape,
+        residual: Derivatives,
+        constraints: Constraints | None = None,
+        *,
+        seeded: bool = False,
+        sloped: bool = True,
     ) -> _State:
         builder = Builder()
         given: dict[str, Sequence[Scalar]] = dict(declare_inputs(tape, builder))
@@ -219,7 +224,8 @@ class _State:
         factors = factorise(builder, upper, size)
         rows, right = _write_rows(builder, constraints, at_rest)
         system = Bordered.of(factors, rows)
-        bias = _replay(builder, residual.tape, at_rest)[RESIDUAL].entries
+        value = residual.bias if sloped else residual.tape  # the slopes hold most of the former
+        bias = _replay(builder, value, at_rest)[RESIDUAL].entries
         x, z = system.solve({i + 1: -value for (i, _), value in bias.items()}, right)
         forces = iter(z)
         found = {ACCELERATIONS: [x[i] for i in range(1, size + 1)]}

@@ -33,6 +33,11 @@ class Derivatives:
         """`lin_f`: the outputs of f and of jac_f."""
         return linearise(self.tape, straight(self.jac))
 
+    @property
+    def bias(self) -> Tape:
+        """The tape to take f from where accelerations are 0, beside `jac_f`."""
+        return self.tape
+
     @cached_property
     def staged(self) -> Mapping[str, Procedure]:
         """Return, by name, the derivatives that are also written in stages, as shorter code."""

@@ -1,4 +1,4 @@
-"""Derivatives of the residual by mechanics: Tree -> Tapes of `jac_impl`, `lin_impl` and `jac_adj1_impl`.
+"""Derivatives of the residual by mechanics: Tree -> Tapes of `lin_impl`, which holds `jac_impl`, and `jac_adj1_impl`.
 
 Phi is the sum of the inertial residual, which `parsimony.sensitivities` and `parsimony.curvatures` differentiate, and
 of the rest: forces of joints, rotors and external wrenches. The rest is the residual of the same tree without mass and
@@ -7,7 +7,7 @@ gravity. It is differentiated as a tape, and added.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sympy import Integer
@@ -36,21 +36,35 @@ Block = dict[tuple[int, int], Scalar]  # by (row, column), from 0
 NOTHING = (Integer(0),) * 3
 
 
-def jacobian(tree: Tree, reductions: Reductions) -> Tape:
-    """Write `jac_impl`: inputs of `impl`; outputs jac_Phi_q, jac_Phi_qd, jac_Phi_qdd, jac_Phi_u [, jac_Phi_w]."""
-    writer = _Writer.declare(tree, reductions)
-    found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
-    forces = write_forces(tree, reductions)
-    writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
-    return writer.finish(Order.JACOBIAN)
-
-
 def linearisation(tree: Tree, reductions: Reductions) -> Tape:
     """Write `lin_impl`: the outputs Phi and the outputs of `jac_impl`."""
+    return _linearise(tree, reductions, lambda found, _: found.Phi)
+
+
+def expansion(tree: Tree, reductions: Reductions) -> Tape:
+    """Write `lin_impl` with Phi from the blocks of its Jacobian, which takes few operations where qdd = 0.
+
+    Phi of the bodies is linear in qdd, and a square in qd: Phi = dPhi/dqdd qdd + dPhi/dqd qd / 2 + Phi at rest.
+    """
+    return _linearise(tree, reductions, _expand)
+
+
+def _expand(found: Sensitivities, state: State) -> Mapping[int, Scalar]:
+    Phi = dict(found.weight)
+    half = [x * x.builder.number(0.5) for x in state.qd]
+    for entries, factors in ((found.qdd, state.qdd), (found.qd, half)):
+        for (i, j), value in sorted(entries.items(), key=lambda entry: entry[0]):
+            Phi[i] = Phi[i] + value * factors[j - 1]
+    return Phi
+
+
+def _linearise(
+    tree: Tree, reductions: Reductions, write: Callable[[Sensitivities, State], Mapping[int, Scalar]]
+) -> Tape:
     writer = _Writer.declare(tree, reductions)
     found = sensitivities(writer.begin(), writer.state.qd, writer.state.qdd)
-    forces = write_forces(tree, reductions)
-    writer.write_blocks({ports.RESIDUAL: {(i - 1, 0): value for i, value in found.Phi.items()}}, forces)
+    forces, Phi = write_forces(tree, reductions), write(found, writer.state)
+    writer.write_blocks({ports.RESIDUAL: {(i - 1, 0): value for i, value in Phi.items()}}, forces)
     writer.write_blocks(_jacobian_blocks(found), forward.jacobian(forces, kernels.differentiable(forces)))
     return writer.finish(Order.LINEARISATION)
 

@@ -17,7 +17,7 @@ from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
 from mbsgen.formulations.parsimony.proportions import Proportions, find_least
 from mbsgen.formulations.parsimony.regrouping import regroup, restrain
 from mbsgen.formulations.parsimony.residual import residual
-from mbsgen.formulations.parsimony.search import Restraint, leave, meet, search, spin
+from mbsgen.formulations.parsimony.search import Restraint, flip_each, leave, meet, search, spin
 from mbsgen.formulations.parsimony.segments import Moments, Segment, align, largest_inertias
 from mbsgen.formulations.parsimony.sensitivities import sensitivities
 from mbsgen.formulations.parsimony.writing import Writing, begin
@@ -173,7 +173,13 @@ class Plans:
             found = sensitivities(shared.begin(plan), shared.state.qd, shared.state.qdd)
             return [*found.q.values(), *found.qd.values(), *found.qdd.values()]
 
-        return self._search(write, self.mass_matrix) if self._size <= ELIMINATED else self.mass_matrix
+        if self._size > ELIMINATED:
+            return self.mass_matrix.carried_down
+        plan = self._refine(write, self._search(write, self.mass_matrix.carried_down), flags=())
+        if self._reductions.trials == 1:
+            return plan
+        with PlanTrials(self._tree, self._reductions) as shared:
+            return flip_each(shared.segments, lambda plan: shared.cost(write(shared, plan)), plan, "by_moments")
 
     def _search(
         self,
@@ -352,11 +358,10 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
     if reductions.factor:
         tape = take_brackets(tape, FIXED)
     share, order = reductions.share, reductions.order
-    trials = (rewrite(tape, FIXED, share=share, order=order, hand_on=x) for x in (False, share)[: 1 + share])
-    found = min(trials, key=count_own)
-    if count_own(found)[0] <= WORTH * count_own(tape)[0]:
-        return found
-    return min(rewrite(tape, FIXED, share=reductions.share, order=False), tape, key=count_own)
+    ways = [{"share": share, "hand_on": x} for x in (False, share)[: 1 + share]]
+    found = min((rewrite(tape, FIXED, order=order, **way) for way in ways), key=count_own)
+    fewest = min([tape, *(rewrite(tape, FIXED, order=False, **way) for way in ways if order)], key=count_own)
+    return found if count_own(found)[0] <= WORTH * count_own(fewest)[0] else fewest
 
 
 def count_own(tape: Tape) -> tuple[int, int]:

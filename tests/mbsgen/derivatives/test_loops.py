@@ -104,7 +104,7 @@ def test_recursions_give_what_differentiated_tapes_give(name: str) -> None:
     tree = tree_of(name)
     tape = FUNCTIONS["impl"].build(tree, FEW)
     expected = kernels.differentiate(tape, differentiable(tape))
-    for write, other in ((recursion.jacobian, expected.jac), (recursion.adjoint_jacobian, expected.jac_adj1)):
+    for write, other in ((recursion.expansion, expected.lin), (recursion.adjoint_jacobian, expected.jac_adj1)):
         found = coupling.couple(write(tree.uncoupled, FEW), tree) if tree.couplings else write(tree, FEW)
         assert_same(found, other, EXACTLY if name == "geared" else 1e-13)
         assert found.inputs == other.inputs

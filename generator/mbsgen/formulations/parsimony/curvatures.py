@@ -17,21 +17,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from mbsgen.algebra.vectors import Matrix, Vector
-from mbsgen.formulations.parsimony.mass_matrix import Entries, link
+from mbsgen.formulations.parsimony.mass_matrix import Entries, Motion, link
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
-from mbsgen.formulations.parsimony.residual import Load
-from mbsgen.formulations.parsimony.segments import Segment, children
+from mbsgen.formulations.parsimony.residual import Force, Load
+from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.sensitivities import (
+    Composed,
     Composite,
-    Force,
+    Encounter,
     Loads,
     Recursion,
     Sensitivities,
-    Step,
-    add_to,
+    add_entry,
     cross_matrix,
     own_moments,
+    shift_force,
+    turn_force,
     turned_outer,
 )
 from mbsgen.formulations.parsimony.writing import Writing
@@ -77,11 +79,14 @@ class _Changes:
     k_q: Vector[Scalar]
     k_qd: Vector[Scalar]
 
-    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> _Changes:
-        """Carry the changes to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
-        momentum = self.momentum.depart(kinematics, segment, d)
+    def turn(self, kinematics: Kinematics, segment: Segment) -> _Changes:
+        """Write the changes where the parent of `segment` is written."""
         k_q, k_qd = (kinematics.depart(segment, x) for x in (self.k_q, self.k_qd))
-        return _Changes(momentum, k_q + v.cross(momentum.F), k_qd)
+        return _Changes(turn_force(kinematics, segment, self.momentum), k_q, k_qd)
+
+    def shift(self, d: Vector[Scalar], v: Vector[Scalar]) -> _Changes:
+        """Refer the changes to a point at -d that moves by -v, twice, from the origin."""
+        return _Changes(shift_force(self.momentum, d), self.k_q + v.cross(self.momentum.F), self.k_qd)
 
 
 class _Recursion(Recursion):
@@ -90,31 +95,25 @@ class _Recursion(Recursion):
     ) -> None:
         super().__init__(writing, qd, qdd)
         self.curvatures = Curvatures()
-        self._multipliers = multipliers
-        zero = self.builder.zero
-        still = Vector(zero, zero, zero)
-        self._turning, self._moving = {0: still}, {0: still}  # om' and v'_O of each body, where it is written
         for segment in self.kinematics.segments:
-            self._move(segment)
+            self.others[segment.number] = self._move(segment, multipliers[segment.number - 1])
         self._momenta: dict[int, _Momentum] = {}
 
-    def _move(self, segment: Segment) -> None:
-        k, i, before = self.kinematics, segment.number, segment.parent
-        rate = segment.signed(self._multipliers[i - 1])
-        turning = k.arrive(segment, self._turning[before])
-        moving = k.arrive(segment, self._moving[before] + self._turning[before].cross(link(k, segment)))
-        if segment.is_revolute:
-            turning = turning.along(segment.axis, rate)
-        else:
-            moving = moving.along(segment.axis, rate)
-        self._turning[i], self._moving[i] = turning, moving
+    def _move(self, segment: Segment, rate: Scalar) -> Motion:
+        """Form v'_O and om' of a body, where it is written."""
+        k, along = self.kinematics, unit_vector(self.builder, segment.axis).scale(segment.signed(rate))
+        still = along.map(lambda x: x.builder.zero)
+        own = Motion(still, along) if segment.is_revolute else Motion(along, still)
+        if not segment.parent:
+            return own
+        return self.others[segment.parent].shift(link(k, segment)).arrive(k, segment) + own
 
-    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
+    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composed:
         body = super().compose(segment, inertia)
         k, i, b = self.kinematics, segment.number, self.builder
         axes = k.frames[i].directions
         own = self.own(segment, inertia)
-        moving, turning = self._moving[i], self._turning[i]
+        moving, turning = self.others[i].a, self.others[i].OMp
         P = own_moments(b, segment, inertia, axes)
         p, h = moving.scale(own.m) + turning.cross(own.S), own.S.cross(moving) + own.J.apply(turning)
         L = turned_outer(moving, own.S) - cross_matrix(turning).times(P)
@@ -129,49 +128,26 @@ class _Recursion(Recursion):
         self._momenta[i] = _Momentum(p, h, L, twisted)
         return body
 
-    def differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
-        super().differentiate(segment, body, load)
-        self._write_gradient(segment, load)
-        loads = Loads.of(segment, body, self.axes[segment.number], load)
-        changes = self._changes(segment, body)
-        for (below, by, through), (_, change, _) in zip(
-            self.descend(segment, loads), self.descend(segment, changes), strict=True
-        ):
-            if through:
-                self._add(below, segment, by, change, through)
-            else:
-                self._write(below, segment, by, change)
-
-    def _twist(self, segment: Segment) -> tuple[Vector[Scalar], Vector[Scalar]]:
-        """Return the change of v', in the frame of the body that turns: v'_O x e and om' x e; or slides: om' x e."""
-        e, i = self.axes[segment.number].e, segment.number
-        turned = self._turning[i].cross(e)
-        return (self._moving[i].cross(e), turned) if segment.is_revolute else (turned, turned.scale(self.builder.zero))
+    def differentiate(self, segment: Segment) -> None:
+        super().differentiate(segment)
+        self._write_gradient(segment, self.loads[segment.number])
+        changes = self.descend(segment, self._changes(segment, self.composed[segment.number].whole))
+        for met, change in zip(self.descend(segment, self.by[segment.number]), changes, strict=True):
+            self._write(segment, met, change.carried)
 
     def _write_gradient(self, segment: Segment, load: Load) -> None:
-        i, axis, momentum, found = (
-            segment.number,
-            self.axes[segment.number],
-            self._momenta[segment.number],
-            self.curvatures,
-        )
-        v, om = self._twist(segment)
-        if segment.is_revolute:
-            q = v.dot(load.F) + om.dot(load.N) + axis.turned.dot(momentum.p)
-            q = q + axis.acceleration.dot(momentum.h) + axis.rate.dot(momentum.k)
-            qd = axis.doubled_rate.dot(momentum.h) + momentum.k[segment.axis]
-            qdd = momentum.h[segment.axis]
-        else:
-            q = v.dot(load.F) + axis.acceleration.dot(momentum.p)
-            qd, qdd = axis.doubled_rate.dot(momentum.p), momentum.p[segment.axis]
-        for place, value in ((found.q, q), (found.qd, qd), (found.qdd, qdd)):
+        i, found, momentum, by = segment.number, self.curvatures, self._momenta[segment.number], self.vary(segment)
+        felt = Force(momentum.p, momentum.h)
+        q = by.twist.work(load) + by.q.work(felt) + by.rate.dot(momentum.k)
+        qd = by.qd.work(felt) + by.e.dot(momentum.k)
+        for place, value in ((found.q, q), (found.qd, qd), (found.qdd, by.qdd.work(felt))):
             place[i] = segment.signed(value)
 
     def _changes(self, segment: Segment, body: Composite) -> _Changes:
         """Return the changes with a joint, where its body is written."""
         axis, momentum = self.axes[segment.number], self._momenta[segment.number]
-        v, om = self._twist(segment)
-        e, rate = axis.e, axis.doubled_rate
+        twist = self.vary(segment).twist
+        v, om, e, rate = twist.a, twist.OMp, axis.e, axis.doubled_rate
         if not segment.is_revolute:
             change = Force(v.scale(body.m), body.S.cross(v) + e.cross(momentum.p))
             return _Changes(change, body.p.cross(v) + rate.cross(momentum.p), e.cross(momentum.p).scale(self.two))
@@ -181,36 +157,20 @@ class _Recursion(Recursion):
         k_q = e.cross(momentum.k) - L.apply(rate) + body.p.cross(v) + body.L.transposed.apply(om)
         return _Changes(change, k_q, -L.column(segment.axis).scale(self.two))
 
-    def _write(self, below: Segment, segment: Segment, by: Loads, change: _Changes) -> None:
-        axis, momentum = self.axes[below.number], change.momentum
-        v, om = self._twist(below)
-        if below.is_revolute:
-            q_q = v.dot(by.q.F) + om.dot(by.q.N) + axis.turned.dot(momentum.F)
-            q_q = q_q + axis.acceleration.dot(momentum.N) + axis.rate.dot(change.k_q)
-            q_qd = v.dot(by.qd.F) + om.dot(by.qd.N) + axis.rate.dot(change.k_qd)
-            qd_q = axis.doubled_rate.dot(momentum.N) + change.k_q[below.axis]
-            qd_qd = change.k_qd[below.axis]
-            q_qdd, qdd_q = v.dot(by.qdd.F) + om.dot(by.qdd.N), momentum.N[below.axis]
-        else:
-            q_q = v.dot(by.q.F) + axis.acceleration.dot(momentum.F)
-            q_qd, qd_q, qd_qd = v.dot(by.qd.F), axis.doubled_rate.dot(momentum.F), self.builder.zero
-            q_qdd, qdd_q = v.dot(by.qdd.F), momentum.F[below.axis]
-        found, place, same = self.curvatures, (below.number, segment.number), below.sense == segment.sense
-        for entries, value in ((found.q_q, q_q), (found.q_qd, q_qd), (found.qd_qd, qd_qd), (found.q_qdd, q_qdd)):
-            entries[place] = value if same else -value
-        if below is not segment:
-            for entries, value in ((found.q_qd, qd_q), (found.q_qdd, qdd_q)):
-                entries[place[::-1]] = value if same else -value
-
-    def _add(self, below: Segment, segment: Segment, by: Loads, change: _Changes, through: Step) -> None:
-        """Write the entries of an axis that is parallel to the one before."""
-        found, p = self.curvatures, change.momentum.F
-        v = self._turning[below.number].cross(through.change)
-        a = self.movements[below.number].field(through.change)
-        turning = self.doubled_velocity(below).cross(through.change)
-        add_to(found.q_q, through, below, segment, v.dot(by.q.F) + a.dot(p))
-        add_to(found.q_qd, through, below, segment, v.dot(by.qd.F))
-        add_to(found.q_qdd, through, below, segment, v.dot(by.qdd.F))
-        add_to(found.qd_qd, through, below, segment, self.builder.zero)
-        add_to(found.q_qd, through, below, segment, turning.dot(p), by_column=True)
-        add_to(found.q_qdd, through, below, segment, through.change.dot(p), by_column=True)
+    def _write(self, segment: Segment, met: Encounter[Loads], change: _Changes) -> None:
+        """Write the entries of a joint and one before it."""
+        by, variation, found, momentum = met.carried, met.variation, self.curvatures, change.momentum
+        twist, rate, e = variation.twist, variation.rate, variation.e
+        q_q = twist.work(by.q) + variation.q.work(momentum) + rate.dot(change.k_q)
+        q_qd, q_qdd = twist.work(by.qd) + rate.dot(change.k_qd), twist.work(by.qdd)
+        for entries, value in (
+            (found.q_q, q_q),
+            (found.q_qd, q_qd),
+            (found.qd_qd, e.dot(change.k_qd)),
+            (found.q_qdd, q_qdd),
+        ):
+            add_entry(entries, met, segment, value)
+        if met.joint is not segment:
+            qd_q, qdd_q = variation.qd.work(momentum) + e.dot(change.k_q), variation.qdd.work(momentum)
+            add_entry(found.q_qd, met, segment, qd_q, by_column=True)
+            add_entry(found.q_qdd, met, segment, qdd_q, by_column=True)

@@ -30,7 +30,7 @@ from mbsgen.formulations.parsimony.angles import relative_entries
 from mbsgen.formulations.parsimony.motion import Kinematics
 from mbsgen.formulations.parsimony.plan import Meeting
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
-from mbsgen.formulations.parsimony.residual import Load, lengths_of, slide_lever
+from mbsgen.formulations.parsimony.residual import Force, Load, lengths_of, slide_lever
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
@@ -50,7 +50,7 @@ class Motion:
         """Return whether nothing turns."""
         return all(x.is_zero for x in self.OMp)
 
-    def work(self, load: Load) -> Scalar:
+    def work(self, load: Force) -> Scalar:
         """Form the power of a load."""
         return self.a.dot(load.F) + self.OMp.dot(load.N)
 
@@ -60,6 +60,10 @@ class Motion:
     def scale(self, factor: Scalar) -> Motion:
         """Multiply by a number."""
         return Motion(self.a.scale(factor), self.OMp.scale(factor))
+
+    def shift(self, d: Vector[Scalar]) -> Motion:
+        """Refer the motion to a point at d from the origin."""
+        return Motion(self.a + self.OMp.cross(d), self.OMp)
 
     def arrive(self, kinematics: Kinematics, segment: Segment) -> Motion:
         """Take a motion from where the parent is written to where `segment` is."""

@@ -33,11 +33,20 @@ from mbsgen.tape.builder import Builder, Scalar
 
 
 @dataclass(frozen=True)
-class Load:
-    """The force, and the moment about the body's origin, that a joint transmits, where the body is written."""
+class Force:
+    """A force with its moment about the origin of the body that it is written at."""
 
     F: Vector[Scalar]
     N: Vector[Scalar]
+
+    def __add__(self, other: Force) -> Force:
+        return Force(self.F + other.F, self.N + other.N)
+
+
+@dataclass(frozen=True)
+class Load(Force):
+    """The force, and the moment about the body's origin, that a joint transmits, where the body is written."""
+
     alone: Vector[Scalar]  # N without the moments of bodies that have relative angles
     momentum: Scalar | None = None  # along the joint's axis: its rate of change is not in N; it turns with the parent
 
@@ -111,24 +120,27 @@ def join_loads(
     segment: Segment,
     inertia: RegroupedInertia,
     movement: Movement,
-    loads: dict[int, Load],
+    loads: Mapping[int, Load],
     *,
     slack: bool = False,
     passes: bool = True,
+    grouped: bool = True,
 ) -> Load:
     """Add to a body's own load what its joints carry, and what acts on it from outside.
 
     slack: leave out the force of a point mass along its joint's axis. passes: momentum may turn with the parent.
+    grouped: include the bodies that continue the group.
     """
     choice = kinematics.plan[segment.number]
     passes = passes and choice.passes_spin and segment.parent != 0
+    beyond = [c.number for c in children(kinematics.segments, segment.number) if grouped or c.opens_group]
+    loads = {i: loads[i] for i in beyond}
 
     def write() -> Load:
         return _join_loads(kinematics, segment, inertia, movement, loads, slack=slack, passes=passes)
 
     if segment.wrenches:  # components in the base frame need the frames of all bodies before
         return write()
-    beyond = [c.number for c in children(kinematics.segments, segment.number)]
     parts = (*(loads[i] for i in beyond), *(kinematics.frames[i] for i in beyond))
     return kinematics.builder.remember(
         ("loads", slack, passes, choice.scaled, choice.by_rates, kinematics.plan.by_runtime),
@@ -142,7 +154,7 @@ def _join_loads(
     segment: Segment,
     inertia: RegroupedInertia,
     movement: Movement,
-    loads: dict[int, Load],
+    loads: Mapping[int, Load],
     *,
     slack: bool,
     passes: bool,
@@ -150,7 +162,7 @@ def _join_loads(
     directions = directions_of(kinematics, segment, inertia, movement)
     own, spin = _inertial_load(kinematics, segment, inertia, movement, directions), _double(inertia.half_spin)
     F, N, V, zero = own.F, own.N, own.V, kinematics.builder.zero
-    along, others = _gather_momentum(kinematics, segment, loads)
+    along, others = _gather_momentum(kinematics, loads)
     N = N.along(segment.axis, (spin + own.felt) * movement.wp)
     if along.is_zero and not passes:  # products of rates that U has too
         N = N + _turn(kinematics, segment, movement, zero, others + own.momentum)
@@ -162,7 +174,7 @@ def _join_loads(
         F = Vector.of(zero if r == segment.axis else x for r, x in enumerate(F))
         V[inertia.direction] = F
     grouped = Vector(zero, zero, zero)
-    for child in children(kinematics.segments, segment.number):
+    for child in (kinematics.segments[i - 1] for i in loads):
         force, moment = (kinematics.depart(child, x) for x in (loads[child.number].F, loads[child.number].N))
         if child.counts_angle:
             N = N + moment
@@ -221,15 +233,13 @@ def lengths_of(kinematics: Kinematics, segment: Segment, inertia: RegroupedInert
     return found
 
 
-def _gather_momentum(
-    kinematics: Kinematics, segment: Segment, loads: Mapping[int, Load]
-) -> tuple[Scalar, Vector[Scalar]]:
+def _gather_momentum(kinematics: Kinematics, loads: Mapping[int, Load]) -> tuple[Scalar, Vector[Scalar]]:
     """Sum the momenta that turn with a body: of joints that continue its group, along its axis; of others, in its own
     frame.
     """
     zero = kinematics.builder.zero
     along, others = zero, Vector(zero, zero, zero)
-    for child in children(kinematics.segments, segment.number):
+    for child in (kinematics.segments[i - 1] for i in loads):
         momentum = loads[child.number].momentum
         if momentum is None:
             continue

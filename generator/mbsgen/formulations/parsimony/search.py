@@ -126,3 +126,14 @@ def meet(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
             if found is not None and (fewest is None or found < fewest):
                 plan, fewest = trial, found
     return plan
+
+
+def flip_each(segments: Sequence[Segment], cost: Cost, plan: Plan, flag: str) -> Plan:
+    """Choose a flag of each body, one by one from the leaves."""
+    fewest = cost(plan)
+    for segment in reversed(segments):
+        trial = plan.put(segment.number, plan[segment.number].flip(flag))
+        found = cost(trial)
+        if found is not None and (fewest is None or found < fewest):
+            plan, fewest = trial, found
+    return plan

@@ -1,16 +1,13 @@
 """Sensitivities of the residual: dPhi/dq, dPhi/dqd and dPhi/dqdd by one recursion over composite bodies.
 
-When joint j turns by dq, a point r beyond it moves by (e x r) dq, with r from the joint's origin. In the frame of the
-body that turned, the accelerations of the points change by
+Each joint i needs three loads on the bodies beyond it, taken as one body with its momentum: for a unit of its
+coordinate, rate and acceleration (the motion changes as in `variations`). The entries (j, i) of ancestors j are the
+power of these loads by the motion of the axis of j. The entries (i, j) are the power of the third load, and of one more
+vector K, by the variations of j.
 
-    by q: a x e + e'' x r + 2 e' x v,    by qd: 2 e' x r + 2 e x v,    by qdd: e x r
-
-with the axis e, its derivatives e' = om x e and e'' = U e as a direction of the body before the joint, the acceleration
-a of the origin, and the velocity v of the point relative to the origin. For a prismatic joint: e'', 2 e' and e.
-
-So each joint i needs three loads on the bodies beyond it, taken as one body with its momentum. They are carried down to
-the base and give the entries (j, i) of ancestors j. The entries (i, j) use the third load alone, with the motion of the
-axis of j, and one carried vector K. Between parallel axes of a group, an entry changes by U (e x d).
+Loads are carried down to the base, joint by joint. Where the plan says so, they are *met* by the variations of the
+joints before, which are carried up: to the body, or displacements to the body and others to the place before its joint.
+Between parallel axes of a group, an entry changes by the power of a displacement.
 
 After Echeandia, Wensing (2021) and Singh, Russell, Wensing (2022), in the frames and regrouped masses of this folder.
 Velocities are stored doubled, as they are used only so.
@@ -18,16 +15,28 @@ Velocities are stored doubled, as they are used only so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Generic, Protocol, Self, TypeVar
 
 from mbsgen.algebra.vectors import Matrix, Vector, outer
-from mbsgen.formulations.parsimony.mass_matrix import Entries, link, list_path, own_inertia, shift_inertia
+from mbsgen.formulations.parsimony.mass_matrix import (
+    Entries,
+    Motion,
+    is_met,
+    link,
+    list_path,
+    own_inertia,
+    shift_inertia,
+)
 from mbsgen.formulations.parsimony.motion import Kinematics, Movement
+from mbsgen.formulations.parsimony.plan import Meeting
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia
-from mbsgen.formulations.parsimony.residual import Load, join_loads
+from mbsgen.formulations.parsimony.residual import Direction, Force, Load, directions_of, join_loads
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
+from mbsgen.formulations.parsimony.variations import Axis, Displacement, Variation
 from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
@@ -37,6 +46,7 @@ class Sensitivities:
     """The residual, and the nonzero entries (row, column) of its derivatives, by body numbers from 1."""
 
     Phi: dict[int, Scalar]
+    weight: dict[int, Scalar]  # Phi at rest
     q: Entries
     qd: Entries
     qdd: Entries  # the mass matrix
@@ -54,49 +64,40 @@ class Composite:
     p: Vector[Scalar]  # integral of 2 v dm
     L: Matrix[Scalar]  # integral of (2 v.r) 1 - 2 v rT dm
 
-
-@dataclass(frozen=True)
-class Axis:
-    """A joint's axis, where its body is written, and its motion with the body before the joint."""
-
-    e: Vector[Scalar]
-    doubled_rate: Vector[Scalar]  # 2 e'
-    rate: Vector[Scalar]  # e'
-    acceleration: Vector[Scalar]  # e''
-    turned: Vector[Scalar]  # a x e
+    def __add__(self, other: Composite) -> Composite:
+        return Composite(self.m + other.m, self.S + other.S, self.J + other.J, self.p + other.p, self.L + other.L)
 
 
 @dataclass(frozen=True)
-class Force:
-    """A force with its moment about the origin of the body that it is written at."""
+class Composed:
+    """A body with all bodies beyond it; without the bodies that continue its group; and these, by the child."""
 
-    F: Vector[Scalar]
-    N: Vector[Scalar]
-
-    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar]) -> Force:
-        """Refer the force to the origin of the body before `segment`, which is at d from there, and write it there."""
-        F = kinematics.depart(segment, self.F)
-        return Force(F, kinematics.depart(segment, self.N) + d.cross(F))
-
-
-@dataclass(frozen=True)
-class Step:
-    """A step down between parallel axes: turning about `at`'s axis or the one before it differs by the translation
-    `change`.
-    """
-
-    at: Segment
-    change: Vector[Scalar]  # e x d
+    whole: Composite
+    alone: Composite
+    grouped: Mapping[int, Composite]  # about the origin of the body
 
 
 class Carried(Protocol):
     """Quantities that are carried down to the base."""
 
-    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> Self:
-        """Carry them to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
+    def turn(self, kinematics: Kinematics, segment: Segment) -> Self:
+        """Write them where the parent of `segment` is written."""
+
+    def shift(self, d: Vector[Scalar], v: Vector[Scalar]) -> Self:
+        """Refer them to a point at -d that moves by -v, twice, from the origin."""
 
 
 L = TypeVar("L", bound=Carried)
+
+
+@dataclass(frozen=True)
+class Encounter(Generic[L]):
+    """Quantities that are carried down from a joint, and the variation of a joint before it, in one frame."""
+
+    joint: Segment
+    carried: L
+    variation: Variation
+    after: Segment | None  # the joint that continues the group: then the variation is the difference from this one's
 
 
 def sensitivities(writing: Writing, qd: Sequence[Scalar], qdd: Sequence[Scalar]) -> Sensitivities:
@@ -111,18 +112,30 @@ class Recursion:
         self.two = self.builder.number(2.0)
         self.movements = self.kinematics.move(writing.chain.gravity, qd, qdd)
         self.axes = {s.number: self._find_axis(s, self.movements[s.number]) for s in self.kinematics.segments}
-        self.composites: dict[int, Composite] = {}
-        self.found = Sensitivities({}, {}, {}, {})
+        self.composed: dict[int, Composed] = {}
+        self.loads: dict[int, Load] = {}
+        self.by: dict[int, Loads] = {}
+        still = Vector(self.builder.zero, self.builder.zero, self.builder.zero)
+        self.others = {s.number: Motion(still, still) for s in self.kinematics.segments}  # other velocities: none
+        self.found = Sensitivities({}, {}, {}, {}, {})
 
     def run(self) -> Sensitivities:
-        loads: dict[int, Load] = {}
         for segment in reversed(self.kinematics.segments):
             i = segment.number
-            loads[i] = join_loads(self.kinematics, segment, self.inertias[i], self.movements[i], loads, passes=False)
-            self.composites[i] = self.compose(segment, self.inertias[i])
-            self.found.Phi[i] = segment.signed((loads[i].N if segment.is_revolute else loads[i].F)[segment.axis])
-            self.differentiate(segment, self.composites[i], loads[i])
+            self.loads[i] = self._join_loads(segment, grouped=True)
+            self.composed[i] = self.compose(segment, self.inertias[i])
+            self.found.Phi[i] = segment.signed(
+                (self.loads[i].N if segment.is_revolute else self.loads[i].F)[segment.axis]
+            )
+            self.by[i] = self._load(segment)
+            self.differentiate(segment)
         return self.found
+
+    def _join_loads(self, segment: Segment, *, grouped: bool) -> Load:
+        i = segment.number
+        return join_loads(
+            self.kinematics, segment, self.inertias[i], self.movements[i], self.loads, passes=False, grouped=grouped
+        )
 
     # -- the state of bodies ------------------------------------------------------------------------------------
 
@@ -154,97 +167,189 @@ class Recursion:
         J = own_inertia(self.builder, segment, inertia, axes)
         return Composite(inertia.m, S, J, om.cross(S), -cross_matrix(om).times(P))
 
-    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
+    def compose(self, segment: Segment, inertia: RegroupedInertia) -> Composed:
         """Add the composites of its children to a body."""
         k, i = self.kinematics, segment.number
         beyond = [c.number for c in children(k.segments, i)]
-        parts = (*(self.composites[c] for c in beyond), *(k.frames[c] for c in beyond))
+        parts = (*(self.composed[c] for c in beyond), *(k.frames[c] for c in beyond))
         return self.builder.remember(
             ("sensitive composite", *(self.qd[c - 1].ref for c in beyond)),
             (segment, inertia, self.movements[i], k.frames[i], *parts),
             lambda: self._compose(segment, inertia),
         )
 
-    def _compose(self, segment: Segment, inertia: RegroupedInertia) -> Composite:
-        k, own = self.kinematics, self.own(segment, inertia)
-        m, S, J, p, L = own.m, own.S, own.J, own.p, own.L
-        for child in children(k.segments, segment.number):
-            carried, d = self.composites[child.number], link(k, child)
-            v, s, weight = self.doubled_departure(child, d), k.depart(child, carried.S), d.scale(carried.m)
-            momentum = k.depart(child, carried.p)
-            J = shift_inertia(k.depart_tensor(child, carried.J), d, s, weight) + J
-            L = L + k.depart_tensor(child, carried.L) + turned_outer(v, s + weight) + turned_outer(momentum, d)
-            p, S, m = p + momentum + v.scale(carried.m), S + s + weight, m + carried.m
-        return Composite(m, S, J, p, L)
+    def _compose(self, segment: Segment, inertia: RegroupedInertia) -> Composed:
+        alone, beyond = self.own(segment, inertia), children(self.kinematics.segments, segment.number)
+        alone = reduce(add, (self._carry(c) for c in beyond if c.opens_group), alone)
+        grouped = {c.number: self._carry(c) for c in beyond if not c.opens_group}
+        return Composed(reduce(add, grouped.values(), alone), alone, grouped)
+
+    def _carry(self, child: Segment) -> Composite:
+        """Refer a body with all bodies beyond it to the origin of its parent."""
+        k, body, d = self.kinematics, self.composed[child.number].whole, link(self.kinematics, child)
+        v, s, weight = self.doubled_departure(child, d), k.depart(child, body.S), d.scale(body.m)
+        momentum = k.depart(child, body.p)
+        J = shift_inertia(k.depart_tensor(child, body.J), d, s, weight)
+        L = k.depart_tensor(child, body.L) + turned_outer(v, s + weight) + turned_outer(momentum, d)
+        return Composite(body.m, s + weight, J, momentum + v.scale(body.m), L)
 
     # -- loads, and what joints feel of them --------------------------------------------------------------------
 
-    def differentiate(self, segment: Segment, body: Composite, load: Load) -> None:
+    def _load(self, segment: Segment) -> Loads:
+        """Form the loads for a joint.
+
+        Where a child continues its group, it turns the bodies beyond as the child's joint does, and displaces them.
+        """
+        k, i, body = self.kinematics, segment.number, self.composed[segment.number]
+        parts = (x[c] for c in body.grouped for x in (self.loads, self.by, k.frames))
+        own = self._load_alone(segment)
+
+        def write() -> Loads:
+            return reduce(add, (self._load_grouped(segment, k.segments[c - 1]) for c in body.grouped), own)
+
+        return self.builder.remember(("loads by",), (segment, own, body, self.movements[i], *parts), write)
+
+    def _load_grouped(self, segment: Segment, child: Segment) -> Loads:
+        """Form the loads on the bodies of a child that continues the group."""
+        k, d = self.kinematics, link(self.kinematics, child)
+        turned = self.by[child.number].turn(k, child).shift(d, self.doubled_departure(child, d))
+        change, F = self.displace(segment, self.axes[segment.number].e.cross(d)), self.loads[child.number].F
+        body = self.composed[segment.number].grouped[child.number]
+        return turned + Loads.displacing(body, change, k.depart(child, F))
+
+    def _load_alone(self, segment: Segment) -> Loads:
+        """Form the loads on a body and all beyond it that does not continue its group."""
+        k, i = self.kinematics, segment.number
+        body, axis, load = self.composed[i].alone, self.axes[i], self._join_loads(segment, grouped=False)
+        by_moments = k.plan[i].by_moments and is_alone(k.segments, segment)
+
+        def write() -> Loads:
+            loads = Loads.of(segment, body, axis, load)
+            return replace(loads, q=self._turn_moments(segment)) if by_moments else loads
+
+        key = ("loads alone", k.plan[i].scaled, k.plan.by_runtime, by_moments)
+        return self.builder.remember(key, (segment, self.inertias[i], body, load, self.movements[i], axis), write)
+
+    def _turn_moments(self, segment: Segment) -> Force:
+        """Form the load that a turn of a body alone adds, by its moments S' = e x S and P' = e x P - P x e.
+
+        The field of accelerations does not turn, and the spin inertia stays as it is.
+        """
+        k, i = self.kinematics, segment.number
+        inertia, movement, e = self.inertias[i], self.movements[i], self.axes[i].e
+        directions = directions_of(k, segment, inertia, movement)
+        turned = [Direction(e.cross(x.e), x.length, movement.field(e.cross(x.e))) for x in directions]
+        before, after = weigh(inertia, directions, movement.a0), weigh(inertia, turned, e.scale(self.builder.zero))
+        N = reduce(
+            add, (t.e.cross(v) + x.e.cross(y) for t, v, x, y in zip(turned, before, directions, after, strict=True))
+        )
+        if inertia.radius is not None:
+            return Force(after[inertia.direction], N)
+        return Force(reduce(add, (x.Ue.scale(x.share(s)) for x, s in zip(turned, inertia.S, strict=True))), N)
+
+    def differentiate(self, segment: Segment) -> None:
         """Write the column of a joint in the rows of its ancestors, and its row in their columns."""
         path = list_path(self.kinematics, segment)
         parts = (group[i] for i in path for group in (self.axes, self.movements, self.kinematics.frames))
         found = self.builder.remember(
-            ("differentiate", *(self.qd[i - 1].ref for i in path)),
-            (segment, body, load, *parts),
-            lambda: self._differentiate(segment, body, load),
+            ("differentiate", *(self.qd[i - 1].ref for i in path), *(self.kinematics.plan[i].meeting for i in path)),
+            (segment, self.by[segment.number], *parts),
+            lambda: self._differentiate(segment),
         )
+        self.found.weight.update(found.weight)
         for entries, more in ((self.found.q, found.q), (self.found.qd, found.qd), (self.found.qdd, found.qdd)):
             entries |= more
 
-    def _differentiate(self, segment: Segment, body: Composite, load: Load) -> Sensitivities:
-        found = Sensitivities({}, {}, {}, {})
-        for below, by, through in self.descend(segment, Loads.of(segment, body, self.axes[segment.number], load)):
-            _write_column(found, below, segment, by)
-            if below is not segment:
-                self._write_row(found, below, segment, by, through)
+    def _differentiate(self, segment: Segment) -> Sensitivities:
+        found = Sensitivities({}, {}, {}, {}, {})
+        for met in self.descend(segment, self.by[segment.number]):
+            _write_entries(found, segment, met)
+        *_, (at, by) = self._lower(segment, self.by[segment.number])
+        gravity = self.kinematics.arrive_from_base(at, self.movements[0].a0)
+        found.weight[segment.number] = segment.signed(gravity.dot(by.qdd.F))
         return found
 
-    def descend(self, segment: Segment, by: L) -> Iterator[tuple[Segment, L, Step | None]]:
-        """Carry loads from a body down to the base; also yield the last step, if it was between parallel axes."""
-        yield segment, by, None
-        at = segment
-        while at.parent:
-            d = link(self.kinematics, at)
-            by = by.depart(self.kinematics, at, d, self.doubled_departure(at, d))
-            below = self.kinematics.segments[at.parent - 1]
-            yield below, by, None if at.opens_group else Step(at, self.axes[below.number].e.cross(d))
-            at = below
+    def _lower(self, segment: Segment, carried: L) -> Iterator[tuple[Segment, L]]:
+        """Carry quantities from body to body towards the base, as far as they pass; yield them at each body."""
+        at, k = segment, self.kinematics
+        yield at, carried
+        while at.parent and not is_met(k, at):
+            d = link(k, at)
+            carried = carried.turn(k, at).shift(d, self.doubled_departure(at, d))
+            at = k.segments[at.parent - 1]
+            yield at, carried
 
-    def _write_row(self, found: Sensitivities, column: Segment, row: Segment, by: Loads, through: Step | None) -> None:
-        """Write the entries of a row in the column of an ancestor."""
-        axis, first, same = self.axes[column.number], by.qdd, row.sense == column.sense
-        if through:
-            field = self.movements[column.number].field(through.change)
-            turning = self.doubled_velocity(column).cross(through.change)
-            for entries, more in ((found.q, field.dot(first.F)), (found.qd, turning.dot(first.F))):
-                add_to(entries, through, column, row, more, by_column=True)
-            return
-        if column.is_revolute:
-            q = axis.turned.dot(first.F) + axis.acceleration.dot(first.N) + axis.rate.dot(by.K)
-            qd = axis.doubled_rate.dot(first.N) + by.K[column.axis]
+    def descend(self, segment: Segment, carried: L) -> Iterator[Encounter[L]]:
+        """Carry quantities down towards the base, to meet the variations of a body's joint and of all joints before."""
+        k, child = self.kinematics, None
+        for at, by in self._lower(segment, carried):
+            variation = self._vary_before(at, child) if child else self.vary(at)
+            yield Encounter(at, by, variation, child if child and not child.opens_group else None)
+            child, carried = at, by
+        if child and is_met(k, child):
+            before = carried.turn(k, child)
+            for number in list_path(k, child)[1:]:
+                yield self._meet(k.segments[number - 1], child, carried, before)
+
+    def _meet(self, joint: Segment, at: Segment, beyond: L, before: L) -> Encounter[L]:
+        """Carry a joint's variation up to a body, or to where its parent is written."""
+        k, path = self.kinematics, list_path(self.kinematics, at)
+        after = k.segments[path[path.index(joint.number) - 1] - 1]
+        variation = self._bring(joint, at)
+        meeting, carried = k.plan[at.number].meeting, before
+        if meeting is Meeting.BEYOND or variation.is_displacement:
+            carried, variation = beyond, variation.arrive(k, at)
+        return Encounter(joint, carried, variation, None if after.opens_group else after)
+
+    def _bring(self, joint: Segment, at: Segment) -> Variation:
+        """Form a joint's variation at the origin of a body beyond, where its parent is written."""
+        parent = self.kinematics.segments[at.parent - 1]
+        if parent is joint:
+            far = self._vary_before(joint, at)
         else:
-            q, qd = axis.acceleration.dot(first.F), axis.doubled_rate.dot(first.F)
-        found.q[row.number, column.number] = q if same else -q
-        found.qd[row.number, column.number] = qd if same else -qd
+            far = self._bring(joint, parent).arrive(self.kinematics, parent)
+        d = link(self.kinematics, at)
+        return far.shift(d, self.doubled_departure(at, d))
+
+    def vary(self, joint: Segment) -> Variation:
+        """Form the variation of a joint's own body."""
+        return Variation.of(self.axes[joint.number], joint, self.others[joint.number])
+
+    def displace(self, joint: Segment, change: Vector[Scalar]) -> Displacement:
+        """Form the displacement of the bodies beyond a joint by a vector that turns with its body."""
+        return Displacement(
+            self.movements[joint.number].field(change), self.doubled_velocity(joint).cross(change), change
+        )
+
+    def _vary_before(self, joint: Segment, child: Segment) -> Variation:
+        """Form the variation of a joint, or its difference from the one of a child that continues its group."""
+        if child.opens_group:
+            return self.vary(joint)
+        change = self.displace(joint, self.axes[joint.number].e.cross(link(self.kinematics, child)))
+        return Variation.displace(change, self.others[joint.number])
 
 
-def _write_column(found: Sensitivities, row: Segment, column: Segment, by: Loads) -> None:
-    place, same = (row.number, column.number), row.sense == column.sense
+def _write_entries(found: Sensitivities, segment: Segment, met: Encounter[Loads]) -> None:
+    """Write the entries of a joint and one before it: by the column of the first, and by its row."""
+    joint, by, variation = met.joint, met.carried, met.variation
     for entries, load in ((found.q, by.q), (found.qd, by.qd), (found.qdd, by.qdd)):
-        felt = (load.N if row.is_revolute else load.F)[row.axis]
-        entries[place] = felt if same else -felt
-    found.qdd[column.number, row.number] = found.qdd[place]
+        add_entry(entries, met, segment, variation.qdd.work(load))
+    found.qdd[segment.number, joint.number] = found.qdd[joint.number, segment.number]
+    if joint is not segment:
+        q = variation.q.work(by.qdd) + variation.rate.dot(by.K)
+        qd = variation.qd.work(by.qdd) + variation.e.dot(by.K)
+        add_entry(found.q, met, segment, q, by_column=True)
+        add_entry(found.qd, met, segment, qd, by_column=True)
 
 
-def add_to(
-    entries: Entries, through: Step, below: Segment, segment: Segment, more: Scalar, *, by_column: bool = False
-) -> None:
-    """Write the entry of `below` and `segment`: the entry of the parallel axis before, plus `more`."""
-    place, before = (below.number, segment.number), (through.at.number, segment.number)
-    if by_column:
-        place, before = place[::-1], before[::-1]
-    known = entries[before] if through.at.sense == below.sense else -entries[before]
-    entries[place] = known + (more if below.sense == segment.sense else -more)
+def add_entry(entries: Entries, met: Encounter[L], segment: Segment, value: Scalar, *, by_column: bool = False) -> None:
+    """Write the entry of a joint before `segment`: `value`, for parallel axes with the entry of the axis after it."""
+    place, total = (met.joint.number, segment.number), value if met.joint.sense == segment.sense else -value
+    if met.after:
+        before = (met.after.number, segment.number)
+        known = entries[before[::-1] if by_column else before]
+        total = (known if met.after.sense == met.joint.sense else -known) + total
+    entries[place[::-1] if by_column else place] = total
 
 
 @dataclass(frozen=True)
@@ -260,13 +365,11 @@ class Loads:
     K: Vector[Scalar]
 
     @staticmethod
-    def of(segment: Segment, body: Composite, axis: Axis, load: Load) -> Loads:
-        """Form the loads where the joint's body is written."""
-        e, S, p = axis.e, body.S, body.p
+    def of(segment: Segment, body: Composite, axis: Axis, load: Force) -> Loads:
+        """Form the loads where the joint's body is written, for a joint that moves a body under a load."""
         if not segment.is_revolute:
-            m, rate, acceleration = body.m, axis.doubled_rate, axis.acceleration
-            q = Force(acceleration.scale(m), S.cross(acceleration) + e.cross(load.F))
-            return Loads(q, Force(rate.scale(m), S.cross(rate)), Force(e.scale(m), S.cross(e)), p.cross(e))
+            return Loads.displacing(body, Displacement(axis.acceleration, axis.doubled_rate, axis.e), load.F)
+        e, S, p = axis.e, body.S, body.p
         K = body.L.rows[segment.axis]
         qdd = Force(e.cross(S), body.J.column(segment.axis))
         qd = Force(
@@ -278,10 +381,51 @@ class Loads:
         )
         return Loads(q, qd, qdd, K)
 
-    def depart(self, kinematics: Kinematics, segment: Segment, d: Vector[Scalar], v: Vector[Scalar]) -> Loads:
-        """Carry the loads to the body before `segment`, whose origin is at -d and moves by -v, twice, from there."""
-        q, qd, qdd = (x.depart(kinematics, segment, d) for x in (self.q, self.qd, self.qdd))
-        return Loads(q, qd, qdd, kinematics.depart(segment, self.K) + v.cross(qdd.F))
+    @staticmethod
+    def displacing(body: Composite, by: Displacement, F: Vector[Scalar]) -> Loads:
+        """Form the loads for a displacement of a body that the force F accelerates."""
+        q, qd, qdd = (Force(x.scale(body.m), body.S.cross(x)) for x in (by.q, by.qd, by.qdd))
+        return Loads(Force(q.F, q.N + by.qdd.cross(F)), qd, qdd, body.p.cross(by.qdd))
+
+    def __add__(self, other: Loads) -> Loads:
+        return Loads(self.q + other.q, self.qd + other.qd, self.qdd + other.qdd, self.K + other.K)
+
+    def turn(self, kinematics: Kinematics, segment: Segment) -> Loads:
+        """Write the loads where the parent of `segment` is written."""
+        q, qd, qdd = (turn_force(kinematics, segment, x) for x in (self.q, self.qd, self.qdd))
+        return Loads(q, qd, qdd, kinematics.depart(segment, self.K))
+
+    def shift(self, d: Vector[Scalar], v: Vector[Scalar]) -> Loads:
+        """Refer the loads to a point at -d that moves by -v, twice, from the origin."""
+        q, qd, qdd = (shift_force(x, d) for x in (self.q, self.qd, self.qdd))
+        return Loads(q, qd, qdd, self.K + v.cross(qdd.F))
+
+
+def turn_force(kinematics: Kinematics, segment: Segment, force: Force) -> Force:
+    """Write a force where the parent of `segment` is written."""
+    return Force(kinematics.depart(segment, force.F), kinematics.depart(segment, force.N))
+
+
+def shift_force(force: Force, d: Vector[Scalar]) -> Force:
+    """Refer a force to a point at -d from the origin."""
+    return Force(force.F, force.N + d.cross(force.F))
+
+
+def is_alone(segments: Sequence[Segment], segment: Segment) -> bool:
+    """Return whether a revolute joint turns a body, and no bodies beyond it about other axes."""
+    return segment.is_revolute and not any(c.opens_group for c in children(segments, segment.number))
+
+
+def weigh(inertia: RegroupedInertia, directions: Sequence[Direction], a: Vector[Scalar]) -> list[Vector[Scalar]]:
+    """Form what a body's moments weigh in each direction, s a + sum p U e, without its spin; see `residual`."""
+    if inertia.radius is not None:
+        F = (a + directions[inertia.direction].Ue).scale(inertia.m)
+        return [F if t == inertia.direction else F.scale(a.x.builder.zero) for t in range(3)]
+    V = []
+    for t, one in enumerate(directions):
+        parts = (x.Ue.scale(x.share(one.share(inertia.P[t, u]))) for u, x in enumerate(directions))
+        V.append(reduce(add, parts, a.scale(one.share(inertia.S[t]))))
+    return V
 
 
 def axis_before(kinematics: Kinematics, child: Segment) -> Vector[Scalar]:
