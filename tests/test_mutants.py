@@ -100,6 +100,7 @@ def test_most_functions_that_faults_are_drawn_in_have_tests_that_exist() -> None
     faults = list(islice(draw("", 7), 300))
     assert sum(bool(fault.tests) for fault in faults) >= 0.9 * len(faults)
     assert choose("csrc/stages/search.c", 1)
+    assert choose("python/mbsrun/simulation/integration/tableaus.py", 1)[0].endswith("/test_tableaus.py")
 
 
 def test_functions_are_found_with_their_lines(tmp_path: Path) -> None:

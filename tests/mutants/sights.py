@@ -69,8 +69,8 @@ class Measured:
 def choose(file: str, line: int) -> tuple[str, ...]:
     """Return the tests that should see a change of a line, the shortest first; none where no test executes it.
 
-    A line of no function has tests of all functions of its file. The laws of a C file come first, and the solver's
-    sanitizers last.
+    A line of no function, such as a table of numbers, has tests of all functions of its file, after the tests that are
+    named after it. The laws of a C file come first, and the solver's sanitizers last.
     """
     stem = Path(file).stem.removeprefix("mbs_")
     laws = (f"{LAWS}[{stem}]",) if file.endswith(".c") and (ROOT / f"tests/csrc/laws/{stem}.c").exists() else ()
@@ -79,6 +79,8 @@ def choose(file: str, line: int) -> tuple[str, ...]:
     name = next((name for name, begin, end in list_functions(ROOT / file) if begin <= line <= end), "")
     sight = _read().get(f"{file}::{name}")
     found = sight.tests if sight and text not in sight.missed else ()
+    if not name:
+        found = (*sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"tests/*/**/test_{stem}.py")), *found)
     return (*laws, *(test for test in found if test not in laws + last), *last)
 
 
