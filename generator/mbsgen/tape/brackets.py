@@ -8,7 +8,6 @@ this lowers the number of operations.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Set
 from functools import reduce
 from itertools import combinations
@@ -134,4 +133,9 @@ class _Brackets:
 
 
 def _subtract(one: _Product, other: _Product) -> _Product:
-    return tuple(sorted((Counter(one) - Counter(other)).elements()))
+    """Leave out of one product the factors of another, each as often as it is there."""
+    rest = list(one)
+    for x in other:
+        if x in rest:
+            rest.remove(x)
+    return tuple(rest)
