@@ -28,13 +28,15 @@ TEXTS = (
     "exp(-x0*y1)*log(1 + x1**2)*tanh(y0)",
     "abs(x0 - y0)*abs(y1)",
     "max(x0 - y0, x1*y1)*min(x0*y1, d0)",
-    "step(x0*y0, p0**2 + 1)*softplus(x1 - y0, 1/8)",
+    "step(x0*y0, p0**2 + 1)*softplus(x1 - y0, 1/8) + smoothmax(x0*y0, x1, 1/8)",
+    "bezier(x0 + y0, -1, d0, 1/2, p0, 3, y1, 3/4)",
     "(x0 + 2*y0)**-3 + x1**16 - -y1**1 + x0**0",
     "3*x0 - pi*p0",
     "p0*d0",
     "x0 - x0",
 )
-SHIFTED = tuple(f"{name}({', '.join(['x0*y0/3', 'x1'][:count])})" for name, count in FUNCTIONS.items())
+POINTS = ("x0*y0/3", "x1", "1/7", "2", "1/2", "9", "1/3", "3/4")  # the first arguments of functions
+SHIFTED = tuple(f"{name}({', '.join(POINTS[:count])})" for name, count in FUNCTIONS.items())
 
 
 def make(texts: Sequence[str]) -> Formula:
