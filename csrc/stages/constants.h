@@ -72,6 +72,9 @@
 #define POLISHED_RIGHT ((real)0.1)    /* of a change of the cost: how wrong its first order may be, */
 #define POLISHED_COST ((real)1e-2)    /* for a cost of this size at least */
 
+/* scales */
+#define SMALL_UNIT ((real)1e-3) /* of variables: rows may be flat for it */
+
 /* the line search */
 #define CUT_LENGTH ((real)0.02)       /* step lengths that show too little curvature, */
 #define CUT_OFTEN 2                   /* as many of them in a row */

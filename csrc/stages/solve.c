@@ -180,14 +180,14 @@ static real gentle(const mbs_stages_options *o, real steepest)
     return scale > o->nlp_scaling_min_value ? scale : o->nlp_scaling_min_value;
 }
 
-/* The smallest scale of a variable, at most 1. */
+/* The smallest scale of a variable, if it is so small that rows may be flat for it; else 1. */
 static real finest_unit(const mbs_stages *s)
 {
     real least = 1;
     int i;
     for (i = 0; s->has_units && i < s->variables; ++i)
         least = s->variable_scale[i] < least ? s->variable_scale[i] : least;
-    return least;
+    return least < SMALL_UNIT ? least : 1;
 }
 
 /* Rows that are steep are divided. Flat ones in small units are multiplied, since the tolerance is absolute; at most by
@@ -223,7 +223,7 @@ static void share_with(mbs_stages *s, int k, int other)
 }
 
 /* Rows at the same places of stages that follow each other are of one kind, and get the largest slope of all: a slope may
- * be 0 by chance. */
+ * be 0 by chance. Only small units ask for that: elsewhere rows whose slopes vary would be scaled by the steepest. */
 static void share_along(mbs_stages *s)
 {
     int k;
@@ -247,7 +247,7 @@ static int scale_functions(mbs_stages *s)
         mbs_stages_matrix_row_maxima(&t->E, s->row_scale + t->e);
         mbs_stages_matrix_row_maxima(&t->G, s->row_scale + t->g);
     }
-    if (s->has_units)
+    if (finest < 1)
         share_along(s);
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];

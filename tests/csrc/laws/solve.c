@@ -110,6 +110,8 @@ static void scale_by_slopes(void)
     LAW("without units the finest one is 1", finest_unit(&s) == 1);
     s.has_units = 1;
     LAW("else the smallest", finest_unit(&s) == (real)1e-6);
+    scale[1] = (real)0.01;
+    LAW("but a hundredth is not small", finest_unit(&s) == 1);
     scale[1] = 2;
     LAW("or 1", finest_unit(&s) == 1);
     LAW("a steep row is divided", near(scale_row(&o, 4000, 1), (real)0.025) && near(scale_row(&o, 4000, (real)1e-6), (real)0.025));
