@@ -236,7 +236,7 @@ static void share_along(mbs_stages *s)
 /* Scale the cost and the rows of e and g by their first derivatives. */
 static int scale_functions(mbs_stages *s)
 {
-    const real finest = finest_unit(s);
+    const real finest = MBS_STAGES_SEARCHES ? finest_unit(s) : 1;
     int k;
     if (!s->options.scaled)
         return 0;
