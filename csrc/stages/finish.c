@@ -45,11 +45,26 @@ static real find_decrease(const mbs_stages *s, const mbs_stages_phase *p)
     return sum;
 }
 
-/* Whether the cost is known to a part of it, or is 0 to a tolerance. A requested barrier decides it, too. */
+/* What bounds that give change the cost by, at most: multipliers times ways. */
+static real find_leeway(const mbs_stages *s, const mbs_stages_phase *p)
+{
+    real sum = 0;
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        if (!s->fixed[i] && mbs_stages_has(p->lower[i]))
+            sum += p->zl[i] * s->giving * mbs_stages_bound_size(p->lower[i]);
+        if (!s->fixed[i] && mbs_stages_has(p->upper[i]))
+            sum += p->zu[i] * s->giving * mbs_stages_bound_size(p->upper[i]);
+    }
+    return sum;
+}
+
+/* Whether the cost is known to a part of it, or is 0: to a tolerance, or to the amount that bounds give. A requested barrier
+ * decides it, too. */
 static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance)
 {
     const real cost = real_abs(p->cost);
-    if (p->elastic || mbs_stages_least_barrier(s) > 0 || cost <= tolerance * s->cost_scale)
+    if (p->elastic || mbs_stages_least_barrier(s) > 0 || cost <= tolerance * s->cost_scale || cost <= find_leeway(s, p))
         return 1;
     return find_decrease(s, p) <= MBS_STAGES_SIZABLE * cost;
 }

@@ -188,12 +188,12 @@ static int is_off(const mbs_stages *s, const mbs_stages_phase *p, real part, rea
 
 void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
 {
-    real part = s->options.bound_relax_factor, fall = MBS_STAGES_FALL, most = MBS_STAGES_SHARP;
+    real fall = MBS_STAGES_FALL, most = MBS_STAGES_SHARP;
     int i;
-    for (i = 0; i < POLISHING_TRIES && fall < 1 && is_off(s, p, part, most); ++i) {
-        const real after = part > MBS_STAGES_APART ? mbs_stages_larger(fall * part, MBS_STAGES_APART) : part;
+    for (i = 0; i < POLISHING_TRIES && fall < 1 && is_off(s, p, s->giving, most); ++i) {
+        const real part = s->giving, after = part > MBS_STAGES_APART ? mbs_stages_larger(fall * part, MBS_STAGES_APART) : part;
         if (sharpen(s, p, part, after, fall) == 0) {
-            part = after;
+            s->giving = after;
             most = MBS_STAGES_DULL;
         } else {
             fall *= 10;

@@ -500,6 +500,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->failed_stage = -1;
     s->softening = MBS_STAGES_HARD;
     s->exact = s->unhelped = s->is_sharper = 0;
+    s->giving = s->options.bound_relax_factor;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
     if (!s->options.warm_start_init_point)

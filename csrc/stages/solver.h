@@ -107,6 +107,7 @@ struct mbs_stages {
     mbs_stages_softening softening;
     char *softened; /* rows that the factorisation lets give, although they are hard */
     real *gives;    /* compliances of rows of the main problem: also of the rows that the factorisation takes as exact */
+    real giving;    /* part of their size by which bounds give */
     int exact;      /* factorisations take rows that hardly give as exact */
     int unhelped;   /* steps without digits either way */
     int is_sharper; /* the solve goes on with a smaller tolerance */

@@ -199,19 +199,7 @@ class Derivatives:
         k = names.index(phase)
         motion = self.answer.guess.trajectories[k]
         shapes = {name: getattr(motion, name).shape for name in PARTS} | {"unknowns": (self._count_own(k),)}
-        values = {name: np.asarray(value, dtype=np.float64) for name, value in weights.items()}
-        findings = [
-            (name, "no part of a motion that a function may read", f"give {', '.join(PARTS)}")
-            for name in values
-            if name not in PARTS
-        ]
-        findings += [
-            (name, f"weights of shape {value.shape}", f"give the shape {shapes[name]}")
-            for name, value in values.items()
-            if name in PARTS and value.shape != shapes[name]
-        ]
-        if findings:
-            raise ProblemError(self.name, findings)
+        values = read_weights(self.name, weights, shapes)
         gradient, own = np.zeros(whole.program.variables), whole.phases[k]
         start = whole.offsets[k].variables
         part = gradient[start : start + own.layout.size]
@@ -220,6 +208,25 @@ class Derivatives:
         except _UnreadError as error:
             raise ProblemError(self.name, [error.line]) from None
         return gradient[whole.program.kept]
+
+
+def read_weights(name: str, weights: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Array]:
+    """Return weights of results with these shapes as arrays. Raises ProblemError with all that do not fit."""
+    values, findings = dict[str, Array](), list[tuple[str, str, str]]()
+    for part, weight in weights.items():
+        if part not in shapes:
+            findings.append((part, "no part of a motion that a function may read", f"give {', '.join(shapes)}"))
+            continue
+        try:
+            values[part] = np.asarray(weight, dtype=np.float64)
+        except (TypeError, ValueError):
+            findings.append((part, "no array of numbers", f"give the shape {shapes[part]}"))
+            continue
+        if values[part].shape != shapes[part]:
+            findings.append((part, f"weights of shape {values[part].shape}", f"give the shape {shapes[part]}"))
+    if findings:
+        raise ProblemError(name, findings)
+    return values
 
 
 class _UnreadError(Exception):

@@ -21,7 +21,7 @@ from mbsrun.ocp.optima.family import Family, Member
 from mbsrun.ocp.optima.movement import Movement
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal import display
-from mbsrun.optimal.derivatives import PARTS, Derivatives
+from mbsrun.optimal.derivatives import PARTS, Derivatives, read_weights
 from mbsrun.optimal.result import MissingPackageError
 
 COST = "cost"
@@ -79,16 +79,7 @@ class Differentiable:
         They are NaN where there are none. Raises ProblemError for weights of other names and shapes.
         """
         rows, leading = self._split(values)
-        given = {name: self._read_array(name, x) for name, x in weights.items()}
-        shapes = {name: (*leading, *shape) for name, shape in self.shapes.items()}
-        faults = [(name, "it is no result", f"there are {', '.join(shapes)}") for name in given if name not in shapes]
-        faults += [
-            (name, f"the shape {x.shape}", f"give {shapes[name]}")
-            for name, x in given.items()
-            if name in shapes and x.shape != shapes[name]
-        ]
-        if faults:
-            raise ProblemError(self.name, faults)
+        given = read_weights(self.name, weights, {name: (*leading, *shape) for name, shape in self.shapes.items()})
         parts = {name: x.reshape((len(rows), *self.shapes[name])) for name, x in given.items()}
         found = [self._pull(row, {name: x[k] for name, x in parts.items()}) for k, row in enumerate(rows)]
         return np.array(found).reshape((*leading, len(self.names)))
@@ -161,17 +152,14 @@ class Differentiable:
         return self.family.answer.guess.trajectories[0]
 
     def _split(self, values: Any) -> tuple[Array, tuple[int, ...]]:
-        given = self._read_array("values", values)
+        try:
+            given = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ProblemError(self.name, [("values", "no array of numbers", "give one")]) from None
         if given.ndim == 0 or given.shape[-1] != len(self.names):
             remedy = f"give (..., {len(self.names)}): {', '.join(self.names)}"
             raise ProblemError(self.name, [("values", f"the shape {given.shape}", remedy)])
         return given.reshape(-1, len(self.names)), given.shape[:-1]
-
-    def _read_array(self, name: str, given: Any) -> Array:
-        try:
-            return np.asarray(given, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ProblemError(self.name, [(name, "no array of numbers", "give one")]) from None
 
     def _read(self, member: Member) -> dict[str, Any]:
         """Read results off a solve."""

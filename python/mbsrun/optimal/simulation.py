@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from mbsrun.optimal.result import import_pandas
 from mbsrun.quaternions import find_rates
 from mbsrun.simulation.closing import close_start
 from mbsrun.simulation.drive import control
-from mbsrun.simulation.motion import Energy, Event, Halt, Motion
+from mbsrun.simulation.motion import Motion
 from mbsrun.simulation.simulate import simulate as integrate
 from mbsrun.simulation.statement import Statement, read_statement
 
@@ -31,68 +31,21 @@ Law = Callable[[float, Array, Array], ArrayLike]  # t, q, qd -> the inputs
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulated:
-    """A simulated motion, with its numbers at all stored times by name.
+class Simulated(Motion):
+    """A simulated motion with its mechanism: what `Motion` has, as tables, pictures and pages.
 
     Names are the same as in expressions: `q_NAME`, `qd_NAME`, `u_NAME`, `x_SENSOR`; numbers that follow from the motion
     are among `results`. Where the end was not reached, `halt` says why, and the motion is the part before.
     """
 
-    motion: Motion
-    mechanism: Mechanism
+    mechanism: Mechanism = field(kw_only=True)
     note: str = ""  # what was changed to close loops at the start
-
-    @property
-    def is_complete(self) -> bool:
-        """Return whether the end was reached."""
-        return self.motion.is_complete
-
-    @property
-    def halt(self) -> Halt | None:
-        """Return why the motion ends early; None where it does not."""
-        return self.motion.halt
-
-    @property
-    def t(self) -> Array:
-        """Return the stored times, (K,)."""
-        return self.motion.t
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """List the impacts on stops, and the switches between sticking and sliding."""
-        return self.motion.events
-
-    @property
-    def energy(self) -> Energy | None:
-        """Return the energies at all times, and their drift; None where they overflow."""
-        return self.motion.energy
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """List the names of all quantities of expressions."""
-        return self.motion.names
-
-    @property
-    def results(self) -> tuple[str, ...]:
-        """List the names of the numbers that follow from the motion: energies, tensions, forces in joints, and more."""
-        return self.motion.results
 
     @property
     def shortcomings(self) -> list[str]:
         """List why the motion ended early, and its warnings; none of a good one."""
-        halt = [] if self.motion.halt is None else [f"{self.motion.halt}; the motion is incomplete"]
-        return [*halt, *(f"warning: {warning}" for warning in self.motion.warnings)]
-
-    def __getitem__(self, name: str) -> Array:
-        """Return a quantity, or a number that follows from the motion, (K,). Raises UnknownNameError."""
-        return self.motion[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.motion.numbers
-
-    def unit(self, name: str) -> str:
-        """Return the unit of a number; "" where it has none. Raises UnknownNameError."""
-        return self.motion.unit(name)
+        halt = [] if self.halt is None else [f"{self.halt}; the motion is incomplete"]
+        return [*halt, *(f"warning: {warning}" for warning in self.warnings)]
 
     def to_frame(self, *more: str) -> Any:
         """Return all quantities as a pandas frame, indexed by time; `more` are names or patterns of `results`.
@@ -100,7 +53,7 @@ class Simulated:
         Raises MissingPackageError without pandas, UnknownNameError.
         """
         pandas = import_pandas()
-        columns = {name: self[name] for name in (*self.names, *self.motion.numbers.select(more)) if name != "t"}
+        columns = {name: self[name] for name in (*self.names, *self.numbers.select(more)) if name != "t"}
         return pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
 
     def save(self, folder: str | Path, *more: str) -> None:
@@ -110,7 +63,7 @@ class Simulated:
         """
         from mbsrun.simulation.record import write_motion
 
-        write_motion(self.motion, self.mechanism, Path(folder), more)
+        write_motion(self, self.mechanism, Path(folder), more)
 
     def plot(self, *names: str) -> Picture:
         """Plot coordinates, velocities, inputs and energies; or the numbers that are named, one panel for each unit.
@@ -120,17 +73,16 @@ class Simulated:
         if not names:
             from mbsrun.simulation.record import draw_motion
 
-            return Picture(draw_motion(self.motion, self.mechanism.manifest))
+            return Picture(draw_motion(self, self.mechanism.manifest))
         from mbsrun.ocp.showing.pictures import plot_curves
 
-        curves = [(name, self.unit(name), self[name]) for name in self.motion.numbers.select(names)]
+        curves = [(name, self.unit(name), self[name]) for name in self.numbers.select(names)]
         return Picture(plot_curves(self.t, curves))
 
     def animate(self) -> Page:
         """Return a page that plays the motion."""
-        motion, kernels = self.motion, self.mechanism
-        rates = find_rates(kernels, motion.q, motion.qd)
-        return Page(render_animation(kernels, motion.t, motion.q, qd=rates, inputs=motion.inputs))
+        rates = find_rates(self.mechanism, self.q, self.qd)
+        return Page(render_animation(self.mechanism, self.t, self.q, qd=rates, inputs=self.inputs))
 
     def __repr__(self) -> str:
         return "\n".join([display.write_text("simulated", self._rows), *self.shortcomings])
@@ -140,16 +92,16 @@ class Simulated:
 
     @property
     def _rows(self) -> dict[str, str]:
-        motion, effort = self.motion, self.motion.effort
+        effort = self.effort
         rows = {
             "model": self.mechanism.manifest.model,
             "time": f"{self.t[-1]:.6g} s, {len(self.t)} states",
-            "method": f"{motion.settings.method}, {effort.steps} steps, {effort.evaluations} evaluations",
+            "method": f"{self.settings.method}, {effort.steps} steps, {effort.evaluations} evaluations",
         }
-        if motion.energy is not None:
-            rows["energy drift"] = f"{np.abs(motion.energy.drift).max():.2g} J at most"
-        if motion.events:
-            rows["events"] = str(len(motion.events))
+        if self.energy is not None:
+            rows["energy drift"] = f"{np.abs(self.energy.drift).max():.2g} J at most"
+        if self.events:
+            rows["events"] = str(len(self.events))
         return rows | ({"note": self.note} if self.note else {})
 
 
@@ -184,4 +136,5 @@ def simulate(
 def _run(mechanism: Mechanism, statement: Statement, watch: Callable[[float], None]) -> Simulated:
     q, qd, note = close_start(mechanism, statement.start, statement.course)
     motion = integrate(mechanism, statement.drive, q, qd, statement.settings, watch, statement.course)
-    return Simulated(motion, mechanism, note)
+    found = {part.name: getattr(motion, part.name) for part in fields(motion)}
+    return Simulated(**found, mechanism=mechanism, note=note)

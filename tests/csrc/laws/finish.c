@@ -184,6 +184,31 @@ static void settling(void)
     LAW("and are not measured", mbs_stages_settle(&solver, &phase, MBS_STAGES_SOLVED) == MBS_STAGES_SOLVED && !given.measured);
 }
 
+/* One number between 0 and 4, its multipliers, and what its slope lets the cost fall by. */
+static void deciding(void)
+{
+    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-10};
+    char fixed[1] = {0};
+    anew(&solver, &phase);
+    solver.fixed = fixed;
+    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
+    x[0] = 2, phase.cost = 3e-6;
+    LAW("a cost is known to a part of it", is_decided(&solver, &phase, 1e-12));
+    phase.cost = 1e-6;
+    LAW("or is not", !is_decided(&solver, &phase, 1e-12));
+    x[0] = 0.5;
+    LAW("no way is longer than to the bound", is_decided(&solver, &phase, 1e-12));
+    x[0] = 2;
+    LAW("0 to a tolerance is known", is_decided(&solver, &phase, 1e-6));
+    zl[0] = 2, solver.giving = 0.4e-6;
+    LAW("one above what bounds give is not", !is_decided(&solver, &phase, 1e-12));
+    zu[0] = 0.1; /* its bound is of size 4 */
+    phase.cost = -0.95e-6;
+    LAW("one below is 0", is_decided(&solver, &phase, 1e-12));
+    fixed[0] = 1, slope[0] = 1;
+    LAW("a fixed number leads nowhere", is_decided(&solver, &phase, 1e-12));
+}
+
 static void reporting(void)
 {
     const mbs_stages_errors e = {3, 4, 5, 6};
@@ -207,6 +232,7 @@ int main(void)
     checking();
     least_violations();
     settling();
+    deciding();
     reporting();
     return broken > 0;
 }

@@ -111,7 +111,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     for (i = 0; i < 20; ++i)
         *arrays[i] = room[i];
     s->fixed = fixed, s->rows = p->size = 1;
-    s->options.bound_relax_factor = 1e-8, s->options.tol = 1e-9;
+    s->giving = 1e-8, s->options.tol = 1e-9;
     p->lower[0] = -1e-8, p->upper[0] = 4 + 4e-8;
     p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99, p->zl[0] = p->zu[0] = 1e-9;
     given.boundary = given.dual = 1, given.target = given.solution = 1, given.barrier = -1;
@@ -216,7 +216,7 @@ static void sharpening(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_polish(s, p);
     LAW("a barrier that is wanted stays", p->x[0] == given.solution && p->mu == 1e-11);
     ending(s, p);
-    s->options.bound_relax_factor = 0, p->lower[0] = 0, p->upper[0] = 4, p->x[0] = 4 - 3e-8;
+    s->giving = 0, p->lower[0] = 0, p->upper[0] = 4, p->x[0] = 4 - 3e-8;
     p->cost = 120 - 5 * p->x[0];
     mbs_stages_polish(s, p);
     LAW("bounds that do not give stay", p->x[0] == given.solution && p->lower[0] == 0 && p->upper[0] == 4);

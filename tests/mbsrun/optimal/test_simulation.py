@@ -50,7 +50,7 @@ def test_it_is_the_motion_of_arrays(rod: mbsrun.Mechanism) -> None:
     given = {"duration": 1, "start": {"pose": {"hinge": "pi/2"}, "velocity": {"hinge": np.float64(0.5)}}}
     found = mbsrun.simulate(rod, **given, inputs={"hinge": 0.3}, method="rk4", step=1e-2)
     same = integrate(rod, hold([0.3]), [np.pi / 2], [0.5], Settings(1.0, "rk4", step=1e-2))
-    assert np.array_equal(found.motion.q, same.q)
+    assert np.array_equal(found.q, same.q)
     text = mbsrun.simulate(rod, **given, inputs={"hinge": "-2*qd_hinge"})
     law = mbsrun.simulate(rod, **given, inputs=lambda _, __, qd: -2 * qd)
     assert law["q_hinge"] == pytest.approx(text["q_hinge"], abs=1e-12)
@@ -92,8 +92,8 @@ def test_what_ends_early_says_so(rod: mbsrun.Mechanism) -> None:
 
 def test_loops_are_closed_at_the_start() -> None:
     motion = mbsrun.simulate(MODELS / "four_bar.yaml", duration=0.1)
-    assert motion.motion.closure is not None
-    assert motion.motion.closure.position.max() < 1e-12
+    assert motion.closure is not None
+    assert motion.closure.position.max() < 1e-12
 
 
 def test_every_fault_has_a_place_and_a_remedy(rod: mbsrun.Mechanism) -> None:

@@ -152,17 +152,13 @@ constraints: [{expression: q_arm, range: [null, 0.2], at: path, soft: 1000}]
 
 
 def test_slacks_of_soft_constraints_do_not_act(tmp_path: Path) -> None:
-    """A slack is a control of the plan alone: the pendulum moves under its torque, from beyond the soft limit.
-
-    Once it is within the limit, the least cost is 0, of which no solve knows four digits: it may end acceptably.
-    """
+    """A slack is a control of the plan alone: the pendulum moves under its torque, from beyond the soft limit."""
     problem, settings = tmp_path / "soft.ocp.yaml", tmp_path / "loop.track.yaml"
     (tmp_path / "motor.yaml").write_text(MODEL)
     problem.write_text(SOFT)
     settings.write_text("duration: 0.3\nrate: 10\n")
     done = CliRunner().invoke(cli, ["track", str(problem), "--settings", str(settings), "-o", str(tmp_path / "out")])
-    ends = {"3 Solve_Succeeded", "2 Solve_Succeeded, 1 Solved_To_Acceptable_Level"}
-    assert any(f"controller    {end}\n" in done.output for end in ends), done.output
+    assert "3 Solve_Succeeded" in done.output, done.output
     with (tmp_path / "out" / "track.csv").open() as file:
         rows = list(csv.DictReader(file))
 
