@@ -138,8 +138,7 @@ class PhasedSolver:
 
         A method's tolerance is absolute, and small beside a large weight; the judge compares with the cost's slopes.
         """
-        finer = replace(problem, solver=replace(problem.solver, tolerance=SHARPER * problem.solver.tolerance))
-        again = self._call(finer, replace(outcome.start, x=outcome.x))
+        again = self._call(_sharpened(problem), replace(outcome.start, x=outcome.x))
         again = appeal(self.program, again, problem.solver, problem.weight)
         if again.run.status not in (SOLVED, ACCEPTABLE) or not np.isfinite(again.x).all():
             return found
@@ -159,7 +158,7 @@ class PhasedSolver:
         cost, worth = abs(found.cost), worth / outcome.start.cost_scale
         if cost <= options.tolerance * worth or run.decrease <= SIZABLE * cost:
             return found
-        finer = replace(problem, solver=replace(options, tolerance=SHARPER * options.tolerance))
+        finer = _sharpened(problem)
         again = self._call(finer, replace(outcome.start, x=outcome.x))
         if again.run.status != SOLVED or not np.isfinite(again.x).all():
             return found
@@ -612,6 +611,11 @@ def prepare_phases(
             return Failure(problem, run, f"{phase.title}{finding}", "start within its range", f"{phase.title}{place}")
     settled = settle_phases(problem, plants, start)
     return Ready(make(settled, plants), settled, start)
+
+
+def _sharpened(problem: PhasedProblem) -> PhasedProblem:
+    """Return a problem with a smaller tolerance."""
+    return replace(problem, solver=replace(problem.solver, tolerance=SHARPER * problem.solver.tolerance))
 
 
 def _check_states(problem: PhasedProblem, plants: Plants) -> None:
