@@ -36,6 +36,7 @@ SLOW = 1e-3  # m/s: only a slower rebound may be the last one
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
 STEPS = 64  # yielded at a time
 LOOKS = np.array([0.25, 0.5, 0.75])  # within a step, for points that touch twice
+ROUNDED = 1e-9  # of a fixed step: what the sum of all before it is rounded to
 CLOSEST = 4 * np.finfo(float).eps
 
 
@@ -139,9 +140,8 @@ class _Course(Course):
             n, S, v = touch.normal[0, k], touch.slide[0, k], touch.velocity[0, k]
             if abs(n @ v) > STILL * self.fastest:
                 continue
-            rows.append(n @ S)
-            if self.contacts.coefficient[k] > 0 and self.is_still(k, v - (n @ v) * n):
-                rows += list(S - np.outer(n, n @ S))
+            sticks = self.contacts.coefficient[k] > 0 and self.is_still(k, v - (n @ v) * n)
+            rows += list(S) if sticks else [n @ S]
         return qd - _lift(np.array(rows), M, np.array(rows) @ qd) if rows else qd
 
     def hit(
@@ -316,7 +316,8 @@ class _Course(Course):
             is_event = found is not None
             if found is not None:
                 h, y = found
-            time = piece.end if h >= left * (1 - 1e-14) and not is_event else time + h
+            is_last = h >= left * (1 - (ROUNDED if fixed else 1e-14))
+            time = piece.end if is_last and not is_event else time + h
             self.dynamics.effort.steps += 1
             x = y
             if time > times[-1]:
