@@ -9,6 +9,7 @@
 #ifdef MBS_STAGES_FLOAT
 #define MBS_STAGES_EPSILON FLT_EPSILON
 #define MBS_STAGES_LARGEST FLT_MAX
+#define MBS_STAGES_TOLERANCE 1e-4f /* of the scaled optimality conditions, by default */
 #define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
 #define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
@@ -27,6 +28,7 @@
 #else
 #define MBS_STAGES_EPSILON DBL_EPSILON
 #define MBS_STAGES_LARGEST DBL_MAX
+#define MBS_STAGES_TOLERANCE 1e-8
 #define MBS_STAGES_LOW 1e-7
 #define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-8

@@ -59,21 +59,29 @@ static real find_leeway(const mbs_stages *s, const mbs_stages_phase *p)
     return sum;
 }
 
+/* The part of the cost that a solution decides. A loose tolerance asks for less. */
+static real sizable(const mbs_stages *s)
+{
+    return mbs_stages_is_loose(s) ? mbs_stages_larger(real_sqrt(s->options.tol), MBS_STAGES_SIZABLE) : MBS_STAGES_SIZABLE;
+}
+
 /* Whether the cost is known to a part of it, or is 0: to a tolerance, or to the amount that bounds give. A requested barrier
- * decides it, too. */
+ * decides it, too. After a warm start the part is of the largest cost of the solves that followed each other: a controller
+ * that has come to its target has little left to gain. */
 static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance)
 {
     const real cost = real_abs(p->cost);
     if (p->elastic || mbs_stages_least_barrier(s) > 0 || cost <= tolerance * s->cost_scale || cost <= find_leeway(s, p))
         return 1;
-    return find_decrease(s, p) <= MBS_STAGES_SIZABLE * cost;
+    return find_decrease(s, p) <= sizable(s) * mbs_stages_larger(cost, s->cost_before);
 }
 
-/* Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it; returns whether. */
+/* Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it; returns whether. A loose
+ * tolerance asks for a quick end. */
 static int goes_on(mbs_stages *s, const mbs_stages_phase *p)
 {
     const real finer = mbs_stages_larger(SHARPER * s->options.tol, MBS_STAGES_FINEST);
-    if (s->is_sharper || !(finer < s->options.tol) || is_decided(s, p, finer))
+    if (s->is_sharper || mbs_stages_is_loose(s) || !(finer < s->options.tol) || is_decided(s, p, finer))
         return 0;
     s->options.tol = finer;
     s->is_sharper = 1;

@@ -127,7 +127,7 @@ typedef struct {
 typedef enum {
     MBS_STAGES_SOLVED,
     MBS_STAGES_ACCEPTABLE,      /* to the acceptable tolerances, or small changes may lower the cost by more than 1e-4
-                                 * of it (float: 0.1); no further progress */
+                                 * of it (float: 0.1; the root of a loose tolerance); no further progress */
     MBS_STAGES_INFEASIBLE,      /* the violation is at a local minimum above 0; `clash` holds its rows */
     MBS_STAGES_ITERATION_LIMIT,
     MBS_STAGES_TIME_LIMIT,
@@ -144,7 +144,8 @@ typedef enum {
 
 /* Options. Where IPOPT has the same, it has the same name there. */
 typedef struct {
-    mbs_stages_real tol;             /* of the scaled optimality conditions: 1e-8 (float: 1e-4) */
+    mbs_stages_real tol;             /* of the scaled optimality conditions: 1e-8 (float: 1e-4); a larger one asks for
+                                      * a quick end, and gets no further digits */
     mbs_stages_real constr_viol_tol; /* of rows and of complementarity, unscaled: 1e-4 (float: 1e-3) */
     mbs_stages_real acceptable_tol;  /* 1e-6 (float: 1e-3) ... */
     int acceptable_iter;             /* ... in as many iterations in a row: 15 */

@@ -180,16 +180,22 @@ static int sharpen(mbs_stages *s, mbs_stages_phase *p, real before, real after, 
     return -1;
 }
 
-/* Whether the cost is off by more than a part of it. */
+/* Whether the cost is off by more than a part of it. After a warm start that part is a sizable one: further digits of a
+ * sample in a closed loop are not worth its time. */
 static int is_off(const mbs_stages *s, const mbs_stages_phase *p, real part, real most)
 {
-    return find_share(s, p, part).all > most * mbs_stages_larger(real_abs(p->cost), POLISHED_COST);
+    const real cost = real_abs(p->cost), off = find_share(s, p, part).all;
+    if (s->options.warm_start_init_point)
+        return off > MBS_STAGES_SIZABLE * mbs_stages_larger(cost, s->cost_before);
+    return off > most * mbs_stages_larger(cost, POLISHED_COST);
 }
 
 void mbs_stages_polish(mbs_stages *s, mbs_stages_phase *p)
 {
     real fall = MBS_STAGES_FALL, most = MBS_STAGES_SHARP;
     int i;
+    if (mbs_stages_is_loose(s))
+        return;
     for (i = 0; i < POLISHING_TRIES && fall < 1 && is_off(s, p, s->giving, most); ++i) {
         const real part = s->giving, after = part > MBS_STAGES_APART ? mbs_stages_larger(fall * part, MBS_STAGES_APART) : part;
         if (sharpen(s, p, part, after, fall) == 0) {

@@ -58,7 +58,7 @@ mbs_stages_options mbs_stages_default_options(void)
     mbs_stages_options o;
     const int few = MBS_STAGES_EPSILON > (real)1e-10; /* digits */
     memset(&o, 0, sizeof o);
-    o.tol = few ? (real)1e-4 : (real)1e-8;
+    o.tol = MBS_STAGES_TOLERANCE;
     o.constr_viol_tol = few ? (real)1e-3 : (real)1e-4;
     o.acceptable_tol = few ? (real)1e-3 : (real)1e-6;
     o.acceptable_iter = 15;
@@ -501,6 +501,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->softening = MBS_STAGES_HARD;
     s->exact = s->unhelped = s->is_sharper = 0;
     s->giving = s->options.bound_relax_factor;
+    s->cost_before = s->options.warm_start_init_point ? s->cost_before : 0;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
     if (!s->options.warm_start_init_point)
@@ -512,6 +513,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
         find_fixed_multipliers(s);
         mbs_stages_write_point(s);
         write_result(s);
+        s->cost_before = mbs_stages_larger(s->cost_before, real_abs(s->main.cost));
     }
     s->result.status = (mbs_stages_status)status;
     s->result.stage = status == MBS_STAGES_CALLBACK_FAILED || status == MBS_STAGES_BAD_PROBLEM ? s->failed_stage : -1;

@@ -111,6 +111,7 @@ struct mbs_stages {
     int exact;      /* factorisations take rows that hardly give as exact */
     int unhelped;   /* steps without digits either way */
     int is_sharper; /* the solve goes on with a smaller tolerance */
+    real cost_before; /* after a warm start: the largest scaled cost of the solves that followed each other, else 0 */
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
@@ -119,6 +120,12 @@ struct mbs_stages {
     char *failed; /* stages whose callback gave no result */
     real *costs;  /* of stages, unscaled */
 };
+
+/* Whether the caller asks for less than the default tolerance. */
+static inline int mbs_stages_is_loose(const mbs_stages *s)
+{
+    return s->options.tol > MBS_STAGES_TOLERANCE;
+}
 
 /* evaluate.c: scaled callbacks; 0, or -1 where `failed_stage` failed */
 int mbs_stages_values(mbs_stages *s, const real *w, real *cost, real *rows);

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mbsrun.library import find_compiler
-from tests.csrc.stage_problems import assemble, far_guesses, free, nonlinear, too_weak
+from tests.csrc.stage_problems import assemble, far_guesses, free, nonlinear, pendulum_ode, shooting, too_weak
 from tests.csrc.stage_quadratics import dense_solution, in_units, random_problem, random_sizes
 from tests.csrc.stages import (
     INFINITE,
@@ -468,6 +468,36 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
         assert loop.status == "solved"
         assert loop.result.iterations <= 5 < cold.result.iterations
         assert np.array_equal(loop.w[:4], solver.lower[:4])
+
+
+def test_a_closed_loop_at_its_target_takes_few_iterations(library: Library) -> None:
+    """The cost falls by eight orders of magnitude, below what the tolerance decides of it: no sample goes on."""
+    start, rest = np.array([1.0, 0.0]), np.zeros(2)
+    problem = shooting("pendulum", pendulum_ode, 2, 20, 0.2, start, rest, 4.0, 1.0, softly=True)
+    problem.upper[2::3] = 2.0  # the barrier pushes the input at rest from 0
+    solver = Solver(library, problem)
+    first, costs = solver.solve().result.cost, list[float]()
+    for _ in range(100):
+        library.lib.mbs_stages_shift(solver.solver)
+        solver.lower[:2] = solver.upper[:2] = solver.get("w")[:2]
+        sample = solver.solve(warm_start_init_point=1)
+        assert (sample.status, sample.result.iterations <= 3) == ("solved", True)
+        assert sample.result.barrier == pytest.approx(1e-8 / 11)
+        costs.append(sample.result.cost)
+    assert costs[-1] < 1e-8 * first
+
+
+def test_a_loose_tolerance_ends_a_solve_at_once(library: Library) -> None:
+    """No further digits are found; a cost that is known to less than the tolerance's root is not called solved."""
+    problem = random_problem(np.random.default_rng(0), [(2, 3, 1, 2)] * 8 + [(2, 1, 0, 0)], bounds=0.6)
+    right = Solver(library, problem).solve(tol=1e-10).result.cost
+    loose = Solver(library, problem).solve(tol=1e-6)
+    assert (loose.status, loose.result.barrier) == ("solved", pytest.approx(1e-6 / 11))
+    assert 1e-8 < abs(loose.result.cost / right - 1) < 1e-3
+    small = replace(problem, H=[1e-6 * part for part in problem.H], q=[1e-6 * part for part in problem.q])
+    loose = Solver(library, small).solve(tol=1e-6)
+    assert (loose.status, loose.result.barrier) == ("acceptable", pytest.approx(1e-6 / 11))
+    assert abs(loose.result.cost / 1e-6 / right - 1) > 1e-3
 
 
 def test_a_warm_start_far_away_begins_with_a_larger_barrier_parameter(library: Library) -> None:

@@ -205,8 +205,37 @@ static void deciding(void)
     zu[0] = 0.1; /* its bound is of size 4 */
     phase.cost = -0.95e-6;
     LAW("one below is 0", is_decided(&solver, &phase, 1e-12));
+    zl[0] = zu[0] = 0, phase.cost = 1e-6, solver.cost_before = 1.9e-6;
+    LAW("costs before a warm start count", !is_decided(&solver, &phase, 1e-12));
+    solver.cost_before = 2.1e-6;
+    LAW("if they are larger", is_decided(&solver, &phase, 1e-12));
+    phase.cost = 2.1e-6, solver.cost_before = 1e-6;
+    LAW("else the own one does", is_decided(&solver, &phase, 1e-12));
+    solver.cost_before = 0, phase.cost = 0.99e-7, solver.options.tol = 4e-6;
+    LAW("a loose tolerance asks for its root of the cost alone", !is_decided(&solver, &phase, 1e-12));
+    phase.cost = 1.01e-7;
+    LAW("which may be enough", is_decided(&solver, &phase, 1e-12));
     fixed[0] = 1, slope[0] = 1;
     LAW("a fixed number leads nowhere", is_decided(&solver, &phase, 1e-12));
+}
+
+/* A cost that is not decided at a solution. */
+static void going_on(void)
+{
+    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-8};
+    char fixed[1] = {0};
+    const mbs_stages_errors solved = errors(1e-9, 0, 0);
+    anew(&solver, &phase);
+    solver.fixed = fixed;
+    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
+    x[0] = 2, phase.cost = 1e-4;
+    LAW("a solve goes on with a smaller tolerance", check(solved) == MBS_STAGES_RUNNING && near(solver.options.tol, 1e-12));
+    LAW("once", check(errors(1e-13, 0, 0)) == MBS_STAGES_SOLVED);
+    solver.is_sharper = 0, solver.options.tol = 1.01e-8;
+    LAW("not with a loose one", check(solved) == MBS_STAGES_SOLVED && solver.options.tol == 1.01e-8);
+    LAW("whose end is called acceptable", mbs_stages_settle(&solver, &phase, MBS_STAGES_SOLVED) == MBS_STAGES_ACCEPTABLE);
+    phase.cost = 0.99e-8;
+    LAW("unless the cost is 0 to it", mbs_stages_settle(&solver, &phase, MBS_STAGES_SOLVED) == MBS_STAGES_SOLVED);
 }
 
 static void reporting(void)
@@ -233,6 +262,7 @@ int main(void)
     least_violations();
     settling();
     deciding();
+    going_on();
     reporting();
     return broken > 0;
 }

@@ -144,6 +144,13 @@ static void measuring(mbs_stages *s, mbs_stages_phase *p)
     LAW("the cost is off by its share", is_off(s, p, 1e-8, 0.9e-9) && !is_off(s, p, 1e-8, 1.1e-9));
     p->cost = 0;
     LAW("of a cost that is not too small", is_off(s, p, 1e-8, 1e-5) && !is_off(s, p, 1e-8, 3e-5));
+    s->options.warm_start_init_point = 1, p->cost = 1.9e-3;
+    LAW("after a warm start a cost that is off by a sizable part is", is_off(s, p, 1e-8, 1));
+    p->cost = -2.1e-3;
+    LAW("not by less", !is_off(s, p, 1e-8, 0));
+    p->cost = 0, s->cost_before = 2.1e-3;
+    LAW("a part of the costs before, if they are larger", !is_off(s, p, 1e-8, 0));
+    s->options.warm_start_init_point = 0;
     s->options.tol = 1e-8;
     LAW("the barrier falls by the factor", near(lower_barrier(s, 1e-9, 0.1), 1e-10));
     LAW("to the square of the tolerance", near(lower_barrier(s, 1e-9, 1e-6), 1e-16 / MBS_STAGES_WORTH));
@@ -208,6 +215,10 @@ static void sharpening(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_polish(s, p);
     LAW("a solution goes back to the bounds", p->x[0] == given.solution && p->upper[0] - 4 < 1e-10 && p->cost > 100);
     LAW("in one step, where that is enough", s->result.iterations == 1 && p->mu == MBS_STAGES_LITTLE);
+    ending(s, p);
+    s->options.tol = 1.01e-8;
+    mbs_stages_polish(s, p);
+    LAW("not where the tolerance is loose", p->x[0] == 4 + 3e-8 && s->result.iterations == 0);
     ending(s, p);
     p->cost += 1e-7;
     LAW("where the cost rises otherwise, all stays", sharpen(s, p, 1e-8, 1e-11, 1e-3) == -1 && p->x[0] == 4 + 3e-8);

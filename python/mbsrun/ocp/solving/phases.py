@@ -152,7 +152,8 @@ class PhasedSolver:
         comes to another minimum, the first one stays.
         """
         options, run = problem.solver, found.run
-        if run.status != SOLVED or not run.decrease or not self._is_judged:
+        loose = options.tolerance > SolverOptions.tolerance  # `mbs` does not go on with it
+        if run.status not in ((SOLVED, ACCEPTABLE) if loose else (SOLVED,)) or not run.decrease or not self._is_judged:
             return found
         worth = 1 / options.objective_scaling if options.objective_scaling else problem.weight
         cost, worth = abs(found.cost), worth / outcome.start.cost_scale
