@@ -59,7 +59,7 @@ static casadi_int find_largest(casadi_int size, const casadi_real *x)
 {
     casadi_int i, best = 0;
     for (i = 1; i < size; ++i)
-        if (!(fabs(x[i]) <= fabs(x[best])))
+        if (fabs(x[i]) > fabs(x[best]) || x[i] != x[i]) /* NaN stays */
             best = i;
     return best;
 }

@@ -234,7 +234,7 @@ casadi_int mbs_radau_step(const mbs_radau *p, mbs_radau_end end, casadi_real h, 
         for (a = 0; a < w.size; ++a) {
             const casadi_real change = fabs(w.right[a]) * weights[a % w.r];
             z[a] -= w.right[a];
-            size = change <= size ? size : change; /* NaN stays */
+            size = change > size || change != change ? change : size; /* NaN stays */
         }
         if (!(size - size == 0))
             return 0;

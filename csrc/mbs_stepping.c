@@ -71,6 +71,13 @@ static int call(mbs_call kernel)
     return kernel.f ? kernel.f(kernel.arg, kernel.res, 0, 0, 0) : 0;
 }
 
+static void clear(casadi_int size, casadi_real *x)
+{
+    casadi_int k;
+    for (k = 0; k < size; ++k)
+        x[k] = 0;
+}
+
 static casadi_real total(casadi_int size, const casadi_real *a, const casadi_real *b)
 {
     casadi_real sum = 0;
@@ -210,16 +217,13 @@ static void cross_normal(const casadi_real *n, casadi_real *t)
 {
     const casadi_real least = fmin(fabs(n[0]), fmin(fabs(n[1]), fabs(n[2])));
     casadi_real axis[3], length;
-    int i;
-    for (i = 0; i < 6; ++i)
-        t[i] = 0;
+    clear(6, t);
     axis[0] = fabs(n[0]) == least;
     axis[1] = !axis[0] && fabs(n[1]) == least;
     axis[2] = !axis[0] && !axis[1];
     add_cross(1, n, axis, t);
     length = sqrt(dot(t, t));
-    for (i = 0; i < 3; ++i)
-        t[i] /= length;
+    write(3, 1 / length, t, t);
     add_cross(1, n, t, t + 3);
 }
 
@@ -264,19 +268,17 @@ static int add_points(mbs_stepper *s, mbs_stepping_record *record)
 static int collect(mbs_stepper *s, mbs_stepping_record *record)
 {
     const mbs_stepping *p = s->p;
-    const casadi_int n = p->n, most = count_rows(p);
+    const casadi_int n = p->n;
     casadi_int k, i, j;
     int status;
     s->rows = s->blocks = 0;
-    for (k = 0; k < most * n; ++k)
-        s->J[k] = 0;
     status = p->points ? add_points(s, record) : 0;
     if (status)
         return status;
     for (k = 0; k < p->stops; ++k) {
         const mbs_stop stop = p->stop[k];
         casadi_real *row = s->J + s->rows * n;
-        write(n, 0, row, row);
+        clear(n, row);
         row[stop.rate] = stop.side;
         if (closes(s, row, stop.side * (s->q0[stop.place] - stop.level), stop.restitution)) {
             open_block(s, MBS_PUSH, 3 * p->points + k, 0);
@@ -287,7 +289,7 @@ static int collect(mbs_stepper *s, mbs_stepping_record *record)
         const mbs_brake brake = p->brake[k];
         const casadi_real rate = s->v0[brake.rate], slow = rate * brake.slowness;
         const casadi_real force = rate == 0 ? brake.still : brake.torque + brake.fall * exp(-slow * slow);
-        write(n, 0, s->J, s->J + s->rows * n);
+        clear(n, s->J + s->rows * n);
         s->J[s->rows * n + brake.rate] = 1;
         open_block(s, MBS_BRAKE, 3 * p->points + p->stops + k, s->h * force);
         close_row(s, 0);
@@ -296,8 +298,7 @@ static int collect(mbs_stepper *s, mbs_stepping_record *record)
         for (j = 0; j < s->rows; ++j)
             s->B[i * s->rows + j] = s->J[j * n + i];
     solve(s, s->rows, s->B);
-    for (k = 0; k < s->rows * s->rows; ++k)
-        s->W[k] = 0;
+    clear(s->rows * s->rows, s->W);
     for (i = 0; i < s->rows; ++i)
         for (k = 0; k < n; ++k)
             if (s->J[i * n + k] != 0)
@@ -359,7 +360,7 @@ static void restrain(mbs_stepper *s, casadi_real tolerance, mbs_stepping_record 
     casadi_real low = 0, high = 1;
     casadi_int half, i, rebounds = 0;
     for (i = 0; i < s->rows; ++i)
-        rebounds += s->bias[i] != 0;
+        rebounds |= s->bias[i] != 0;
     if (keeps(s, 1, tolerance, record, status) || !rebounds)
         return;
     for (half = 0; half < HALVES && !*status; ++half) {
@@ -398,12 +399,11 @@ static int renew(mbs_stepper *s, const casadi_real *impulses, mbs_stepping_recor
 static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *impulses, mbs_stepping_record *record)
 {
     const casadi_int n = s->p->n;
-    casadi_real change = 0, before, size;
+    casadi_real change = INFINITY, before, size;
     casadi_int k, i;
     int status = renew(s, impulses, record), renewed = 1;
     if (status)
         return status;
-    s->factor = 1;
     for (k = 0; k < ITERATIONS; ++k) {
         ++record->iterations;
         write(n, 1, s->v1, s->old);
@@ -414,10 +414,10 @@ static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *imp
         if (status)
             return status;
         before = change, change = 0;
+        if (!mbs_is_finite(n, s->v1))
+            return MBS_INFINITE;
         for (i = 0; i < n; ++i)
             change = fmax(change, fabs(s->v1[i] - s->old[i]));
-        if (!(change - change == 0))
-            return MBS_INFINITE;
         size = fmax(largest(n, s->v0), fmax(largest(n, s->vf), largest(n, s->v1)));
         if (change <= CONVERGED * size || (k > 1 && change > before / 2 && change <= fmax(AGREES, CLOSER * s->reached) * size))
             return 0;
@@ -504,10 +504,8 @@ static void keep(const mbs_stepper *s, casadi_real *impulses, casadi_real *vecto
 {
     const mbs_stepping *p = s->p;
     casadi_int k, i, j;
-    for (k = 0; k < count_rows(p); ++k)
-        impulses[k] = 0;
-    for (k = 0; k < 3 * p->points; ++k)
-        vectors[k] = 0;
+    clear(count_rows(p), impulses);
+    clear(3 * p->points, vectors);
     for (k = 0; k < s->blocks; ++k) {
         for (i = 0; i < count_own(s, k); ++i)
             impulses[s->owner[k] + i] = s->P[s->first[k] + i];

@@ -134,7 +134,7 @@ static void add_slopes(mbs_attitude a, casadi_real h, const casadi_real *x, cons
     const casadi_real k = find_k(square), s = find_s(square);
     const int is_straight = square < STRAIGHT;
     const casadi_real by_k = is_straight ? 1.0 / 6 : (1 + square * k * k / 4 - k) / square;
-    const casadi_real by_s = is_straight ? 1.0 / 360 : (by_k / (k * k) - 2 * s) / square;
+    const casadi_real by_s = is_straight ? 0 : (by_k / (k * k) - 2 * s) / square;
     casadi_real *turns = matrix + a.spin * (cols + 1);
     int i, j, l;
     add_tilde(-h / 2, p, cols, turns);
@@ -380,7 +380,7 @@ static casadi_int solve(mbs_work *k, mbs_variational_end end, const casadi_real 
             if (i < n) {
                 const casadi_real place = p->attitudes ? 0 : fabs(k->near.q[i]);
                 const casadi_real change = fabs(k->right[i]) * (1 / (1 + fabs(qd[i])) + k->h / (1 + place));
-                size = change <= size ? size : change; /* NaN stays */
+                size = change > size || change != change ? change : size; /* NaN stays */
             }
         }
         if (!(size - size == 0))
