@@ -185,6 +185,8 @@ schema: $(VENV)/installed-dev
 	@mkdir -p build
 	$(BIN)/python -m mbsgen.model.file.schema > build/model.schema.json
 	mv build/model.schema.json models/model.schema.json
+	$(BIN)/python -m mbsgen.subjects.schema > build/subject.schema.json
+	mv build/subject.schema.json models/subject.schema.json
 	for kind in problem simulation trial; do \
 		$(BIN)/python -m mbsrun.schemas $$kind > build/$$kind.schema.json && \
 		mv build/$$kind.schema.json models/$$kind.schema.json || exit 1; done

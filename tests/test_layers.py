@@ -76,6 +76,11 @@ MBSGEN = Package(
         "report drawing appearance output renumbering scaling oracle interpreted closed_comparison formulas",
         "comparison opensim_script",
         "osim_comparison",
+        "subjects.osim subjects.posing subjects.segments subjects.settings",
+        "subjects.plain",
+        "subjects.reading subjects.scaling",
+        "subjects.schema",
+        "subjects",
         "pipeline",
         "commands",
         "cli",
@@ -110,6 +115,7 @@ MBSRUN = Package(
         "recordings.tables recordings.c3d recordings.markers recordings.storage",
         "recordings.reading recordings.references recordings.fitting recordings.pictures",
         "recordings",
+        "subjects",
         "simulation",
         "rollouts",
         "motions",
@@ -272,7 +278,7 @@ MBSRUN = Package(
         "commands.advise commands.animate commands.cache commands.chart commands.continue_ commands.controller "
         "commands.cuda commands.excite commands.fit_motion commands.fmu commands.identify commands.inverse "
         "commands.inverse_dynamics commands.lab commands.linearise commands.playground commands.range "
-        "commands.simulate commands.solve commands.study commands.sweep commands.track",
+        "commands.scale commands.simulate commands.solve commands.study commands.sweep commands.track",
         "commands",
         "cli",
         "__main__",

@@ -98,7 +98,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "solver.md",
         ]
     },
-    {"Measure": ["recordings.md", "identification.md", "known_inputs.md"]},
+    {"Measure": ["recordings.md", "scaling.md", "identification.md", "known_inputs.md"]},
     {"Control": ["controller.md", "track.md", "memory.md", "microcontroller.md", "acados.md"]},
     {
         "Trust": [

@@ -52,6 +52,8 @@ from mbsgen.verification.verify import Verification, verify
 
 if TYPE_CHECKING:
     from mbsgen.equations import Motion as Equations
+    from mbsgen.subjects.scaling import Scaled
+    from mbsgen.subjects.settings import Subject
 
 __all__ = ["Changes", "OptionError", "Options", "Product", "generate", "make", "read_tree", "write_families"]
 
@@ -524,3 +526,24 @@ def change_numbers(model: Path | Model, changes: Changes, remarks: Sequence[str]
     if faults:
         raise refuse(faults)
     return "".join(f"# {line}".rstrip() + "\n" for line in remarks) + ("\n" if remarks else "") + write_model(changed)
+
+
+def read_subject(path: Path) -> Subject:
+    """Read settings of a scaling, or the setup of OpenSim's ScaleTool. Raises InputError with every fault."""
+    from mbsgen.subjects.reading import read_subject
+
+    return read_subject(path)
+
+
+def scale_subject(subject: Subject, distances: Mapping[tuple[str, str], float]) -> Scaled:
+    """Scale a model by settings and measured distances of pairs of markers [m]. Raises InputError."""
+    from mbsgen.subjects.scaling import scale_subject
+
+    return scale_subject(subject, distances)
+
+
+def place_markers(subject: Subject, scaled: Scaled, joints: Mapping[str, float], places: Mapping[str, Any]) -> Scaled:
+    """Move markers to places in the base, (3,) [m], at a pose of joints."""
+    from mbsgen.subjects.scaling import place_markers
+
+    return place_markers(subject, scaled, joints, places)

@@ -41,6 +41,7 @@ COMMANDS = {
         Entry("track", "PROBLEM", "Test predictive control on a simulated mechanism."),
     ),
     "Recorded motions": (
+        Entry("scale", "SUBJECT", "Fit a model to a subject, by markers or a table."),
         Entry("fit-motion", "MODEL", "Fit the motion of joints to recorded markers (ik)."),
         Entry("inverse-dynamics", "MODEL", "Compute the forces of a recorded motion (id)."),
         Entry("so", "MODEL", "Find the muscles' activations of a recorded motion."),

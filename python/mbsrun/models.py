@@ -145,6 +145,30 @@ def import_robot(path: Path, choices: Mapping[str, Any]) -> tuple[Path, tuple[st
     return find_or_make(PurePath(MODELS, name), make) / file, warnings
 
 
+def read_subject(path: Path) -> Any:
+    """Read settings of a scaling: an `mbsgen.subjects.settings.Subject`. Raises InputError with every fault."""
+    from mbsgen.pipeline import read_subject
+
+    return read_subject(path)
+
+
+def scale_subject(subject: Any, distances: Mapping[tuple[str, str], float]) -> Any:
+    """Scale the model of settings by measured distances of pairs of markers [m].
+
+    Return an `mbsgen.subjects.scaling.Scaled`. Raises InputError with every fault.
+    """
+    from mbsgen.pipeline import scale_subject
+
+    return scale_subject(subject, distances)
+
+
+def place_markers(subject: Any, scaled: Any, joints: Mapping[str, float], places: Mapping[str, Any]) -> Any:
+    """Move markers of a scaled model to places in the base, (3,) [m], at a pose of joints."""
+    from mbsgen.pipeline import place_markers
+
+    return place_markers(subject, scaled, joints, places)
+
+
 def list_undrawn(path: Path) -> tuple[str, ...]:
     """List the shapes of a robot's file that pictures lack; none for any other path."""
     if not path.is_file():

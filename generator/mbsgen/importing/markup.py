@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from xml.parsers import expat
+from xml.sax.saxutils import escape, quoteattr
 
 from mbsgen.documents import abbreviate, read_bytes
 from mbsgen.errors import Fault, InputError
@@ -78,6 +79,22 @@ def read_markup(path: Path) -> Element:
         raise InputError([Fault(file, error.lineno, "", finding, "mend it here or just before")]) from None
     except (LookupError, ValueError) as error:  # an unknown encoding
         raise InputError([Fault(file, 1, "", f"cannot be read: {error}", "save the file as UTF-8")]) from None
+
+
+def write_markup(root: Element) -> str:
+    """Write a document with an element's tree; comments of its file are lost."""
+    return '<?xml version="1.0" encoding="UTF-8" ?>\n' + "".join(f"{line}\n" for line in _write(root, ""))
+
+
+def _write(element: Element, indent: str) -> Iterator[str]:
+    tag = element.tag + "".join(f" {key}={quoteattr(value)}" for key, value in element.attributes.items())
+    if not element.children:
+        yield f"{indent}<{tag}>{escape(element.text)}</{element.tag}>" if element.text else f"{indent}<{tag} />"
+        return
+    yield f"{indent}<{tag}>" + (escape(element.text) if element.text else "")
+    for child in element.children:
+        yield from _write(child, indent + "\t")
+    yield f"{indent}</{element.tag}>"
 
 
 class _Reading:
