@@ -87,9 +87,9 @@ class Trajectory:
             elif array.shape[:-1] != leading:
                 raise ValueError("the arrays of a trajectory do not fit together")
         if (
-            self.states.shape[-1] != self.point_states.shape[-1]
-            or self.point_u.shape[-1] not in (0, m)
-            or self.point_controls.shape[-1] not in (0, self.controls.shape[-1])
+            self.states.shape[1] != self.point_states.shape[2]
+            or self.point_u.shape[2] not in (0, m)
+            or self.point_controls.shape[2] not in (0, self.controls.shape[1])
         ):
             raise ValueError("the arrays of a trajectory do not fit together")
 
@@ -179,7 +179,7 @@ class _Reading:
         t = trajectory.t
         self.interval = np.clip(np.searchsorted(t, times, side="left") - 1, 0, len(t) - 2)
         place = (times - t[self.interval]) / np.diff(t)[self.interval]
-        nodes = (trajectory.point_t[0] - t[0]) / (t[1] - t[0])  # the same in every interval
+        nodes = trajectory.point_t[0] / t[1]  # time begins at 0; the same in every interval
         self.first = int(nodes[0] == 0.0)  # of the points that are not the start
         self.with_start = lagrange(np.concatenate(([0.0], nodes[self.first :])), place)
         self.without = lagrange(nodes, place)

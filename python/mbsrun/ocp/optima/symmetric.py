@@ -101,6 +101,8 @@ class Factors:
 
     def solve(self, right: Array) -> Array:
         """Return K^-1 times a vector, or times the columns of a matrix."""
+        if not self.size:  # all variables are held
+            return right.copy()
         known = right.reshape(self.size, -1)
         found = self._solve(known)
         for _ in range(REFINEMENTS):
@@ -116,6 +118,8 @@ class Factors:
 
         if self.is_singular:
             return np.inf
+        if not self.size:
+            return 1.0
         scaled = sparse.diags_array(self._scales) @ self._whole @ sparse.diags_array(self._scales)
         shape = (self.size, self.size)
         inverse = LinearOperator(shape, matvec=self._solve_scaled, rmatvec=self._solve_scaled, dtype=np.float64)
