@@ -14,6 +14,7 @@ nowhere else.
 from __future__ import annotations
 
 from enum import Enum
+from functools import lru_cache
 
 
 class Role(Enum):
@@ -146,6 +147,7 @@ def name_low(name: str) -> str:
     return f"low_{name}"
 
 
+@lru_cache(maxsize=1024)  # it is asked at every call of a kernel
 def split_kernel(name: str) -> tuple[str, Order]:
     """Return the function and the order of a kernel that is asked for by name, before it is generated."""
     orders = sorted(_PREFIXES, key=lambda order: -len(order.prefix))

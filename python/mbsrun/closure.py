@@ -119,7 +119,8 @@ class Closure:
         leading = state["q"].shape[:-1]
         if not self.count:
             return np.zeros((*leading, *shape))
-        flat: dict[str, Any] = {key: np.ascontiguousarray(x.reshape(-1, x.shape[-1])) for key, x in state.items()}
+        states = (-1,) if math.prod(leading) != 1 else ()  # one state has a shorter way into C
+        flat: dict[str, Any] = {key: x.reshape(*states, x.shape[-1]) for key, x in state.items()}
         return self.plant(name, **flat)[result].reshape(*leading, *shape)
 
     def slopes(self, q: Array) -> Array:
@@ -261,7 +262,7 @@ class Closure:
 
     @staticmethod
     def _list_free(size: int, held: Collection[int]) -> NDArray[np.int64]:
-        return np.setdiff1d(np.arange(size), np.array([*held], dtype=np.int64))
+        return np.array([i for i in range(size) if i not in held], dtype=np.int64)
 
     # --- velocities and accelerations ---
 

@@ -197,6 +197,7 @@ class OnDemand:
         self._start = Mechanism(find_folder(path, START))
         self._mechanisms: dict[str, Mechanism] = {}
         self.manifest = self._start.manifest
+        self._started = frozenset(kernel.name for kernel in self.manifest.kernels)
 
     def __repr__(self) -> str:
         """Return the model, and that functions are generated at their first use."""
@@ -233,7 +234,7 @@ class OnDemand:
 
     def _find(self, name: str) -> Mechanism:
         """Find the kernels that contain one, by its own name or as a derivative."""
-        if any(kernel.name == name for kernel in self.manifest.kernels):
+        if name in self._started:
             return self._start
         return self._load(split_kernel(name)[0])
 

@@ -46,3 +46,15 @@ def test_a_singular_pose_gives_the_least_change() -> None:
     assert closure.project_velocities(level, np.array([0.5, 0.3])) == pytest.approx([0.0, 0.3])
     with pytest.raises(OpenError, match="loop loop: it stays open by"):
         closure.move(np.array([0.0, -1.0]), [0], np.array([1.5]))
+
+
+def test_the_equations_of_one_state_have_the_bits_of_a_batch() -> None:
+    """One state takes a shorter way into C than several; shapes () and (1,) of states give the same numbers."""
+    closure, rng = Closure(five_bar()), np.random.default_rng(2)
+    q, qd = rng.uniform(-1, 1, (2, 3, 4))
+    many = (closure.gaps(q), closure.rates(q, qd), closure.jacobian(q), closure.bias(q, qd))
+    for k in range(3):
+        for states, at in (((q[k], qd[k]), ...), ((q[k : k + 1], qd[k : k + 1]), 0)):
+            one = (closure.gaps(states[0]), closure.rates(*states), closure.jacobian(states[0]), closure.bias(*states))
+            for own, every in zip(one, many, strict=True):
+                assert np.array_equal(own[at], every[k])
