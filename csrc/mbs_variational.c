@@ -144,7 +144,7 @@ static void add_slopes(mbs_attitude a, casadi_real h, const casadi_real *x, cons
                                         + by_s * (along * w[i] - square * p[i]) * w[j]);
     if (a.is_free) {
         const casadi_real *d = w - 3, *f = p - 3;
-        casadi_real *shifts = matrix + (a.spin - 3) * (cols + 1), seen[3], by_w[9] = {0}, slopes[9] = {0}, c[3];
+        casadi_real *shifts = matrix + (a.spin - 3) * (cols + 1), seen[3], by_w[9] = {0}, slopes[9], c[3];
         write(3, k, w, c);
         write(3, 1, f, seen);
         add_cross(0.5, c, f, seen);

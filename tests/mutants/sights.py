@@ -73,7 +73,7 @@ def choose(file: str, line: int) -> tuple[str, ...]:
     named after it. The laws of a C file come first, and the solver's sanitizers last.
     """
     stem = Path(file).stem.removeprefix("mbs_")
-    laws = (f"{LAWS}[{stem}]",) if file.endswith(".c") and (ROOT / f"tests/csrc/laws/{stem}.c").exists() else ()
+    laws = tuple(f"{LAWS}[{name}]" for name in list_laws(stem)) if file.endswith(".c") else ()
     last = (SANITIZERS,) if file.startswith("csrc/stages/") else ()
     text = (ROOT / file).read_text("utf-8").splitlines()[line - 1].strip()
     name = next((name for name, begin, end in list_functions(ROOT / file) if begin <= line <= end), "")
@@ -82,6 +82,12 @@ def choose(file: str, line: int) -> tuple[str, ...]:
     if not name:
         found = (*sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"tests/*/**/test_{stem}.py")), *found)
     return (*laws, *(test for test in found if test not in laws + last), *last)
+
+
+def list_laws(stem: str) -> list[str]:
+    """List the programs of laws of a C file, `NAME.c` or `NAME_PART.c`."""
+    names = sorted(path.stem for path in (ROOT / "tests/csrc/laws").glob("*.c"))
+    return [name for name in names if name == stem or name.startswith(f"{stem}_")]
 
 
 @cache

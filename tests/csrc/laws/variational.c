@@ -10,7 +10,7 @@
     at most quadratic in q: energies and forces follow ------------------------------ */
 
 enum { MOST = 8 };
-static casadi_real q[MOST], qd[MOST], qdd[MOST], v[2], Phi[MOST], gap[2], noise, weak;
+static casadi_real q[MOST], qd[MOST], qdd[MOST], v[2], Phi[MOST], gap[2], noise, weak, fastest, moving;
 static casadi_real masses[MOST * MOST], stiff[MOST * MOST], damped[MOST * MOST], loops[2 * MOST], rates[MOST * MOST];
 static casadi_real damping[MOST * MOST], stiffness[MOST * MOST], pull[MOST], curve[2], line[2 * MOST], offset[2];
 static casadi_int every[MOST * MOST];
@@ -123,6 +123,9 @@ static int dynamics(const casadi_real **arg, casadi_real **res, casadi_int *iw, 
             damped[i * plant.n + j] -= side[i] / 2;
     }
     ++evaluated;
+    for (i = 0, moving = 0; i < plant.n; ++i)
+        moving = fmax(moving, fabs(qd[i]));
+    fastest = fmax(fastest, moving);
     for (i = 0; i < plant.n; ++i)
         Phi[i] += evaluated / 6 % 2 ? noise : -noise;
     return ++asked[0] == fails[0] ? 11 : 0;
@@ -219,6 +222,15 @@ static void unit(const casadi_real *at, casadi_real *M)
     (void)at;
     for (k = 0; k < plant.n * plant.n; ++k)
         M[k] = k % (plant.n + 1) == 0 ? 2 : 0;
+}
+
+static casadi_int hole;
+
+/* An entry that is no number. */
+static void unknown(const casadi_real *at, casadi_real *M)
+{
+    unit(at, M);
+    M[hole] = NAN;
 }
 
 /* A point of mass 2 in polar coordinates. */
@@ -421,15 +433,17 @@ static mbs_work stand(casadi_real h, const casadi_real *w)
 
 static void places(void)
 {
+    const casadi_real none[1] = {0};
     casadi_real M[49], B[49];
+    casadi_int i;
     int kind, call_of;
     mbs_work k;
     free_body();
     stiffness[3] = 5, damping[1] = 3, plant.m = 1;
     k = stand(0.5, speed);
     v[0] = NAN, memset(qd, 0, sizeof qd);
-    qd[0] = 100, v[0] = 7;
-    LAW("an end is evaluated", place(&k, &k.near, speed) == 0);
+    qd[0] = 100, v[0] = 7, fastest = 0;
+    LAW("an end is evaluated at rest", place(&k, &k.near, speed) == 0 && fastest == 0);
     memcpy(q, somewhere, sizeof q);
     body(q, M), find_along(speed, B);
     LAW("with its mass matrix", differ(49, M, k.near.M) == 0);
@@ -457,6 +471,23 @@ static void places(void)
     k = stand(0.5, speed);
     k.near.q[0] = INFINITY;
     LAW("masses are finite", place(&k, &k.near, speed) != 0);
+    for (hole = 0; hole < 9; ++hole) {
+        anew(3, 3, 0, unknown);
+        k = stand(0.5, speed);
+        LAW("all of them", place(&k, &k.near, speed) != 0);
+    }
+    anew(3, 3, 2, unit);
+    plant.change.f = change, line[0] = 4;
+    plant.M.entries = plant.K.entries = plant.C.entries = plant.N.entries = plant.J.entries = 1;
+    k = stand(0.5, speed);
+    LAW("entries that are not there are 0", place(&k, &k.near, speed) == 0 && push(&k, &k.near, none, speed) == 0);
+    for (i = 0; i < 9; ++i) {
+        LAW("of masses", k.near.M[i] == (i == 0 ? 2 : 0) && k.near.B[i] == 0 && k.by_w[i] == 0);
+        LAW("of rates", k.K[i] == 0 && k.N[i] == (i == 0));
+        LAW("of loops", i > 5 || k.near.J[i] == (i == 0 ? 4 : 0));
+    }
+    anew(2, 2, 0, polar);
+    k = stand(0.5, speed);
     k.near.q[0] = NAN;
     LAW("and numbers", place(&k, &k.near, speed) != 0);
 }
@@ -576,6 +607,17 @@ static void linearisations(void)
             LAW("a kernel that fails is named", linearise(&k, speed, inputs, there) == 11);
         }
     }
+}
+
+/* A turn of no number has no derivative. */
+static void unknown_turns(void)
+{
+    const casadi_real none[1] = {0}, z[3] = {NAN, 0, 0};
+    mbs_work k;
+    ball();
+    k = open_here(0.5);
+    memcpy(k.near.q, somewhere + 4, 4 * sizeof *q);
+    LAW("turns of no number end a step", linearise(&k, speed, none, z) != 0);
 }
 
 static void definite(void)
@@ -846,7 +888,8 @@ static void failures(void)
 
 int main(void)
 {
-    rooms(), crosses(), turns(), slopes(), places(), pushes(), linearisations(), definite(), releases(), endings();
+    rooms(), crosses(), turns(), slopes(), places(), pushes(), linearisations(), unknown_turns(), definite(),
+        releases(), endings();
     springs(), guesses(), momenta(), pendulums(), failures();
     return broken > 0;
 }
