@@ -12,11 +12,40 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import spell
+from mbsgen.expressions import Algebra, spell
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.ground.memory import Memory
 
 _AXES = ("x", "y", "z")
+Array = NDArray[np.float64]
+
+
+def _number(value: float) -> Array:
+    return np.array([value])
+
+
+ARRAYS: Algebra[Array] = Algebra(
+    number=_number,
+    constants={"pi": _number(np.pi)},
+    negate=np.negative,
+    operations={"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide},
+    power=lambda base, exponent: np.power(base, float(exponent)),
+    functions={
+        "sin": np.sin,
+        "cos": np.cos,
+        "tan": np.tan,
+        "asin": np.arcsin,
+        "acos": np.arccos,
+        "atan": np.arctan,
+        "atan2": np.arctan2,
+        "sqrt": np.sqrt,
+        "exp": np.exp,
+        "log": np.log,
+        "tanh": np.tanh,
+        "abs": np.abs,
+        "max": np.maximum,
+    },
+)
 
 
 @dataclass(frozen=True)

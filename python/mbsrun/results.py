@@ -8,6 +8,7 @@
     roll_SENSOR, pitch_SENSOR, yaw_SENSOR            [rad] turns about x, then y, then z of the base, as in URDF
     length_FORCE, rate_FORCE, tension_FORCE          [m], [m/s], [N] of a spring, cable or muscle
     fibre_MUSCLE, pennation_MUSCLE                   [m], [rad] length of its fibres, and their angle with the tendon
+    metabolic_MUSCLE; basal, metabolic               [W] rate of its metabolism; of the body at rest; the sum of all
     arm_FORCE_JOINT                                  [m] its moment arm: the tension times it is the joint's force
     gap_CONTACT, normal_CONTACT, fx_CONTACT, ...     [m], [N] of a point of contact: distance, force off the other side
     lam_LOOP_EQUATION                                [N, N m] the forces that close loops
@@ -31,9 +32,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.errors import MbsError
-from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, names, parse, spell
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Program, evaluate, names, parse, spell
 from mbsgen.manifest import Element, Fibres, Kernel, Manifest
-from mbsrun.quantities import RARE, SENSED, Quantity, find_unit, lay_out, list_multiplier_units
+from mbsrun.metabolics import BASAL, list_contracting, list_rates
+from mbsrun.quantities import ARRAYS, RARE, SENSED, Quantity, find_unit, lay_out, list_multiplier_units
 
 Array = NDArray[np.float64]
 
@@ -104,6 +106,9 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     muscles = [element.name for element, _ in list_muscles(manifest)]
     yield "fibre", {f"fibre_{name}": "m" for name in muscles}
     yield "pennation", {f"pennation_{name}": "rad" for name in muscles}
+    rated = list_contracting(manifest)
+    if rated:
+        yield "metabolic", {**{f"metabolic_{x.name}": "W" for x, *_ in rated}, "basal": "W", "metabolic": "W"}
     arms = {f"arm_{force}_{c.name}": "m" if c.unit == "rad" else "" for force in manifest.elements for c in joints}
     yield "arm", arms
     stops = {point.name for point in manifest.rigid if point.is_stop}  # of numbers in any unit
@@ -134,13 +139,20 @@ class Numbers:
     """The numbers of a motion at K times by name. Each kernel is called, and if need be generated, at its first use."""
 
     def __init__(
-        self, plant: Source, known: Mapping[str, Quantity], parts: Mapping[str, Array], constant: Iterable[str] = FIXED
+        self,
+        plant: Source,
+        known: Mapping[str, Quantity],
+        parts: Mapping[str, Array],
+        constant: Iterable[str] = FIXED,
+        rates: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         """Take quantities, and their values (K, size) by kind: t, q, qd, qdd, u, w, lam, tau, and more.
 
+        `rates` are metabolic rates of muscles that a problem states, over quantities, by their names in expressions.
+
         The plant has the parameters of the motion. Kinds in `constant` do not change along it, and have no values here.
         """
-        self._plant, self._parts = plant, parts
+        self._plant, self._parts, self.stated_rates = plant, parts, rates
         constant = frozenset(constant)
         self._known = {name: x for name, x in known.items() if x.kind not in constant}
         self._found: dict[str, Array] = {}
@@ -216,6 +228,15 @@ class Numbers:
         inputs = (a.name for a in self._plant.describe(kernel).inputs if a.nnz and a.name in _TAKEN)
         given: dict[str, Any] = {name: self._parts[name] for name in inputs}
         return self._plant(kernel, **given)[result]
+
+    def evaluate(self, expression: Expression) -> Array:
+        """Compute an expression of these numbers and of signals, (K,)."""
+        signals = self.manifest.signals
+        known = dict(zip(signals, self.whole("w")[:, -len(signals) :].T, strict=True)) if signals else {}
+        known |= {name: self[name] for name in names(expression) if name not in known}
+        with np.errstate(all="ignore"):
+            found = Program((expression,), ARRAYS).evaluate(known)[0]
+        return np.asarray(np.broadcast_to(found, len(self.whole("q"))))
 
     @property
     def manifest(self) -> Manifest:
@@ -300,6 +321,19 @@ def _compute_fibres(numbers: Numbers, choose: Callable[[Fibres], str]) -> Array:
     return np.array(columns).T.reshape(len(lengths), -1)
 
 
+def _find_metabolic(numbers: Numbers) -> Array:
+    """Find the metabolic rates of muscles, of the body at rest, and their sum; nan where a rate is not known."""
+    manifest, count = numbers.manifest, len(numbers.whole("q"))
+    columns = []
+    for name, own in list_rates(manifest, numbers).items():
+        stated = numbers.stated_rates.get(spell([name])[0] or "")
+        rate = own if stated is None else parse(stated)
+        columns.append(np.full(count, np.nan) if rate is None else numbers.evaluate(rate))
+    masses = () if manifest.appearance is None else manifest.appearance.masses
+    basal = np.full(count, BASAL * sum(x.mass for x in masses))
+    return np.column_stack((*columns, basal, np.sum(columns, axis=0) + basal))
+
+
 def _evaluate(expression: Expression, known: Mapping[str, float]) -> float:
     try:
         return evaluate(expression, known, FLOATS)
@@ -329,6 +363,7 @@ _GROUPS: Mapping[str, Callable[[Numbers], Array]] = {
     "tension": _column("tensions", "tension"),
     "fibre": _find_fibres,
     "pennation": _find_pennations,
+    "metabolic": _find_metabolic,
     "arm": _find_arms,
     "gap": _column("distances", "distance"),
     "normal": _column("contact_forces", "normal"),

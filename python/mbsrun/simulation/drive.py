@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
-from mbsgen.expressions import Algebra, Expression, Program, names
+from mbsgen.expressions import Expression, Program, names
 from mbsrun.kernel import Kernels
+from mbsrun.quantities import ARRAYS as ARRAYS
 from mbsrun.quantities import SENSED, Quantity, lay_out
 
 Array = NDArray[np.float64]
@@ -240,31 +241,3 @@ def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array)
             given: dict[str, Any] = {name: found[name] for name in sensed.inputs}
             found[kind] = lay_out(kernels(sensed.kernel, **given)[sensed.result])
     return {name: found[quantity.kind][:, quantity.index] for name, quantity in used.items()}
-
-
-def _number(value: float) -> Array:
-    return np.array([value])
-
-
-ARRAYS: Algebra[Array] = Algebra(
-    number=_number,
-    constants={"pi": _number(np.pi)},
-    negate=np.negative,
-    operations={"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide},
-    power=lambda base, exponent: np.power(base, float(exponent)),
-    functions={
-        "sin": np.sin,
-        "cos": np.cos,
-        "tan": np.tan,
-        "asin": np.arcsin,
-        "acos": np.arccos,
-        "atan": np.arctan,
-        "atan2": np.arctan2,
-        "sqrt": np.sqrt,
-        "exp": np.exp,
-        "log": np.log,
-        "tanh": np.tanh,
-        "abs": np.abs,
-        "max": np.maximum,
-    },
-)

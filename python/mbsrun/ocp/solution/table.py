@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
+from mbsrun.metabolics import PRICED
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.schemes import read_basis
 from mbsrun.ocp.ground.trajectory import Trajectory
@@ -48,7 +49,9 @@ def measure(solution: Solution, plant: Plant) -> Numbers:
     known = {name: x for name, x in known.items() if x.kind != "w" or "w" in parts}
     if manifest.open_entries:
         parts.setdefault("w", np.zeros((len(parts["t"]), manifest.open_entries)))
-    return Numbers(equip(plant, solution.problem, trajectory.unknowns), known, parts)
+    mark = PRICED.format("")
+    rates = {x.name.removeprefix(mark): x.expression for x in solution.problem.cost.running if x.name.startswith(mark)}
+    return Numbers(equip(plant, solution.problem, trajectory.unknowns), known, parts, rates=rates)
 
 
 def write_table(solution: Solution, plant: Plant, path: Path, more: Sequence[str] = ()) -> None:

@@ -18,9 +18,9 @@ from typing import Any
 from mbsgen.documents import Place
 from mbsgen.expressions import Expression, Name, Number, fold, is_free_name, parse, spell, substitute, write
 from mbsgen.manifest import Fibres
+from mbsrun.metabolics import EXCITATION, PRICED, RATE, name_numbers, write_rate
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.problem import Constraint
-from mbsrun.ocp.statement.metabolics import write_rate
 from mbsrun.ocp.statement.sections import (
     ControlSection,
     MusclesSection,
@@ -29,7 +29,6 @@ from mbsrun.ocp.statement.sections import (
     TermSection,
 )
 
-EXCITATION, RATE = "{}_excitation", "{}_rate"
 _ACTIVATION = parse(
     "((0.5 + tanh((e - a)/10)/2)/(rise*(0.5 + 1.5*a)) + (0.5 - tanh((e - a)/10)/2)*(0.5 + 1.5*a)/fall)*(e - a)"
 )
@@ -96,9 +95,9 @@ def list_metabolic_rates(section: ProblemSection, plant: Plant) -> Mapping[str, 
     found = {}
     for muscle in _list_muscles(plant, lambda *_: None):
         assert muscle.fibres.contraction is not None, "every muscle has one"
-        rate = write_rate(muscle.fibres.contraction, Name(muscle.drive(wanted)), wanted.metabolics)
-        tendon = None if muscle.tendon is None else RATE.format(muscle.tendon)
-        found[f"metabolics {muscle.name}"] = _write(name_numbers(muscle.fibres, muscle.name, tendon, rate), plant)
+        rate = write_rate(muscle.fibres.contraction, Name(muscle.drive(wanted)), wanted.metabolics.metabolism)
+        tendon = None if muscle.tendon is None else Name(RATE.format(muscle.tendon))
+        found[PRICED.format(muscle.name)] = _write(name_numbers(muscle.fibres, muscle.name, tendon, rate), plant)
     return found
 
 
@@ -137,16 +136,7 @@ def _write(expression: Expression, plant: Plant) -> str:
 
 def write_equilibrium(fibres: Fibres, name: str, rate: str) -> Expression:
     """Write the equation of a muscle with an elastic tendon, of a name, over quantities of a motion."""
-    return name_numbers(fibres, name, rate, parse(fibres.equilibrium))
-
-
-def name_numbers(fibres: Fibres, name: str, rate: str | None, expression: Expression) -> Expression:
-    """Write an expression of a muscle's numbers over quantities of a motion; `rate` is of the tendon's state."""
-    own: dict[str, Expression] = {"length": Name(f"length_{name}"), "rate": Name(f"rate_{name}")}
-    fibre, cosine = (substitute(parse(text), own) for text in (fibres.fibre, fibres.cosine))
-    own |= {"fibre_length": fibre, "fibre_cosine": cosine}
-    own |= {} if rate is None else {"tendon_state_rate": Name(rate)}
-    return substitute(expression, own)
+    return name_numbers(fibres, name, Name(rate), parse(fibres.equilibrium))
 
 
 def _list_muscles(plant: Plant, blame: Blame) -> Iterator[_Muscle]:

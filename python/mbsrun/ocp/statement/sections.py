@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sized
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -15,6 +16,7 @@ from mbsgen.documents import (
     read_number,
 )
 from mbsgen.expressions import Expression, Number
+from mbsrun.metabolics import USUAL, Metabolism
 from mbsrun.ocp.ground.integrators import INTEGRATORS
 from mbsrun.ocp.ground.schemes import DEGREES, Family
 from mbsrun.ocp.methods import METHODS
@@ -443,13 +445,18 @@ class MetabolicsSection(Section):
     """The metabolic rates of all muscles, as a term of the cost each."""
 
     weight: NumberField = Field(default=Number(1.0), examples=[0.001])
-    slow: NumberField = Field(default=Number(0.5), examples=[0.5])  # part of slow fibres
-    specific_tension: NumberField = Field(default=Number(0.25e6), examples=[0.25e6])  # Pa: the mass of a muscle follows
-    density: NumberField = Field(default=Number(1059.7), examples=[1059.7])  # kg/m3
-    force_dependent: bool = Field(default=False, examples=[True])  # heat of shortening by the isometric force
-    velocity_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # s/m, as OpenSim has them
-    power_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # 1/W
-    heat_smoothing: NumberField = Field(default=Number(10.0), examples=[10.0])  # 1/W
+    slow: NumberField = Field(default=USUAL.slow, examples=[0.5])
+    specific_tension: NumberField = Field(default=USUAL.specific_tension, examples=[0.25e6])
+    density: NumberField = Field(default=USUAL.density, examples=[1059.7])
+    force_dependent: bool = Field(default=USUAL.force_dependent, examples=[True])
+    velocity_smoothing: NumberField = Field(default=USUAL.velocity_smoothing, examples=[10.0])
+    power_smoothing: NumberField = Field(default=USUAL.power_smoothing, examples=[10.0])
+    heat_smoothing: NumberField = Field(default=USUAL.heat_smoothing, examples=[10.0])
+
+    @property
+    def metabolism(self) -> Metabolism:
+        """The numbers of the rates."""
+        return Metabolism(**{x.name: getattr(self, x.name) for x in fields(Metabolism)})
 
 
 class MusclesSection(Section):
