@@ -8,15 +8,14 @@ this lowers the number of operations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Set
-from functools import reduce
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from functools import partial, reduce
 from itertools import combinations
 
 from mbsgen.roles import Role
-from mbsgen.tape.builder import Builder, Scalar
-from mbsgen.tape.counts import count_uses
-from mbsgen.tape.replay import count_varying, declare_inputs, find_constants, leaves, replay_guards
-from mbsgen.tape.sums import SUMS, find_inner, list_terms
+from mbsgen.tape.draft import Changes, Draft
+from mbsgen.tape.references import Arithmetic
+from mbsgen.tape.replay import count_varying
 from mbsgen.tape.types import Op, Tape
 from mbsgen.tape.writer import Ref
 
@@ -24,6 +23,7 @@ MOST_TERMS = 16  # of a sum that is looked at
 MOST_FACTORS = 10  # of a product
 TRIED = 24  # brackets for one tape
 
+_SUMS = frozenset({Op.ADD, Op.SUB})
 _Product = tuple[int, ...]  # factors, ascending
 _Bracket = tuple[_Product, _Product, int]  # two products in order, and the product of their signs
 _Place = tuple[int, int, int]  # a sum, and two of its terms
@@ -32,107 +32,234 @@ _Place = tuple[int, int, int]  # a sum, and two of its terms
 def take_brackets(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
     """Take out brackets that several sums share; inputs of the roles `constant` count as constants."""
     fewest, refused = count_varying(tape, constant), 0
+    found = _Brackets(tape, constant)
     while refused < TRIED:
-        found = _Brackets(tape, constant)
         for places in found.list_shared()[refused:TRIED]:
-            trial = found.write(places)
-            count = count_varying(trial, constant)
+            count = found.take(places, fewest)
             if count < fewest:
-                tape, fewest = trial, count
+                fewest = count
                 break
             refused += 1
         else:
-            return tape
-    return tape
+            break
+    return found.draft.build()
 
 
 class _Brackets:
-    def __init__(self, tape: Tape, constant: Set[Role]) -> None:
-        self.tape, self.first, self.uses = tape, tape.first_operation, count_uses(tape)
-        self.is_constant = find_constants(tape, constant)
-        self.sums: dict[int, list[tuple[int, int]]] = {}  # terms and their signs, of sums that no sum continues
-        self.inner = find_inner(tape, self.is_constant, SUMS)
-        several = [v for v, (op, _, _) in enumerate(tape.operations, self.first) if op is Op.MUL and self.uses[v] > 1]
-        taken = {self._take_apart(v): v for v in several if not self.is_constant[v]}
-        self.products = sorted(taken.items(), key=lambda found: (-len(found[0]), found))  # with several uses
-        for value, (op, _, _) in enumerate(tape.operations, self.first):
-            if op in (Op.ADD, Op.SUB) and value not in self.inner and not self.is_constant[value]:
-                terms = list_terms(tape, value, self.inner)
-                if len(terms) <= MOST_TERMS:
-                    self.sums[value] = terms
+    """The brackets of a tape, and where they are."""
 
-    def _take_apart(self, value: int) -> _Product:
-        """List the factors of a product; of another value, itself."""
-        factors, waiting = [], [value]
-        while waiting:
-            place = waiting.pop()
-            op, a, b = self.tape.operations[place - self.first] if place >= self.first else (Op.ADD, 0, 0)
-            if op is Op.MUL and not self.is_constant[place]:
-                waiting += [a, b]
-            else:
-                factors.append(place)
-        return tuple(sorted(factors)) if len(factors) <= MOST_FACTORS else (value,)
+    def __init__(self, tape: Tape, constant: Set[Role]) -> None:
+        self.constant = constant
+        self._begin(Draft(tape, constant))
+
+    def _begin(self, draft: Draft) -> None:
+        self.draft = draft
+        self.sums: dict[int, list[tuple[int, int]]] = {}  # terms and their signs, of sums that no sum continues
+        self.places: dict[_Bracket, dict[int, list[_Place]]] = {}  # by sum
+        self.shared: set[_Bracket] = set()  # brackets of several sums
+        self.found: dict[int, list[_Bracket]] = {}  # by sum
+        self.products: dict[int, _Product] = {}  # with several uses
+        self.values: dict[_Product, set[int]] = {}  # of products with several uses
+        self.holding: dict[int, set[_Product]] = {}  # such products, by their first factor
+        self.factors: dict[int, _Product] = {}
+        kinds = [(value, draft.operations[value][0]) for value in draft.order]
+        for value, op in kinds:
+            if op is Op.MUL:
+                self._list_product(value)
+        for value, op in kinds:
+            if op in _SUMS:
+                self._list_sum(value)
+
+    # -- a change -------------------------------------------------------------------------------------------------
 
     def list_shared(self) -> list[list[_Place]]:
         """List the places of each bracket that has several, most places first."""
-        places: dict[_Bracket, list[_Place]] = {}
-        for value, terms in self.sums.items():
-            products = [self._take_apart(x) for x, _ in terms]
-            for i, j in combinations(range(len(terms)), 2):
-                for bracket in self._find_bracket(products[i], products[j], terms[i][1] * terms[j][1]):
-                    places.setdefault(bracket, []).append((value, i, j))
-        shared = [found for found in places.values() if len({value for value, _, _ in found}) > 1]
+        places = (self.places[bracket] for bracket in self.shared)
+        shared = [[place for value in sorted(found) for place in found[value]] for found in places]
         return sorted(shared, key=lambda found: (-len(found), found))
+
+    def take(self, places: Sequence[_Place], fewest: int) -> int:
+        """Take a bracket out of sums, once of each, if this leaves fewer operations; return how many these are."""
+        chosen = {value: (i, j) for value, i, j in reversed(places)}
+        count = self.draft.attempt(chosen, partial(self._write_chosen, chosen))
+        if count is None:
+            return self._take_wholly(places, fewest)
+        if count < fewest:
+            self._update(self.draft.accept())
+        else:
+            self.draft.undo()
+        return count
+
+    def _take_wholly(self, places: Sequence[_Place], fewest: int) -> int:
+        """Take out a bracket by writing the whole tape again, which gives other numbers."""
+        if self.draft.is_changed:
+            k = self.list_shared().index([*places])
+            self._begin(Draft(self.draft.build(), self.constant))
+            return self.take(self.list_shared()[k], fewest)
+        chosen = {value: (i, j) for value, i, j in reversed(places)}
+        tape = self.draft.write(chosen, partial(self._write_chosen, chosen))
+        count = count_varying(tape, self.constant)
+        if count < fewest:
+            self._begin(Draft(tape, self.constant))
+        return count
+
+    def _update(self, changes: Changes) -> None:
+        """List what changed."""
+        stale, sums = set(changes.written), set(changes.recounted | changes.written)
+        waiting = [*changes.written]
+        while waiting:  # products have the factors of their factors
+            value = waiting.pop()
+            self.factors.pop(value, None)
+            for user in self.draft.users.get(value, ()):
+                if self.draft.operations[user][0] is Op.MUL and user not in stale:
+                    stale.add(user)
+                    waiting.append(user)
+        sums |= stale
+        for value in sorted(stale | changes.recounted):
+            self._list_product(value)
+        found: set[int] = set()
+        for value in sums:
+            found.add(value)
+            found.update(self._find_whole(x) for x in (value, *self.draft.users.get(value, ())))
+        for value in sorted(found):
+            self._list_sum(value)
+
+    def _find_whole(self, value: int) -> int:
+        """Find the sum that a value is a part of."""
+        while self.draft.is_inner(value):
+            value = next(iter(self.draft.users[value]))
+        return value
+
+    # -- lists ----------------------------------------------------------------------------------------------------
+
+    def _list_product(self, value: int) -> None:
+        """List a product if it has several uses."""
+        draft = self.draft
+        known = self.products.pop(value, None)
+        if known is not None:
+            self.values[known].remove(value)
+            if not self.values[known]:
+                del self.values[known]
+                self.holding[known[0]].remove(known)
+        kind = draft.operations.get(value, (None,))[0]
+        if kind is Op.MUL and not draft.is_constant[value] and draft.count_uses(value) > 1:
+            product = self.products[value] = self._take_apart(value)
+            self.values.setdefault(product, set()).add(value)
+            self.holding.setdefault(product[0], set()).add(product)
+
+    def _list_sum(self, value: int) -> None:
+        """List the terms and brackets of a sum that no sum continues."""
+        draft = self.draft
+        self.sums.pop(value, None)
+        for bracket in self.found.pop(value, ()):
+            places = self.places[bracket]
+            del places[value]
+            if len(places) == 1:
+                self.shared.remove(bracket)
+            elif not places:
+                del self.places[bracket]
+        if draft.operations.get(value, (None,))[0] not in _SUMS or draft.is_constant[value] or draft.is_inner(value):
+            return
+        terms = self._list_terms(value)
+        if len(terms) > MOST_TERMS:
+            return
+        self.sums[value] = terms
+        products, found = [self._take_apart(x) for x, _ in terms], self.found.setdefault(value, [])
+        for i, j in combinations(range(len(terms)), 2):
+            for bracket in self._find_bracket(products[i], products[j], terms[i][1] * terms[j][1]):
+                places = self.places.setdefault(bracket, {})
+                if value not in places:
+                    places[value] = []
+                    found.append(bracket)
+                    if len(places) == 2:
+                        self.shared.add(bracket)
+                places[value].append((value, i, j))
+
+    def _list_terms(self, value: int) -> list[tuple[int, int]]:
+        """List the terms of a whole sum with their signs, from left to right."""
+        draft, terms, waiting = self.draft, list[tuple[int, int]](), [(value, 1)]
+        while waiting:
+            place, sign = waiting.pop()
+            if place == value or draft.is_inner(place):
+                op, a, b = draft.operations[place]
+                waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
+            else:
+                terms.append((place, sign))
+        return terms
+
+    def _take_apart(self, value: int) -> _Product:
+        """List the factors of a product; of another value, itself."""
+        known = self.factors.get(value)
+        if known is None:
+            factors = self._list_factors(value)
+            known = self.factors[value] = tuple(sorted(factors)) if len(factors) <= MOST_FACTORS else (value,)
+        return known
+
+    def _list_factors(self, value: int) -> list[int]:
+        operations, is_constant = self.draft.operations, self.draft.is_constant
+        factors, waiting = [], [value]
+        while waiting:
+            place = waiting.pop()
+            found = operations.get(place)
+            if found is not None and found[0] is Op.MUL and not is_constant[place]:
+                waiting += found[1:]
+            else:
+                factors.append(place)
+        return factors
 
     def _find_bracket(self, one: _Product, other: _Product, sign: int) -> Iterator[_Bracket]:
         """Find the rest of two products without their common factors; at least a factor each."""
         rest, left = _subtract(one, other), _subtract(other, one)
-        if rest and left and not all(self.is_constant[x] for x in (*rest, *left)):
+        if rest and left and not all(self.draft.is_constant[x] for x in (*rest, *left)):
             yield (rest, left, sign) if rest <= left else (left, rest, sign)
 
-    def write(self, places: list[_Place]) -> Tape:
-        """Write the tape with a bracket taken out of sums, once of each."""
-        chosen = {value: (i, j) for value, i, j in reversed(places)}
-        tape, builder = self.tape, Builder()
-        refs = [x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))]
-        for value, (op, a, b) in enumerate(tape.operations, self.first):
-            if value in chosen:
-                refs.append(self._write_sum(builder, refs, value, *chosen[value]))
-            else:
-                refs.append(builder.operate(op, refs[a], refs[b] if b >= 0 else 0))
-        values = [Scalar(builder, ref) for ref in refs]
-        labelled = [(v, text) for v, text in sorted(tape.labels.items()) if v not in self.inner]
-        builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
-        for o in tape.outputs:
-            builder.output(o.port, o.sparsity, [values[v] for v in o.values])
-        replay_guards(tape, builder, values)
-        return builder.build(tape.function)
+    # -- a sum that is written anew -------------------------------------------------------------------------------
 
-    def _write_sum(self, builder: Builder, refs: list[Ref], value: int, i: int, j: int) -> Ref:
-        terms = self.sums[value]
+    def _write_chosen(
+        self,
+        chosen: dict[int, tuple[int, int]],
+        arithmetic: Arithmetic,
+        refer: Callable[[int], Ref],
+        value: int,
+    ) -> Ref:
+        """Write a sum with a bracket taken out of two of its terms."""
+        (i, j), terms = chosen[value], self.sums[value]
         one, other = self._take_apart(terms[i][0]), self._take_apart(terms[j][0])
         rest, left = _subtract(one, other), _subtract(other, one)
         common, signs = _subtract(one, rest), (terms[i][1], terms[j][1])
-        if rest > left:
+        rank = self._rank(rest, left)
+        if sorted(map(rank, rest)) > sorted(map(rank, left)):
             rest, left, signs = left, rest, signs[::-1]
-        first, second = (self._multiply(builder, refs, x) for x in (rest, left))
-        bracket = builder.add(first, second * signs[0] * signs[1])
-        whole = builder.mul(self._multiply(builder, refs, common), bracket) if common else bracket
-        others = [refs[x] * s for k, (x, s) in enumerate(terms) if k not in (i, j)]
-        return reduce(builder.add, [*others, whole * signs[0]])
+        multiply = partial(self._multiply, arithmetic, refer, value)
+        first, second = multiply(rest), multiply(left)
+        bracket = arithmetic.add(first, second * signs[0] * signs[1])
+        whole = arithmetic.mul(multiply(common), bracket) if common else bracket
+        others = [refer(x) * s for k, (x, s) in enumerate(terms) if k not in (i, j)]
+        return reduce(arithmetic.add, [*others, whole * signs[0]])
 
-    def _multiply(self, builder: Builder, refs: list[Ref], factors: _Product) -> Ref:
+    def _multiply(self, arithmetic: Arithmetic, refer: Callable[[int], Ref], before: int, factors: _Product) -> Ref:
         """Multiply factors, constants first; products of some of them that have other uses are there already."""
-        kept: list[int] = []
-        for product, value in self.products:
-            while value < len(refs) and len(product) <= len(factors) and not _subtract(product, factors):
+        rank, kept = self._rank(factors), list[int]()
+        for product, value in self._list_within(factors, rank):
+            while value < before and len(product) <= len(factors) and not _subtract(product, factors):
                 factors = _subtract(factors, product)
                 kept.append(value)
-        ordered = sorted(factors, key=lambda x: (not self.is_constant[x], x))
-        return reduce(builder.mul, (refs[x] for x in (*ordered, *kept)))
+        ordered = sorted(factors, key=lambda x: (not self.draft.is_constant[x], rank(x)))
+        return reduce(arithmetic.mul, map(refer, (*ordered, *kept)))
+
+    def _list_within(self, factors: _Product, rank: Callable[[int], tuple[int, int]]) -> list[tuple[_Product, int]]:
+        """List the products with several uses that may be a part of another one, with most factors first."""
+        found = ((product, max(self.values[product])) for x in set(factors) for product in self.holding.get(x, ()))
+        return sorted(found, key=lambda pair: (-len(pair[0]), sorted(map(rank, pair[0])), pair[1]))
+
+    def _rank(self, *products: Sequence[int]) -> Callable[[int], tuple[int, int]]:
+        """Return the order of factors in the tape."""
+        if len({x for product in products for x in product if self.draft.is_literal(x)}) < 2:
+            return lambda x: (abs(x), 0)
+        return self.draft.rank
 
 
-def _subtract(one: _Product, other: _Product) -> _Product:
+def _subtract(one: Iterable[int], other: Iterable[int]) -> _Product:
     """Leave out of one product the factors of another, each as often as it is there."""
     rest = list(one)
     for x in other:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol, TypeVar
 
 from mpmath import mpf
 
@@ -14,6 +15,15 @@ from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Spa
 Ref = int  # +n or -n: node n, or its negative; 0: the number 0
 Key = tuple[Op, Ref, Ref]  # an operation on references
 _TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # their operands may decide the sign of the result
+
+Entry = TypeVar("Entry", covariant=True)
+
+
+class Numbered(Protocol[Entry]):
+    """Entries by the number of a node."""
+
+    def __getitem__(self, node: int, /) -> Entry:
+        """Return the entry of a node."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,8 @@ class Writer:
         self._tests = tests
         self._is_literal = [base == 0 for base in bases]
         self._uses = self._count_uses()
-        self._turned = self._choose_turned()
+        wanted = {ref for result in results for ref in result.refs}
+        self._turned = choose_turned(wanted, nodes, self._uses.__getitem__, self._is_literal.__getitem__)
         self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
         self._literals: dict[Ref, None] = {}  # in the order of their first use
         self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
@@ -120,27 +131,6 @@ class Writer:
                     if b:
                         uses[b if b > 0 else -b] += 1
 
-    def _choose_turned(self) -> set[int]:
-        turned: set[int] = set()
-        wanted = {ref for result in self._results for ref in result.refs}
-        for ref in sorted(wanted, reverse=True):
-            if ref < 0 and -ref not in wanted:
-                self._turn(-ref, turned)
-        return turned
-
-    def _turn(self, node: int, turned: set[int]) -> bool:
-        """Try to compute `node` with the other sign at no cost, through operands without other uses."""
-        key = self._nodes[node]
-        if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
-            return False
-        op, a, b = key
-        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (self._is_literal[a] or self._is_literal[b]))
-        operands = (a, b)[: op.arity]
-        if free or any(self._uses[abs(x)] == 1 and self._turn(x, turned) for x in operands):
-            turned.add(node)
-            return True
-        return False
-
     # -- operations with their signs settled ------------------------------------------------------------------
 
     def _write_operations(self) -> None:
@@ -201,6 +191,34 @@ class Writer:
         assert found is not None
         assert not isinstance(found, tuple)
         return found if ref >= 0 else -found
+
+
+def choose_turned(
+    wanted: Set[Ref], nodes: Numbered[Key | mpf | None], count: Callable[[int], int], is_literal: Callable[[int], bool]
+) -> set[int]:
+    """Choose the nodes that are stored with the other sign, by the references that outputs want.
+
+    count: the uses of a node.
+    """
+    turned: set[int] = set()
+
+    def turn(node: int) -> bool:
+        """Try to compute `node` with the other sign at no cost, through operands without other uses."""
+        key = nodes[node]
+        if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
+            return False
+        op, a, b = key
+        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (is_literal(a) or is_literal(b)))
+        operands = (a, b)[: op.arity]
+        if free or any(count(abs(x)) == 1 and turn(x) for x in operands):
+            turned.add(node)
+            return True
+        return False
+
+    for ref in sorted(wanted, reverse=True):
+        if ref < 0 and -ref not in wanted:
+            turn(-ref)
+    return turned
 
 
 def sign_of(ref: Ref) -> int:

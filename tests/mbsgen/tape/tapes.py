@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import mul
 
 import numpy as np
 
+from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.interpreter import DIGITS, evaluate
+from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Op, Tape
 
 
@@ -28,6 +32,39 @@ def random_tape(seed: int) -> Tape:
     builder.guard(values[-1] * values[-1] + values[0] * values[0], values[1] * values[1], 1.0, 1)
     builder.output_dense("y", [[x] for x in values[-20:]])
     return builder.build("random")
+
+
+def random_brackets(seed: int) -> Tape:
+    """Write sums that share brackets, with literals, parameters, functions, labels and outputs of both signs."""
+    rng, builder = np.random.default_rng(seed), Builder()
+    x, p = builder.vector("x", 6), builder.vector(Port("p", Role.PARAMETER), 3)
+    values = [*x, *p, *(builder.number(k) for k in (2.0, 0.5, -3.0, 1.5, -0.25))]
+    if seed % 4 == 0:
+        values += [builder.sqrt(-x[0]), builder.apply(Op.EXP, -x[1])]
+    if seed % 2:
+        values += [builder.sin(x[2]), builder.cos(x[2]), x[0] / x[3], builder.apply(Op.TANH, x[1] - x[0])]
+
+    def multiply(number: int) -> Scalar:
+        return reduce(mul, [values[int(rng.integers(len(values)))] for _ in range(number)])
+
+    brackets = [(multiply(1), multiply(1), bool(rng.integers(2))) for _ in range(6)]
+    sums: list[Scalar] = []
+    for _ in range(int(rng.integers(8, 40))):
+        total = builder.zero
+        for _ in range(int(rng.integers(1, 4))):
+            (first, second, adds), factor = brackets[int(rng.integers(6))], multiply(1 + int(rng.integers(3)))
+            total = total + factor * first if rng.integers(2) else total - factor * first
+            total = total + factor * second if adds else total - factor * second
+        total = total + multiply(3) if rng.integers(3) == 0 else total
+        sums += [] if total.is_literal else [total]
+        values += [total] if rng.integers(3) == 0 and not total.is_literal else []
+        values += [multiply(2)] if rng.integers(4) == 0 else []
+    for k, total in enumerate(sums[:3], 1):
+        if rng.integers(2):
+            builder.guard(total * total + x[0] * x[0], (total if k % 2 else -total) * x[1], 1.0, k)
+    builder.label(sums, [f"n{k}" for k in range(len(sums))])
+    builder.output_dense("y", [[y if rng.integers(2) else -y] for y in sums[1:] or [x[0]]])
+    return builder.build("brackets")
 
 
 def assert_same(tape: Tape, shared: Tape) -> None:
