@@ -307,3 +307,59 @@ def test_conditions_of_a_mode_hold_up_to_a_billionth() -> None:
     assert holds(slip, bear(1.0, qdd=(-1.0, 0.0)))
     assert not holds(slip, bear(1.0, qdd=(-1.0, 0.0)), turning=[0])
     assert holds(slip, bear(1.0, qdd=(1.0, 0.0)), turning=[0])
+    for sign, holds_it in ((0.95, True), (1.05, False)):  # of 1e-9 of the sizes of terms, 2 by 100 here
+        assert holds(opened, bear(0.0, qdd=(100.0, -sign * 2e-7))) is holds_it
+        assert holds(opened, bear(0.0, qdd=(100.0, 0.5 - sign * 2e-7)), goal=np.array([[0.5]])) is holds_it
+        assert holds(leaving, bear(1.0, qdd=(100.0, -sign * 2e-7))) is holds_it
+        assert holds(slip, bear(1.0, qdd=(-sign * 2e-7, 100.0)), turning=[0]) is holds_it
+
+
+def test_points_move_with_accelerations_turning_sides_and_drifts() -> None:
+    """Along the normal S qdd + pull; across it S qdd + drift without its normal part; in impacts neither counts."""
+    contacts = Contacts(drop(ROUGH))
+    touch = replace(
+        contacts.touch(np.zeros((1, 2)), np.zeros((1, 2))),
+        pull=np.array([[2.0]]),
+        drift=np.array([[[0.5, -1.0, 7.0]]]),
+    )
+    inertia = np.eye(2)[None], np.zeros((1, 2))
+    along, across = Search(contacts, touch, inertia, [0], [])._move(bear(0.0, qdd=(3.0, 4.0)))
+    assert (along.tolist(), across.tolist()) == ([6.0], [[3.5, -1.0, 0.0]])
+    along, across = Search(contacts, touch, inertia, [0], [], goal=np.zeros((1, 1)))._move(bear(0.0, qdd=(3.0, 4.0)))
+    assert (along.tolist(), across.tolist()) == ([4.0], [[3.0, 0.0, 0.0]])
+    mode = Mode((STICK,), np.zeros((1, 3)), np.ones(1))
+    loads = contacts.load(touch, np.eye(2)[None], np.array([[1.0, -10.0]]), mode)
+    assert loads.qdd[0] == pytest.approx([-0.5, -2.0])  # so that neither velocity changes
+    assert loads.normal[0] == pytest.approx([8.0])
+    pulled = Search(contacts, touch, inertia, [0], [])._holds(
+        Mode((OPEN,), np.zeros((1, 3)), np.ones(1)), bear(0.0, qdd=(0.0, -1.9)), []
+    )
+    assert pulled
+
+
+class Curved:
+    """Kernels of a point whose slide is q, and whose side turns with q, in several states."""
+
+    def __init__(self, kernels: Any) -> None:
+        self.kernels, self.manifest = kernels, kernels.manifest
+
+    def __call__(self, name: str, q: Array) -> dict[str, Array]:
+        found: dict[str, Array] = self.kernels(name, q=q)
+        if name == "jac_touching":
+            for k in range(len(q)):
+                found["jac_slide_q"][k, 1, 0, 2, 0] = 2.0 + k  # of the normal velocity by qd_1, by q_0
+                found["jac_slide_q"][k, 0, 0, 0, 1] = 5.0
+                found["jac_direction_q"][k, 0, 0, 1] = 3.0
+        return found
+
+
+def test_sides_that_turn_and_points_that_curve_change_velocities() -> None:
+    """Drift: the sum of dS_ij/dq_k qd_j qd_k; pull: the turn of the normal by the velocity, and the normal's drift."""
+    dynamics = drop(ROUGH)
+    contacts = Contacts(replace(dynamics, kernels=Curved(dynamics.kernels)))
+    qd = np.array([[2.0, 3.0], [1.0, -1.0]])
+    touch = contacts.touch(np.array([[0.0, 1.0], [0.0, 4.0]]), qd)
+    assert touch.gap.tolist() == [[1.0], [4.0]]
+    assert touch.velocity.tolist() == [[[2.0, 0.0, 3.0]], [[1.0, 0.0, -1.0]]]
+    assert touch.drift.tolist() == [[[5 * 2 * 3.0, 0.0, 2 * 3 * 2.0]], [[-5.0, 0.0, -3.0]]]
+    assert touch.pull.tolist() == [[3 * 3 * 2.0 + 12.0], [-3.0 - 3.0]]
