@@ -33,7 +33,7 @@ def set_number(data: Data, path: str, value: float) -> None:
         for item in data.get(section, []):
             if path.startswith(start := f"{section}.{item['name']}."):
                 key, *place = path.removeprefix(start).split(".")
-                inner = key in ("from", "to", "plane", "sphere", "box")
+                inner = key in ("from", "to", "plane", "sphere", "box", "capsule", "wheel")
                 return _write(item.setdefault(key, {}), place, value) if inner else _write(item, [key, *place], value)
     owners = [(name, owner) for name, owner in _list_owners(data) if path.startswith(f"{name}.")]
     for name, owner in owners:
@@ -102,6 +102,8 @@ def _write(owner: Data, place: list[str], value: float) -> None:
             if isinstance(tensor, list):
                 tensor = dict(zip(("xx", "yy", "zz"), tensor, strict=True))
             owner["inertia"] = tensor | {entry: value}
+        case "points", [k, axis]:
+            owner["points"][int(k) - 1]["xyz".index(axis)] = value
         case "friction", [entry]:
             owner["friction"][entry] = value
         case _, [axis]:

@@ -28,6 +28,7 @@ from mbsgen.manifest import (
     Grip,
     Mass,
     Point,
+    Rod,
     Seat,
     Tension,
     Touch,
@@ -39,6 +40,7 @@ from mbsgen.model.model import (
     WIDTH,
     Block,
     Body,
+    Capsule,
     Contact,
     ForceElement,
     Frame,
@@ -110,7 +112,8 @@ class _Seats:
     def __init__(self, model: Model, texts: Texts) -> None:
         ends: list[LoopEnd] = [end for x in model.forces for end in x.path]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
-        ends += [LoopEnd(x.other.body, x.other.placement) for x in model.contacts if isinstance(x.other, Block)]
+        turned = [x.other for x in model.contacts if isinstance(x.other, Block | Capsule)]
+        ends += [LoopEnd(x.body, x.placement) for x in turned]
         ends += [LoopEnd(body.name) for body in model.bodies]
         ends += [LoopEnd(x.body, x.placement) for x in model.frames if x.name in find_read_frames(model)]
         wanted = list(dict.fromkeys((end.body, end.placement) for end in ends if end.body != BASE))
@@ -240,7 +243,7 @@ def _has_arrow(contact: Contact) -> bool:
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
     seat, other = seats.find(contact.body, contact.placement), contact.other
     carrier = seats.find(other.body, HERE if isinstance(other, Plane | Sphere) else other.placement)
-    plane, normal, ball, brick = None, None, None, None
+    plane, normal, ball, brick, rod = None, None, None, None, None
     match other:
         case Plane():
             direction = carrier.axes @ _floats(other.normal, values)
@@ -253,6 +256,13 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         case Block():
             edges, axes = _triple(_floats(other.size, values)), tuple(carrier.axes.T.ravel().tolist())
             brick = Brick(centre=_point((carrier.frame, carrier.position)), axes=axes, size=edges)
+        case Capsule():
+            rod = Rod(
+                centre=_point((carrier.frame, carrier.position)),
+                axis=_triple(carrier.axes[:, 2]),
+                radius=_float(other.radius, values),
+                length=_float(other.length, values),
+            )
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
@@ -264,6 +274,8 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         law=_describe_grip(contact, values) if _has_arrow(contact) else None,
         sphere=ball,
         box=brick,
+        capsule=rod,
+        points=tuple(_triple(_floats(x, values)) for x in contact.points) or None,
     )
 
 

@@ -63,6 +63,7 @@ from mbsgen.model.model import (
     ZERO,
     Block,
     Body,
+    Capsule,
     Contact,
     ForceElement,
     Model,
@@ -256,6 +257,8 @@ class _Writing:
             formulas += self._write_numbers(("contacts", k), {"radius": contact.radius})
             if contact.size is not None:
                 formulas += self._write_numbers(("contacts", k, "size"), dict(enumerate(contact.size)))
+            for j, point in enumerate(contact.points):
+                formulas += self._write_numbers(("contacts", k, "points", j), dict(enumerate(point)))
             formulas += self._write_point(("contacts", k, "centre"), contact.body, contact.placement)
             side: tuple[str, ...] = ("plane",)
             if isinstance(other, Sphere):
@@ -264,8 +267,12 @@ class _Writing:
             elif isinstance(other, Block):
                 side = ("box", "centre")
                 formulas += self._write_numbers(("contacts", k, "box", "size"), dict(enumerate(other.size)))
-            # a plane and a sphere have a point in the axes of their body, a box has its own axes
-            at = (other.placement, ORIGIN) if isinstance(other, Block) else (HERE, other.position)
+            elif isinstance(other, Capsule):
+                side = ("capsule", "centre")
+                numbers: dict[str | int, Expression] = {key: getattr(other, key) for key in ("radius", "length")}
+                formulas += self._write_numbers(("contacts", k, "capsule"), numbers)
+            # a plane and a sphere have a point in the axes of their body, a box and a capsule have their own axes
+            at = (other.placement, ORIGIN) if isinstance(other, Block | Capsule) else (HERE, other.position)
             formulas += self._write_point(("contacts", k, *side), other.body, *at)
         except ExpressionError:
             return found.model_copy(update={"law": None})
@@ -273,10 +280,10 @@ class _Writing:
         return found
 
     def _refuse_turned(self, contact: Contact) -> None:
-        """Refuse a box or a plane that run-time parameters turn."""
+        """Refuse sides that run-time parameters turn."""
         other = contact.other
-        turned = [self._seats.find(other.body, other.placement if isinstance(other, Block) else HERE)]
-        turned += [self._seats.find(contact.body, contact.placement)] if contact.size is not None else []
+        turned = [self._seats.find(other.body, other.placement if isinstance(other, Block | Capsule) else HERE)]
+        turned += [self._seats.find(contact.body, contact.placement)] if contact.has_points else []
         if any(seat.axes_symbols.free_symbols for seat in turned):
             raise ExpressionError("axes that run-time parameters turn", "keep their angles constant")
 

@@ -291,8 +291,17 @@ class Brick(_Entry):
     size: tuple[float, float, float]  # [m]
 
 
+class Rod(_Entry):
+    """A capsule that another side touches."""
+
+    centre: Point
+    axis: tuple[float, float, float]  # in the frame of the centre, a unit vector
+    radius: float  # [m]
+    length: float  # between the centres of its ends [m]
+
+
 class Touch(_Entry):
-    """A contact of a sphere, a box or a point with a plane, or of a sphere or a point with a sphere or a box."""
+    """A contact of a sphere, a box, a hull or a point with a plane, or of a sphere or a point with another solid."""
 
     name: str
     centre: Point
@@ -304,10 +313,14 @@ class Touch(_Entry):
     law: Grip | None = None
     sphere: Ball | None = None  # in place of a plane
     box: Brick | None = None  # in place of a plane
+    capsule: Rod | None = None  # in place of a plane
+    points: tuple[tuple[float, float, float], ...] | None = None  # of a hull, along `axes` [m]
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        absent = [key for key in ("plane", "normal", "sphere", "box") if getattr(self, key) is None]
+        absent = [
+            key for key in ("plane", "normal", "sphere", "box", "capsule", "points") if getattr(self, key) is None
+        ]
         return {k: x for k, x in write(self).items() if k not in absent}
 
 

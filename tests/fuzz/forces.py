@@ -93,13 +93,18 @@ class Forces:
 
     def _list_points(self, contact: Data) -> list[Motion]:
         centre = self.own.place(self.bodies[contact["body"]], contact)
+        if "points" in contact:
+            return [centre.carry(self.own.vector(point)) for point in contact["points"]]
+        if "length" in (wheel := contact.get("wheel", {})):
+            half = self.own.direction(wheel.get("axis", "y")) * self.value(wheel["length"]) / 2
+            return [centre.carry(-half), centre.carry(half)]
         if "size" not in contact:
             return [centre]
         half = self.own.vector(contact["size"]) / 2
         return [centre.carry(half * np.array(signs)) for signs in product((-1, 1), repeat=3)]
 
     def _contact(self, contact: Data, centre: Motion) -> Iterator[Applied]:
-        given = contact.get("sphere", contact.get("box", contact.get("plane", {})))
+        given = next((contact[key] for key in ("sphere", "box", "capsule", "plane") if key in contact), {})
         carrier = given.get("body", "base")
         body = self.bodies[carrier]
         foot = body.carry(self.own.vector(given.get("position", [0, 0, 0])))
@@ -113,9 +118,18 @@ class Forces:
             gap, slope = self._measure_box(foot.R.T @ (centre.p - foot.p), self.own.vector(given["size"]), width)
             n = foot.R @ slope
             touch, gap = centre.p - radius * n, gap - radius
+        elif "capsule" in contact:
+            foot = self.own.place(body, given)
+            gap, slope = self._measure_capsule(foot.R.T @ (centre.p - foot.p), self.value(given["length"]), width)
+            n = foot.R @ slope
+            touch, gap = centre.p - radius * n, gap - radius - self.value(given["radius"])
         else:
             n = body.R @ self.own.direction(given.get("normal", "z"))
             touch = centre.p - radius * n
+            if "wheel" in contact:
+                axis = centre.R @ self.own.direction(contact["wheel"].get("axis", "y"))
+                lowest = n - (n @ axis) * axis
+                touch = touch - self.value(contact["wheel"]["radius"]) * lowest / self.own.numbers.length(lowest)
             gap = n @ (touch - foot.p)
         v = centre.v + np.cross(centre.om, touch - centre.p) - foot.v - np.cross(foot.om, touch - foot.p)
         rate = n @ v
@@ -145,6 +159,16 @@ class Forces:
         length = sqrt(y @ y + (numbers.make(1e-3) * width) ** 2)
         slope = y * E / (1 + E) / length + E / E.sum() / (1 + E.sum())
         return length - width * log(1 + 1 / E.sum()), slope * (rises - falls) / (rises + falls)
+
+    def _measure_capsule(self, x: Array, length: Any, width: Any) -> tuple[Any, Array]:
+        """Return the smooth distance of a point from the segment of a capsule, in its axes, and the gradient."""
+        exp, log, sqrt = (self.functions[name] for name in ("exp", "log", "sqrt"))
+        rises, falls = exp(x[2] / width), exp(-x[2] / width)
+        E = (rises + falls) * exp(-length / 2 / width)  # of what lies beyond the end, over the width
+        y = width * log(1 + E)
+        g = sqrt(x[0] ** 2 + x[1] ** 2 + y**2)
+        slope = y * E / (1 + E) * (rises - falls) / (rises + falls)
+        return g, np.array([x[0], x[1], slope], dtype=self.own.numbers.kind) / g
 
     def _soften(self, x: Any, width: Any) -> Any:
         """Return w log(1 + exp(x/w)), without overflow."""

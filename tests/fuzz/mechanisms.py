@@ -101,6 +101,7 @@ class _Draw:
         self.more = random.Random(f"{seed} forces")  # so that forces do not change the rest of the mechanism
         self.boxes = random.Random(f"{seed} boxes")
         self.rules = random.Random(f"{seed} rules")
+        self.hulls = random.Random(f"{seed} hulls")
         self.kinds = {name: self.source.choice(["constant", "runtime", "differentiated"]) for name in "mlak"}
         self.values = {"m": 1.7, "l": 0.6, "a": 0.35, "k": 2.5}
         self.bodies: list[dict[str, Any]] = []
@@ -215,6 +216,18 @@ class _Draw:
                 size = [self.boxes.choice([0.5, "l", "a/2"]) for _ in range(3)]
                 turn = {"axis": self.boxes.choice("xyz"), "angle": self.boxes.choice(["pi/2", 0.4, "a"])}
                 contact["box"] = {**place, "orientation": [turn][: self.boxes.randint(0, 1)], "size": size}
+                if self.hulls.random() < 0.4:
+                    del contact["box"]["size"]
+                    contact["capsule"] = {**contact.pop("box"), "radius": 0.2, "length": self.hulls.choice([0.5, "l"])}
+        elif self.hulls.random() < 0.4:
+            contact.pop("size", None)
+            own: list[dict[str, Any]] = [
+                {"radius": "a/2", "points": [[0, 0, "-l/2"], [0.1, 0, "l/2"]]},
+                {"radius": 0, "points": [[0.1, 0.2, 0], [-0.1, 0.2, 0.1], [0, -0.2, "a"]]},
+                {"radius": 0.1, "wheel": {"radius": "a", "axis": self.hulls.choice(["x", [0, 1, 0.5]])}},
+                {"radius": 0, "wheel": {"radius": 0.3, "length": self.hulls.choice([0.4, "l"])}},
+            ]
+            contact |= self.hulls.choice(own)
         return contact
 
     def number(self, low: float, high: float) -> float:

@@ -33,6 +33,7 @@ from mbsgen.model.model import (
     Block,
     Body,
     Cable,
+    Capsule,
     Carrier,
     Constraint,
     Contact,
@@ -293,6 +294,21 @@ def box(size: Vector, body: str = BASE, *, position: Vector = _ORIGIN, orientati
     return Block(vector(size), body, _place(position, orientation))
 
 
+def capsule(
+    radius: Quantity,
+    length: Quantity,
+    body: str = BASE,
+    *,
+    position: Vector = _ORIGIN,
+    orientation: Turns = (),
+) -> Capsule:
+    """Make a cylinder with round ends on a body, or on the base, that the sphere of a contact touches.
+
+    Its centre is at the position, and its axis is z; the length is between the centres of its ends.
+    """
+    return Capsule(number(radius), number(length), body, _place(position, orientation))
+
+
 def contact(
     name: str,
     body: str,
@@ -308,14 +324,15 @@ def contact(
     width: Quantity | None = None,
     friction: tuple[Quantity, Quantity] | Quantity | None = None,
     restitution: Quantity | None = None,
-    wheel: tuple[Quantity, Direction] | None = None,
+    wheel: tuple[Quantity, Direction] | tuple[Quantity, Direction, Quantity] | None = None,
     tyre: Tyre | None = None,
+    points: Sequence[Vector] = (),
 ) -> Contact:
-    """Make a contact of a sphere with a plane, a sphere or a box, or of the corners of a box with a plane.
+    """Make a contact of a sphere with a plane, a sphere, a box or a capsule, or of another shape with a plane.
 
     A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
-    restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, and its axis; a `tyre` is made by
-    `brush` or `magic`.
+    restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, its axis, and perhaps the length of
+    a cylinder; a `tyre` is made by `brush` or `magic`. `points` are the corners of a hull, rounded by the radius.
     """
     grip = None
     if isinstance(friction, tuple):
@@ -326,8 +343,8 @@ def contact(
     depth = WIDTH if width is None else number(width)
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
     law = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
-    circle = None if wheel is None else Wheel(number(wheel[0]), _direct(wheel[1]))
-    return Contact(*body_part, other, *law, circle, tyre)
+    circle = None if wheel is None else Wheel(number(wheel[0]), _direct(wheel[1]), *map(number, wheel[2:]))
+    return Contact(*body_part, other, *law, circle, tyre, tuple(map(vector, points)))
 
 
 def stop(name: str, quantity: Quantity, limits: Limits, *, hold: Quantity = 0.0, **law: Quantity) -> Stop:

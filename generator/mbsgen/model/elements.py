@@ -27,6 +27,7 @@ A contact of a sphere of centre c and radius r touches a plane, a sphere or a bo
     the same, and a wheel of radius R:  gap = n.(c - P) - R n.e - r,    p = c - R e - r n
     sphere of centre P and radius R:    gap = |c - P| - r - R,  p = (R c + r P)/(r + R),   n = (c - P)/|c - P|
     box of centre P and edges e:        gap = g - r,            p = c - r n,               n = the gradient of g by c
+    capsule of centre P and radius R:   gap = g - r - R,        p = c - r n,               n = the gradient of g by c
 The wheel turns about c and its axis a. Its sphere is at c - R e, the point of the circle that is nearest to the plane:
 
     e = (n - (n.a) a) / sqrt(1 - (n.a)^2)
@@ -51,6 +52,12 @@ where |x| = s(2 x) - x, and m = q_z + s(q_y + s(q_x - q_y) - q_z) = width log(su
 edges and from planes of equal depth, g is the distance, below 0 inside. It passes through a face without a bend, since
 s(q) - s(-q) = q. The gradient is never longer than step(m) + step(-m) = 1, so friction takes energy out everywhere.
 
+The distance g from the segment of a capsule, of length l along z, is with the same s
+
+    g = sqrt(x^2 + y^2 + s(|z| - l/2)^2).
+
+A few widths from the planes through the ends it is the distance; where it is 0, on the segment, kernels fail.
+
 The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction model", J. Comput.
 Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 """
@@ -66,7 +73,7 @@ from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
 from mbsgen.expressions import Expression, Name, names, parse
 from mbsgen.model import model
-from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Contact, ForceElement, Sphere, Stop, press
+from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Capsule, Contact, ForceElement, Sphere, Stop, press
 from mbsgen.model.quantities import name_lengths
 from mbsgen.model.symbols import total
 from mbsgen.model.tree import (
@@ -99,6 +106,7 @@ _ROOT = parse("sqrt(depth + 1e-6*width)")
 _BEYOND = parse("softplus(2*x, width) - x - edge/2")
 _OUTSIDE = parse("softplus(q, width)")
 _SIDE = parse("2*step(2*x, width) - 1")
+_END = parse("(2*step(2*x, width) - 1)*step(q, width)")  # of what lies beyond the end of a capsule, by x
 _BOX = {  # in turn
     "outside": parse("sqrt(y_x**2 + y_y**2 + y_z**2 + (1e-3*width)**2)"),
     "pair": parse("q_y + softplus(q_x - q_y, width)"),
@@ -581,6 +589,8 @@ class Loads:
         if isinstance(contact.other, Sphere):
             R = self._read(contact.other.radius, {})
             return self._meet_within(name, c, P, r, R) if contact.other.inside else self._meet_sphere(name, c, P, r, R)
+        if isinstance(contact.other, Capsule):
+            return self._meet_capsule(contact, contact.other, name, (c, P), r, side)
         if isinstance(contact.other, Block):
             return self._meet_box(contact, contact.other, name, subtract(c, P), r, side)
         (normal,) = side.axes
@@ -635,6 +645,26 @@ class Loads:
         slopes = [self._define(name, f"slope.{k}", self._read(law, own)) for k, law in zip("xyz", _SLOPES, strict=True)]
         x, y, z = (scale(slope, a) for slope, a in zip(slopes, axes, strict=True))
         n = self._define_vector(name, "n", add(add(x, y), z))
+        arm = scale(-r, n)
+        return _Meeting(n, gap, arm, add(d, arm))
+
+    def _meet_capsule(
+        self, contact: Contact, capsule: Capsule, name: str, centres: tuple[Vector, Vector], r: Expr, side: Side
+    ) -> _Meeting:
+        # as of a box: the distance is smooth where the nearest point of the segment becomes its end
+        (c, P), own = centres, {"width": self._read(contact.width, {}), "edge": self._read(capsule.length, {})}
+        d = subtract(c, P)
+        a = self._probe(name, "Z", Reading.DIRECTION, Anchor(side.anchor.body, side.axes[2]))
+        own["x"] = along = self._define(name, "along", dot(a, d))
+        across = self._define_vector(name, "across", subtract(d, scale(along, a)))
+        own["q"] = self._define(name, "q", self._read(_BEYOND, own))
+        beyond = self._define(name, "beyond", self._read(_OUTSIDE, own))
+        square = dot(across, across) + beyond**2
+        square = self._define(name, "square", square, Length(name, dot(c, c) + dot(P, P)))
+        length = self._define(name, "length", sqrt(square))
+        slope = self._define(name, "slope", self._read(_END, own) * beyond)
+        n = self._define_vector(name, "n", scale(1 / length, add(across, scale(slope, a))))
+        gap = self._define(name, "gap", length - r - self._read(capsule.radius, {}))
         arm = scale(-r, n)
         return _Meeting(n, gap, arm, add(d, arm))
 

@@ -431,7 +431,17 @@ class Block:
     placement: Placement = HERE  # of its centre and its axes, in the body's frame
 
 
-Other = Plane | Sphere | Block  # the side that a contact touches
+@dataclass(frozen=True)
+class Capsule:
+    """A cylinder with round ends on a body, or on the base: all points within the radius of a segment."""
+
+    radius: Expression  # [m]
+    length: Expression  # of the segment [m]
+    body: str = BASE
+    placement: Placement = HERE  # of its centre, in the body's frame; the segment is along the z axis
+
+
+Other = Plane | Sphere | Block | Capsule  # the side that a contact touches
 GROUND = Plane()
 HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwise
 
@@ -450,11 +460,15 @@ class Wheel:
 
     radius: Expression  # [m]
     axis: Triple = UNITS["y"]  # in the contact's frame
+    length: Expression = ZERO  # of a cylinder between two such circles [m]; 0: one circle
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact of a sphere with a plane, a sphere or a box, or of a wheel or the corners of a box with a plane."""
+    """A contact of a sphere with a plane, a sphere, a box or a capsule, or of further shapes with a plane.
+
+    These are a wheel, a cylinder, a box, and the hull of points, with its edges rounded by the radius.
+    """
 
     name: str
     body: str
@@ -470,6 +484,12 @@ class Contact:
     restitution: Expression | None = None  # of a rigid contact; None: compliant
     wheel: Wheel | None = None
     tyre: Tyre | None = None  # of a wheel, in place of friction
+    points: tuple[Triple, ...] = ()  # of a hull, in the contact's frame [m]
+
+    @property
+    def has_points(self) -> bool:
+        """Return whether it touches at several points, with numbers from 1."""
+        return self.size is not None or bool(self.points) or (self.wheel is not None and self.wheel.length != ZERO)
 
     @property
     def is_rigid(self) -> bool:
@@ -484,6 +504,8 @@ class Contact:
                 return "sphere"
             case Block():
                 return "box"
+            case Capsule():
+                return "capsule"
         return "plane"
 
 

@@ -26,6 +26,7 @@ from mbsgen.model.model import (
     ZERO,
     Block,
     Body,
+    Capsule,
     Constraint,
     Contact,
     DryFriction,
@@ -312,11 +313,13 @@ def _write_contact(contact: Contact) -> Mapped:
     content |= _write_placement(contact.placement) | _write_numbers(contact, ("radius",))
     if contact.size is not None:
         content["size"] = _write_triple(contact.size)
+    if contact.points:
+        content["points"] = [_write_triple(point) for point in contact.points]
     if contact.wheel is not None:
         content["wheel"] = {
             "radius": _write_number(contact.wheel.radius),
             "axis": _write_axis(contact.wheel.axis),
-        }
+        } | _write_numbers(contact.wheel, ("length",))
     if contact.other != GROUND:
         content[contact.key] = _write_other(contact.other)
     if contact.restitution is None:
@@ -353,6 +356,8 @@ def _write_other(other: Other) -> Mapped:
         return {**content, "radius": _write_number(other.radius), **({"inside": "true"} if other.inside else {})}
     if isinstance(other, Block):
         return {**content, "size": _write_triple(other.size)}
+    if isinstance(other, Capsule):
+        return content | {key: _write_number(getattr(other, key)) for key in ("radius", "length")}
     return content if other.normal == GROUND.normal else {**content, "normal": _write_axis(other.normal)}
 
 

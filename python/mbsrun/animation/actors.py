@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.manifest import Appearance, Manifest, Mass, Point
+from mbsgen.manifest import Appearance, Manifest, Mass, Point, Rod
 from mbsgen.style import PALETTE, mix
 from mbsrun.animation.film import Actor, Course, Kind, Layer, Line, Mesh, Solid, Triple
 from mbsrun.animation.visuals import Visual
@@ -203,13 +203,29 @@ def _draw_contacts(appearance: Appearance, size: float) -> Iterator[Solid]:
             yield Solid(Layer.CONTACTS, frame, Kind.BOX, each.size, "#009e73", at, each.axes)
         else:
             diameter = max(2.0 * each.radius, 0.018 * size)
-            yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
+            C = np.array(each.axes).reshape(3, 3)  # one a row
+            for point in each.points or ((0.0, 0.0, 0.0),):
+                place = _triple(np.array(at) + np.array(point) @ C)
+                yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", place)
         if each.box is not None:
             frame, at = each.box.centre.frame, each.box.centre.at
             yield Solid(Layer.CONTACTS, frame, Kind.BOX, each.box.size, "#009e73", at, each.box.axes)
         if each.sphere is not None:
             frame, at, diameter = each.sphere.centre.frame, each.sphere.centre.at, 2.0 * each.sphere.radius
             yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
+        if each.capsule is not None:
+            yield from _draw_capsule(each.capsule)
+
+
+def _draw_capsule(rod: Rod) -> Iterator[Solid]:
+    frame, at, axis, diameter = rod.centre.frame, np.array(rod.centre.at), np.array(rod.axis), 2.0 * rod.radius
+    columns = tuple(_complete(axis).T.ravel().tolist())
+    yield Solid(
+        Layer.CONTACTS, frame, Kind.CYLINDER, (diameter, diameter, rod.length), "#009e73", rod.centre.at, columns
+    )
+    for side in (-0.5, 0.5):
+        place = _triple(at + side * rod.length * axis)
+        yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", place)
 
 
 def _complete(z: Array) -> Array:

@@ -173,11 +173,12 @@ def find_tension(law: Tension, length: Array, rate: Array, *, cable: bool) -> Ar
 
 
 def _press(course: _Course, touch: Touch) -> Iterator[Load]:
-    """Yield the forces of a contact on the body that touches: at a sphere's centre, or at the corners of a box."""
+    """Yield the forces of a contact on the body that touches: at a sphere's centre, or at corners."""
     if touch.law is None:
         return
     C = np.array(touch.axes).reshape(3, 3)  # one a row
-    corners = np.zeros((1, 3)) if touch.size is None else SIGNS * np.array(touch.size)
+    corners = np.zeros((1, 3)) if touch.points is None else np.array(touch.points)
+    corners = corners if touch.size is None else SIGNS * np.array(touch.size)
     for corner in corners @ C:
         x, y, z = (np.array(touch.centre.at) + corner).tolist()
         foot = Point(frame=touch.centre.frame, at=(x, y, z))
@@ -201,6 +202,12 @@ def _meet(course: _Course, touch: Touch, law: Grip, c: Array) -> tuple[int, Arra
         gap, slope = measure_box(x, np.array(touch.box.size), law.width)
         n = np.einsum("kai,ka->ki", axes, slope)
         return frame, n, gap - touch.radius, c - touch.radius * n
+    if touch.capsule is not None:
+        rod = touch.capsule
+        frame, own = rod.centre.frame, np.array(rod.axis)
+        axis = _axes(course.now, frame) @ own if frame >= 0 else np.broadcast_to(own, c.shape)
+        gap, n = measure_capsule(c - course.find(rod.centre), axis, rod.length, law.width)
+        return frame, n, gap - touch.radius - rod.radius, c - touch.radius * n
     assert touch.plane is not None, "a contact has another side"
     frame, normal = touch.plane.frame, np.array(touch.normal)
     n = np.broadcast_to(normal, (len(course.now.p), 3)) if frame < 0 else _axes(course.now, frame) @ normal
@@ -216,6 +223,17 @@ def measure_box(x: Array, size: Array, width: float) -> tuple[Array, Array]:
     m = width * np.logaddexp.reduce(q / width, axis=1)
     slope = y * _step(q / width) / outside[:, None] + (_step(-m / width)[:, None] * np.exp((q - m[:, None]) / width))
     return outside - soften(-m, width), (2 * _step(2 * x / width) - 1) * slope
+
+
+def measure_capsule(d: Array, axis: Array, length: float, width: float) -> tuple[Array, Array]:
+    """Return the smooth distances (K,) from segments of directions (K, 3), and their gradients, at points d (K, 3)."""
+    along = np.einsum("ki,ki->k", axis, d)
+    q = soften(2 * along, width) - along - length / 2
+    beyond = soften(q, width)
+    across = d - along[:, None] * axis
+    gap = np.sqrt(np.sum(across**2, axis=1) + beyond**2)
+    slope = (2 * _step(2 * along / width) - 1) * _step(q / width) * beyond
+    return gap, (across + slope[:, None] * axis) / np.maximum(gap, 1e-12)[:, None]
 
 
 def _step(x: Array) -> Array:

@@ -613,13 +613,22 @@ def _make_surface(wrap: model.Wrap, seat: _Seat, reader: _Reader, points: int) -
 
 
 def _list_points(contact: model.Contact, reader: _Reader) -> Iterator[tuple[str, Vector]]:
-    """List the centre of a sphere, or the corners of a box, with their names."""
-    if contact.size is None:
+    """List the centre of a sphere or a wheel, or the corners of a box or a hull, with their names."""
+    if not contact.has_points:
         yield contact.name, (ZERO, ZERO, ZERO)
         return
-    for k, signs in enumerate(product((-1, 1), repeat=3), 1):
-        corner = (s * side / 2 for s, side in zip(signs, reader.vector(contact.size), strict=True))
-        yield f"{contact.name}.{k}", _vector(corner)
+    yield from ((f"{contact.name}.{k}", point) for k, point in enumerate(_list_corners(contact, reader), 1))
+
+
+def _list_corners(contact: model.Contact, reader: _Reader) -> Iterator[Vector]:
+    """List the corners of a box or a hull, or the centres of the circles of a cylinder, in the contact's frame."""
+    if contact.size is not None:
+        for signs in product((-1, 1), repeat=3):
+            yield _vector(s * side / 2 for s, side in zip(signs, reader.vector(contact.size), strict=True))
+    if contact.wheel is not None:
+        axis, half = normalise(reader.direction(contact.wheel.axis)), reader.number(contact.wheel.length) / 2
+        yield from (_vector(side * half * a for a in axis) for side in (-1, 1))
+    yield from map(reader.vector, contact.points)
 
 
 def normalise(direction: Vector) -> Vector:

@@ -28,6 +28,7 @@ from mbsgen.model.model import (
     Block,
     Body,
     Cable,
+    Capsule,
     Constraint,
     Contact,
     DryFriction,
@@ -50,6 +51,7 @@ from mbsgen.model.model import (
     Stop,
     Stops,
     Triple,
+    Wheel,
     Wrap,
     Wrench,
 )
@@ -316,11 +318,15 @@ class _Release:
             other=self._other(f"{path}.{contact.key}", contact.other),
             dissipation=contact.dissipation if is_rigid else self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
-            wheel=contact.wheel
-            and replace(contact.wheel, radius=self._number(f"{path}.wheel.radius", contact.wheel.radius)),
+            wheel=contact.wheel and self._wheel(f"{path}.wheel", contact.wheel),
+            points=tuple(self._triple(f"{path}.points.{k}", point) for k, point in enumerate(contact.points, 1)),
             friction=grip,
             tyre=contact.tyre and self._tyre(f"{path}.tyre", contact.tyre),
         )
+
+    def _wheel(self, path: str, wheel: Wheel) -> Wheel:
+        length = wheel.length if wheel.length == ZERO else self._number(f"{path}.length", wheel.length)
+        return replace(wheel, radius=self._number(f"{path}.radius", wheel.radius), length=length)
 
     def _stop(self, stop: Stop) -> Stop:
         path = f"stops.{stop.name}"
@@ -349,6 +355,9 @@ class _Release:
         if isinstance(other, Block):
             placement = self._placement(path, other.placement)
             return replace(other, placement=placement, size=self._triple(f"{path}.size", other.size))
+        if isinstance(other, Capsule):
+            radius, length = (self._number(f"{path}.{key}", getattr(other, key)) for key in ("radius", "length"))
+            return replace(other, placement=self._placement(path, other.placement), radius=radius, length=length)
         position = self._triple(f"{path}.position", other.position)
         if isinstance(other, Sphere):
             return replace(other, position=position, radius=self._number(f"{path}.radius", other.radius))

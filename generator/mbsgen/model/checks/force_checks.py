@@ -18,6 +18,7 @@ from mbsgen.model.model import (
     LENGTH_RATE,
     ZERO,
     Block,
+    Capsule,
     Contact,
     ForceElement,
     Model,
@@ -33,6 +34,7 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tyres import MAGIC, NEEDED, POSITIVE, Tyre
 from mbsgen.model.valuation import Valuation
 
+MOST_POINTS = 100  # of a hull
 State = Mapping[str, Expr]  # the symbols that forces may read, by name
 
 
@@ -225,13 +227,16 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
         for k, edge in enumerate(contact.size):
             yield from _check_positive((*place, "size", k), edge, valuation)
         if contact.radius != ZERO:
-            yield Finding((*place, "radius"), "a box with a radius", "give a size or a radius, or make two contacts")
+            finding = "a box with a radius"
+            yield Finding((*place, "radius"), finding, "give a size or a radius, or its corners as points")
+    yield from _check_points(place, contact, valuation)
     if contact.tyre is not None:
         yield from _check_tyre(place, contact, contact.tyre, valuation)
     if contact.wheel is not None:
         yield from _check_positive((*place, "wheel", "radius"), contact.wheel.radius, valuation)
         if contact.size is not None:
             yield Finding((*place, "wheel"), "a wheel with a size", "give one of them")
+        yield from _check_not_negative((*place, "wheel", "length"), contact.wheel.length, valuation)
         if not isinstance(contact.other, Plane):
             yield Finding((*place, "wheel"), f"a wheel and a {contact.key}", "a wheel touches a plane alone")
     yield from _check_positive((*place, "width"), contact.width, valuation)
@@ -253,11 +258,29 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
 
 
+def _check_points(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with the points of a hull."""
+    at = (*place, "points")
+    for k, point in enumerate(contact.points):
+        for axis, number in enumerate(point):
+            valuation.number((*at, k, axis), number)
+    if len(contact.points) == 1:
+        yield Finding(at, "one point", "give it as position, or further points")
+    if len(contact.points) > MOST_POINTS:
+        finding = f"{len(contact.points)} points, where {MOST_POINTS} are allowed"
+        yield Finding(at, finding, "give the corners of a coarser hull: each point has equations of its own")
+    if contact.points and (contact.size is not None or contact.wheel is not None):
+        other = "a wheel" if contact.size is None else "a size"
+        yield Finding(at, f"points with {other}", "give one of them")
+
+
 def _check_tyre(place: Place, contact: Contact, tyre: Tyre, valuation: Valuation) -> Iterator[Finding]:
     """Find what is wrong with a tyre and its numbers."""
     at = (*place, "tyre")
     if contact.wheel is None:
         yield Finding(at, "a tyre without a wheel", "give the contact a wheel")
+    elif contact.wheel.length != ZERO:
+        yield Finding(at, "a tyre on a cylinder", "leave out the length of the wheel: a tyre touches at one point")
     for key, given in (("friction", contact.friction), ("restitution", contact.restitution)):
         if given is not None:
             yield Finding((*place, key), f"{key} beside a tyre", "leave it out: the tyre has its own law")
@@ -303,7 +326,7 @@ def _check_rigid(place: Place, contact: Contact, valuation: Valuation) -> Iterat
 
 
 def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
-    """Find what is wrong with the plane, the sphere or the box that is touched."""
+    """Find what is wrong with the side that is touched."""
     other, at = contact.other, (*place, contact.key)
     valuation.placement(at, other.placement)
     if isinstance(other, Plane):
@@ -311,6 +334,9 @@ def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterat
     elif isinstance(other, Block):
         for k, edge in enumerate(other.size):
             yield from _check_positive((*at, "size", k), edge, valuation)
+    elif isinstance(other, Capsule):
+        for key in ("radius", "length"):
+            yield from _check_positive((*at, key), getattr(other, key), valuation)
     else:
         yield from _check_positive((*at, "radius"), other.radius, valuation)
         if other.inside:
@@ -319,9 +345,16 @@ def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterat
             if 0 < within <= own:
                 finding = f"found {within:g}, where the contact's own radius is {own:g}"
                 yield Finding((*at, "radius"), finding, "give more: that sphere stays within")
-    if contact.size is not None and not isinstance(other, Plane):
-        finding = f"a box and a {contact.key}: its corners miss a {contact.key} between them"
-        yield Finding((*place, "size"), finding, "give the contact a radius, one for each sphere that makes up the box")
+    if isinstance(other, Plane):
+        return
+    remedy = f"give the contact a radius, one for each sphere that makes up the {'hull' if contact.points else 'box'}"
+    if contact.size is not None:
+        yield Finding(
+            (*place, "size"), f"a box and a {contact.key}: its corners miss a {contact.key} between them", remedy
+        )
+    if contact.points:
+        finding = f"points and a {contact.key}: they miss a {contact.key} between them"
+        yield Finding((*place, "points"), finding, remedy)
 
 
 def _check_normal(place: Place, normal: Triple, valuation: Valuation) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from mbsgen.model.model import (
     ZERO,
     Block,
     Cable,
+    Capsule,
     Contact,
     ForceElement,
     Grip,
@@ -297,6 +298,14 @@ class OtherBoxSection(PlacementSection):
     size: TripleField = Field(examples=[[0.3, 0.2, 0.1]], description="its edges, m; its centre is its origin")
 
 
+class OtherCapsuleSection(PlacementSection):
+    """A cylinder with round ends on a body, or on the base, that a sphere touches; it is along its z axis."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    radius: NumberField = Field(examples=[0.05], description="m")
+    length: NumberField = Field(examples=[0.4], description="between the centres of its ends, m")
+
+
 class StopSection(Section):
     """Stops at limits of a number of the pose: rigid, or compliant."""
 
@@ -341,6 +350,7 @@ class WheelSection(Section):
         None, examples=[0.35], description="m, of the circle; without, that in the file of the tyre"
     )
     axis: DirectionField = Field(UNITS["y"], examples=["y"], description="in the contact's frame")
+    length: NumberField = Field(ZERO, examples=[0.2], description="of a cylinder between two such circles, m")
 
 
 def _read_tyre_name(value: Any) -> str:
@@ -381,16 +391,20 @@ class TyreSection(Section):
 
 
 class ContactSection(PlacementSection):
-    """A contact of a sphere with a plane, a sphere or a box, or of a wheel or the corners of a box with a plane."""
+    """A contact of a sphere with a plane, sphere, box or capsule, or of a box, a wheel or a hull with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
     radius: NumberField = Field(ZERO, examples=[0.03], description="of a sphere, m; a point without")
     size: Annotated[TripleField | None, Field(examples=[[0.3, 0.2, 0.1]], description="edges of a box, m")] = None
+    points: Annotated[
+        tuple[TripleField, ...], Field(examples=[[]], description="of a hull, m; with a radius, spheres about them")
+    ] = ()
     wheel: WheelSection | None = Field(None, examples=[None], description="that rolls on a plane, in place of a size")
     plane: PlaneSection | None = Field(None, examples=[{"normal": "z"}], description="else the ground z = 0")
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
+    capsule: OtherCapsuleSection | None = Field(None, examples=[None], description="in place of a plane")
     stiffness: NumberField | None = Field(None, examples=[1e5], description="of a compliant contact, N/m**exponent")
     restitution: NumberField | None = Field(
         None, examples=[None], description="of a rigid contact, in place of a stiffness: 0 to 1"
@@ -410,6 +424,8 @@ class ContactSection(PlacementSection):
         """The side that is touched, as a part of a Model."""
         if self.box is not None:
             return Block(self.box.size, self.box.body, self.box.placement)
+        if self.capsule is not None:
+            return Capsule(self.capsule.radius, self.capsule.length, self.capsule.body, self.capsule.placement)
         if self.sphere is not None:
             return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position, self.sphere.inside)
         return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)
@@ -421,7 +437,9 @@ class ContactSection(PlacementSection):
         stiffness, exponent, dissipation, wheel = self.stiffness, self.exponent, self.dissipation, None
         if self.wheel is not None:
             free = vertical.get("UNLOADED_RADIUS")
-            wheel = Wheel(self.wheel.radius or (ONE if free is None else Number(free)), self.wheel.axis)
+            wheel = Wheel(
+                self.wheel.radius or (ONE if free is None else Number(free)), self.wheel.axis, self.wheel.length
+            )
         if stiffness is None and self.restitution is not None:
             stiffness = ZERO
         elif stiffness is None and table is not None and "VERTICAL_STIFFNESS" in vertical:
@@ -442,4 +460,5 @@ class ContactSection(PlacementSection):
             self.restitution,
             wheel,
             None if self.tyre is None else self.tyre.make(table),
+            self.points,
         )
