@@ -164,7 +164,7 @@ class Forces:
         """Return the smooth distance of a point from the segment of a capsule, in its axes, and the gradient."""
         exp, log, sqrt = (self.functions[name] for name in ("exp", "log", "sqrt"))
         rises, falls = exp(x[2] / width), exp(-x[2] / width)
-        E = (rises + falls) * exp(-length / 2 / width)  # of what lies beyond the end, over the width
+        E = (rises + falls) * exp(-length / 2 / width)  # exp of the way beyond the end, over the width
         y = width * log(1 + E)
         g = sqrt(x[0] ** 2 + x[1] ** 2 + y**2)
         slope = y * E / (1 + E) * (rises - falls) / (rises + falls)

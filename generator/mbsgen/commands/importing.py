@@ -38,6 +38,12 @@ _IMPORTING = (
         help="Stop joints at their limits in simulations, with this restitution.",
     ),
     robot_option(
+        "--contacts",
+        type=click.FloatRange(0, 1),
+        metavar="E",
+        help="Let the geoms of MJCF touch its planes rigidly, with this restitution.",
+    ),
+    robot_option(
         "--quarter-turns",
         type=click.FloatRange(0, 0.01),
         default=Choices.quarter_turns,
@@ -75,6 +81,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
         friction_speed: float,
         dry_friction: bool,
         stops: float | None,
+        contacts: float | None,
         quarter_turns: float,
         allow_unphysical: bool,
         root: Path | None,
@@ -96,6 +103,7 @@ def importing(command: Callable[..., None]) -> Callable[..., None]:
             friction_speed=friction_speed,
             dry_friction=dry_friction,
             stops=stops,
+            contacts=contacts,
             quarter_turns=quarter_turns,
             allow_unphysical=allow_unphysical,
             root=root,

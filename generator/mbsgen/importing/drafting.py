@@ -22,7 +22,7 @@ from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule, Spot, Term
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element
-from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_triple
+from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_axis, write_triple
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.checks.naming import MAX_LENGTH
@@ -35,6 +35,7 @@ from mbsgen.model.model import (
     ZERO,
     Body,
     Constraint,
+    Contact,
     DryFriction,
     Fixed,
     Follow,
@@ -50,7 +51,6 @@ from mbsgen.model.model import (
     Placement,
     Stop,
     Stops,
-    Triple,
     Visual,
     Wrap,
     Wrench,
@@ -90,6 +90,7 @@ class Choices:
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     dry_friction: bool = False  # joints stick and slide, in simulations; else friction is smoothed
     stops: float | None = None  # the restitution of rigid stops at all limits; None: no stops
+    contacts: float | None = None  # the restitution of rigid contacts with the planes of MJCF; None: no contacts
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
     allow_unphysical: bool = False  # accept inertias that no body can have
     root: Path | None = None  # the folder that holds all files which the file names; None: the file's own
@@ -250,6 +251,7 @@ class Draft:
     _names: dict[str, set[str]] = field(default_factory=dict)
     _forces: list[tuple[ForceElement, Element]] = field(default_factory=list)
     _reaches: list[tuple[Stop, Reach, tuple[str, ...], Element]] = field(default_factory=list)
+    _contacts: list[Contact] = field(default_factory=list)
     _signals: list[str] = field(default_factory=list)
     _labels: dict[str, str] = field(default_factory=dict)  # name in the model -> in the file, of sensors and forces
     _equations: list[Equation] = field(default_factory=list)  # of the model
@@ -326,6 +328,10 @@ class Draft:
         self._forces.append((element, source))
         self._signals += signals
 
+    def add_contact(self, contact: Contact, source: Element) -> None:
+        """Add a contact with a plane, under a name that no other has."""
+        self._contacts.append(replace(contact, name=self._choose_name("contact", contact.name, source)))
+
     def add_stops(self, name: str, reach: Reach, limits: tuple[float, float], source: Element) -> None:
         """Add stops at the limits of a number, with the restitution of the choices."""
         assert self.choices.stops is not None, "the choices ask for stops"
@@ -391,6 +397,9 @@ class Draft:
             allow_unphysical=not allowed,
         )
         model = self._write_stops(self._damp_balls(self._close(self._drop_idle(model))))
+        carriers = find_carriers(model)
+        touching = [x for x in self._contacts if carriers.get(x.body) != carriers.get(x.other.body, BASE)]
+        model = replace(model, contacts=tuple(touching))
         self._check_model(model, root)
         self._tell_fixed(model)
         self._tell_angles()
@@ -447,7 +456,7 @@ class Draft:
                     self.closing.rules[move.name] = move.follows
             joints.append(
                 Joint(
-                    move.motion, _write_axis(move.axis), None if name == body and len(kept) == 1 else name,
+                    move.motion, write_axis(move.axis), None if name == body and len(kept) == 1 else name,
                     self.writer.placement(pose), move.actuated, lower, upper, move.law,
                     speed, force, Number(move.armature), floats=move.floats,
                 )
@@ -506,8 +515,8 @@ class Draft:
 
     def _write_loop(self, closure: Closure) -> Loop:
         one, other = (LoopEnd(spot.body, self.writer.placement(spot.pose)) for spot in (closure.first, closure.second))
-        axis = UNITS["z"] if closure.axis is None else _write_axis(closure.axis)
-        axis2 = UNITS["x"] if closure.axis2 is None else _write_axis(closure.axis2)
+        axis = UNITS["z"] if closure.axis is None else write_axis(closure.axis)
+        axis2 = UNITS["x"] if closure.axis2 is None else write_axis(closure.axis2)
         name = self._choose_name("loop", closure.name, closure.source)
         return Loop(name, closure.cut, one, other, axis, axis2, pitch=Number(closure.pitch))
 
@@ -733,14 +742,6 @@ def _list_joints(carrier: Joint | Fixed | tuple[Joint, ...]) -> tuple[Joint, ...
     if isinstance(carrier, Fixed):
         return ()
     return (carrier,) if isinstance(carrier, Joint) else carrier
-
-
-def _write_axis(axis: Array) -> Triple:
-    """Write a direction; coordinate axes in their own form, whatever their length."""
-    present = [k for k in range(3) if axis[k] != 0]
-    if len(present) == 1:
-        return UNITS[("-" if axis[present[0]] < 0 else "") + "xyz"[present[0]]]
-    return write_triple(axis)
 
 
 def _is_unfit(character: str) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import Expression, Number
-from mbsgen.model.model import Placement, Rotation, Triple
+from mbsgen.model.model import UNITS, Placement, Rotation, Triple
 from mbsgen.model.orientations import QUARTER, find_turns, turn, write_angle
 
 Array = NDArray[np.float64]
@@ -84,3 +84,11 @@ def write_triple(vector: Sequence[float] | Array) -> Triple:
     """Write three numbers."""
     a, b, c = (Number(float(x) or 0.0) for x in vector)
     return a, b, c
+
+
+def write_axis(axis: Array) -> Triple:
+    """Write a direction; coordinate axes in their own form, whatever their length."""
+    present = [k for k in range(3) if axis[k] != 0]
+    if len(present) == 1:
+        return UNITS[("-" if axis[present[0]] < 0 else "") + "xyz"[present[0]]]
+    return write_triple(axis)

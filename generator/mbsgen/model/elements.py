@@ -106,7 +106,7 @@ _ROOT = parse("sqrt(depth + 1e-6*width)")
 _BEYOND = parse("softplus(2*x, width) - x - edge/2")
 _OUTSIDE = parse("softplus(q, width)")
 _SIDE = parse("2*step(2*x, width) - 1")
-_END = parse("(2*step(2*x, width) - 1)*step(q, width)")  # of what lies beyond the end of a capsule, by x
+_END = parse("(2*step(2*x, width) - 1)*step(q, width)")  # by x, of the distance beyond the end of a capsule
 _BOX = {  # in turn
     "outside": parse("sqrt(y_x**2 + y_y**2 + y_z**2 + (1e-3*width)**2)"),
     "pair": parse("q_y + softplus(q_x - q_y, width)"),

@@ -207,7 +207,7 @@ def test_contacts_that_a_model_leaves_out_are_a_warning(tmp_path: Path) -> None:
     inner = world(f'<geom type="plane" size="1 1 1"/>{moving}')
     classes = '<default><default class="ghost"><geom contype="0" conaffinity="0"/></default></default>'
     (warning,) = warnings(import_model(write(tmp_path, classes + inner)))
-    assert "2 of the bodies' geoms may touch others: they pass through; a model describes contacts" in warning
+    assert "2 of the bodies' geoms may touch others: they pass through; --contacts 0 makes contacts" in warning
     alone = f'<geom type="plane" size="1 1 1"/><body name="a"><joint name="one"/>{INERTIAL}</body>'
     assert not warnings(import_model(write(tmp_path, world(alone))))
 

@@ -61,6 +61,12 @@ class Meshes:
         unit = self._look_up(name)
         return unit.scaled(density if mass is None else mass / unit.mass)
 
+    def enclose(self, name: str) -> Array:
+        """Return the corners of a mesh's convex hull, in its own frame (k, 3). Raises MeshError."""
+        _, corners = self._measure(name)
+        _, faces = enclose(corners)
+        return corners[np.unique(faces)]
+
     def fit(self, name: str, shape: str, scale: float) -> tuple[list[float], Pose]:
         """Return the sizes of a shape fitted to a mesh, and its pose in the mesh's frame. Raises MeshError."""
         unit = self._look_up(name)

@@ -31,6 +31,7 @@ from mbsgen.importing.drafting import (
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mjcf.actuators import JOINTS, TERMS, read_actuators, read_polynomial
+from mbsgen.importing.mjcf.contacts import Contacts, Geom
 from mbsgen.importing.mjcf.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.mjcf.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.mjcf.geoms import (
@@ -130,7 +131,7 @@ class _Scene:
         self._reference = Reference()
         self._times: dict[int, tuple[float, ...]] = {}  # time constants and ratios of damping
         self._degrees: dict[int, list[int]] = {}  # numbers in the reference, by the identities of joints
-        self._touching = 0  # number of geoms of bodies that may have contacts
+        self._contacts = Contacts(self._draft, findings, self._measure, self._enclose, self._read_pose)
 
     def read(self) -> Imported:
         """Read the file, and complete the model."""
@@ -229,13 +230,12 @@ class _Scene:
                 self._skipped[element.tag] += 1
                 if body.tag == "worldbody" and self._defaults.resolve(element, part.active).get("type") != "plane":
                     self._findings.omit(element, "this geom is not drawn: it belongs to the world")
-                self._touching += element.tag == "geom" and body.tag != "worldbody" and self._touches(part)
+                if element.tag == "geom":
+                    owner = "world" if body.tag == "worldbody" else body.attributes.get("name", "")
+                    attributes = self._defaults.resolve(element, part.active)
+                    spot = Spot(own, inner @ part.around)
+                    self._contacts.note(Geom(element, attributes, spot, owner, is_still))
         waiting += found[::-1]
-
-    def _touches(self, part: _Placed) -> bool:
-        """Return whether a geom may have contacts: it may, unless both its masks are 0."""
-        attributes = self._defaults.resolve(part.element, part.active)
-        return any(attributes.get(mask, "1").strip() != "0" for mask in ("contype", "conaffinity"))
 
     def _unframe(self, element: Element, around: Pose, active: str) -> Iterator[_Placed]:
         """Yield the children of a body, or of a <frame>, with all frames resolved."""
@@ -644,6 +644,10 @@ class _Scene:
         pose = Pose(turn_to(along) if half else np.eye(3), middle)
         return [*[size[0]] * (count - 1), half], pose
 
+    def _enclose(self, element: Element, attributes: Mapping[str, str]) -> tuple[Array, Pose]:
+        """Return the corners of the convex hull of a geom's mesh, and its pose. Raises MeshError."""
+        return self._meshes.enclose(attributes.get("mesh", "")), self._read_pose(element, attributes)
+
     # --- pictures ----------------------------------------------------------------------------------------------------
 
     def _read_visuals(self, parts: list[_Placed], inner: Pose) -> list[Visual]:
@@ -699,15 +703,23 @@ class _Scene:
         if self._skipped:
             counts = ", ".join(f"{count} {tag}" for tag, count in sorted(self._skipped.items()))
             self._findings.sum_up(f"read for masses, or left out: {counts}")
-        if any(element.tag == "pair" for section in self._root.all("contact") for element in section.children):
-            self._touching = max(self._touching, 2)  # masks do not prevent it
-        if self._touching and not self._settings.lacks("contact"):
-            text = (
-                f"{self._touching} of the bodies' geoms may touch others: they pass through; a model describes contacts"
-            )
-            self._findings.sum_up(f"{text} under `contacts`", alters=True)
+        if not self._settings.lacks("contact"):
+            self._tell_contacts()
         if not self._drives.efforts:
             self._findings.sum_up("no actuator is given: every hinge and slide has an input u")
+
+    def _tell_contacts(self) -> None:
+        """Add the contacts that the choices ask for, and warn of all others."""
+        pairs = [x for section in self._root.all("contact") for x in section.all("pair")]
+        count = len(self._contacts.moving)
+        if self._choices.contacts is not None:
+            self._contacts.add(self._root)
+            for pair in pairs:
+                self._findings.warn(pair, "a pair of geoms is left out: contacts are made by their masks")
+        elif count or pairs:
+            text = f"{max(count, 2) if pairs else count} of the bodies' geoms may touch others: they pass through"
+            remedy = "--contacts 0 makes contacts with planes, and a model describes others under `contacts`"
+            self._findings.sum_up(f"{text}; {remedy}", alters=True)
 
 
 def write_polynomials(spring: Sequence[float], rest: float, damper: Sequence[float]) -> Expression:

@@ -268,7 +268,7 @@ def _check_points(place: Place, contact: Contact, valuation: Valuation) -> Itera
         yield Finding(at, "one point", "give it as position, or further points")
     if len(contact.points) > MOST_POINTS:
         finding = f"{len(contact.points)} points, where {MOST_POINTS} are allowed"
-        yield Finding(at, finding, "give the corners of a coarser hull: each point has equations of its own")
+        yield Finding(at, finding, "give the corners of a coarser hull: each point adds equations")
     if contact.points and (contact.size is not None or contact.wheel is not None):
         other = "a wheel" if contact.size is None else "a size"
         yield Finding(at, f"points with {other}", "give one of them")

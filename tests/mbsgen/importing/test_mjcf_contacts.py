@@ -1,0 +1,171 @@
+"""Contacts of MJCF: which geoms touch which planes, where, and how roughly, as MuJoCo has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from mbsgen.expressions import FLOATS, evaluate
+from mbsgen.importing import Choices, Imported, import_model
+from mbsgen.model.changes.reduction import build_tree
+from mbsgen.model.writer import write_model
+from mbsrun import load
+from mbsrun.simulation import Settings, simulate
+from mbsrun.simulation.drive import hold
+from tests.mbsgen.model.pairs import call
+
+CORNERS = "0 0 0  0.2 0 0  0 0.3 0  0 0 0.25  0.05 0.05 0.05"
+SCENE = f"""\
+<mujoco>
+  <compiler angle="radian"/>
+  <default><geom friction="0.6 0.01 0.001"/></default>
+  <asset><mesh name="wedge" vertex="{CORNERS}"/></asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1" euler="0.2 0 0" pos="0 0 -0.1"/>
+    <body pos="0.1 0.2 1" euler="0.3 0 0.1">
+      <freejoint/>
+      <frame pos="0.1 0 0" euler="0 0.4 0">GEOM</frame>
+      <inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.2 0.15"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+GEOMS = {
+    "sphere": '<geom name="g" size="0.1" pos="0.1 0 0"/>',
+    "capsule": '<geom name="g" type="capsule" size="0.05 0.2" euler="0.5 0 0"/>',
+    "capsule between points": '<geom name="g" type="capsule" size="0.05" fromto="0 0 0 0.2 0.1 0.3"/>',
+    "box": '<geom name="g" type="box" size="0.1 0.2 0.3" pos="0 0.1 0" euler="0 0 1"/>',
+    "mesh": '<geom name="g" type="mesh" mesh="wedge" pos="0.1 0 0.1" euler="0 1 0"/>',
+}
+
+
+def bring(text: str, folder: Path, contacts: float | None = 0.0) -> Imported:
+    file = folder / "scene.xml"
+    file.write_text(text, encoding="utf-8")
+    return import_model(file, Choices(contacts=contacts, quaternions=True))
+
+
+@pytest.mark.parametrize("shape", GEOMS)
+def test_the_least_distance_is_that_of_mujoco(shape: str, tmp_path: Path) -> None:
+    """Above and below the plane, at random poses of the body: the deepest point of each shape."""
+    text = SCENE.replace("GEOM", GEOMS[shape])
+    (touch,) = bring(text, tmp_path).model.contacts
+    tree = build_tree(bring(text, tmp_path).model)
+    assert touch.name == "g"
+    model = mujoco.MjModel.from_xml_string(text)
+    data, random = mujoco.MjData(model), np.random.default_rng(5)
+    for _ in range(10):
+        quaternion = random.normal(size=4)
+        w, x, y, z = quaternion / np.linalg.norm(quaternion)
+        place = [*random.uniform(-0.5, 0.5, 2), random.uniform(0, 2)]
+        data.qpos[:] = [*place, w, x, y, z]
+        mujoco.mj_forward(model, data)
+        gaps = call(tree, "touching", q=[*place, x, y, z, w])["clearance"]
+        assert min(gaps) == pytest.approx(mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None), abs=2e-7)
+
+
+def test_a_cylinder_touches_by_points_of_its_rims(tmp_path: Path) -> None:
+    """Never less deep than the cylinder itself, and by no more than the rim's arc between two points."""
+    text = SCENE.replace("GEOM", '<geom name="g" type="cylinder" size="0.1 0.3" euler="0 0.7 0"/>')
+    found = bring(text, tmp_path)
+    tree, model = build_tree(found.model), mujoco.MjModel.from_xml_string(text)
+    assert any("16 points of each rim" in str(x) for x in found.notices)
+    data, random = mujoco.MjData(model), np.random.default_rng(5)
+    for _ in range(20):
+        quaternion = random.normal(size=4)
+        w, x, y, z = quaternion / np.linalg.norm(quaternion)
+        data.qpos[:] = [0, 0, 1, w, x, y, z]
+        mujoco.mj_forward(model, data)
+        gaps = call(tree, "touching", q=[0, 0, 1, x, y, z, w])["clearance"]
+        least = mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None)
+        assert -1e-7 <= min(gaps) - least <= 0.1 * (1 - np.cos(np.pi / 16)) + 1e-7
+
+
+def count(text: str, folder: Path) -> int:
+    """Count the geoms that touch a plane."""
+    return len(bring(text, folder).model.contacts)
+
+
+@pytest.mark.parametrize("type_a", [0, 1, 2, 3])
+@pytest.mark.parametrize("affinity_a", [0, 1, 2])
+def test_masks_decide_as_in_mujoco(type_a: int, affinity_a: int, tmp_path: Path) -> None:
+    """A sphere within two planes with other masks: as many contacts as MuJoCo finds."""
+    ball = f'<geom name="g" size="0.5" contype="{type_a}" conaffinity="{affinity_a}"/>'
+    text = SCENE.replace("GEOM", ball).replace('pos="0.1 0.2 1"', 'pos="0 0 0"')
+    text = text.replace("<worldbody>", '<worldbody><geom type="plane" size="0 0 1" contype="2" conaffinity="1"/>')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert count(text, tmp_path) == data.ncon
+
+
+def test_excluded_bodies_do_not_touch(tmp_path: Path) -> None:
+    text = SCENE.replace("GEOM", GEOMS["sphere"]).replace("<body pos", '<body name="b" pos')
+    excluded = text.replace("</mujoco>", '<contact><exclude body1="world" body2="b"/></contact></mujoco>')
+    assert [count(x, tmp_path) for x in (text, excluded)] == [1, 0]
+    assert count(text.replace("<compiler", '<option><flag contact="disable"/></option><compiler'), tmp_path) == 0
+
+
+@pytest.mark.parametrize(
+    ("own", "plane", "expected"),
+    [
+        ("", "", 0.6),
+        ('friction="0.9"', "", 0.9),
+        ('friction="0.3"', "", 0.6),
+        ('friction="0.3" priority="1"', "", 0.3),
+        ('friction="0.3"', 'priority="2"', 0.6),
+        ('condim="1"', 'condim="1"', None),
+        ('condim="1"', "", 0.6),
+        ('condim="1" priority="1"', "", None),
+    ],
+)
+def test_friction_is_combined_as_in_mujoco(own: str, plane: str, expected: float | None, tmp_path: Path) -> None:
+    text = SCENE.replace("GEOM", f'<geom name="g" size="2" {own}/>').replace('name="floor"', f'name="floor" {plane}')
+    (touch,) = bring(text, tmp_path).model.contacts
+    found = None if touch.friction is None else evaluate(touch.friction.coefficient, {}, FLOATS)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert found == expected
+    assert (None if data.contact.dim[0] == 1 else data.contact.friction[0][0]) == expected
+
+
+def test_a_box_slides_down_as_coulomb_says(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """With g (sin - mu cos), from the imported scene; the written model has the same contacts."""
+    requires("cc")
+    text = SCENE.replace("GEOM", GEOMS["sphere"]).replace(
+        '<frame pos="0.1 0 0" euler="0 0.4 0"><geom name="g" size="0.1" pos="0.1 0 0"/></frame>',
+        '<geom name="g" type="box" size="0.2 0.2 0.1" friction="0.1"/>',
+    )
+    text = text.replace('friction="0.6 0.01 0.001"', 'friction="0.1"').replace('pos="0.1 0.2 1" euler="0.3 0 0.1"', "")
+    text = text.replace('<inertial pos="0 0 0.1"', '<inertial pos="0 0 0"')
+    found = bring(text, tmp_path)
+    file = tmp_path / "scene.yaml"
+    file.write_text(write_model(found.model), encoding="utf-8")
+    slope, height, T = 0.2, 0.1, 0.4
+    down, up = np.array([0, -np.cos(slope), -np.sin(slope)]), np.array([0, -np.sin(slope), np.cos(slope)])
+    start = [*(height * up + [0, 0, -0.1]), np.sin(slope / 2), 0, 0, np.cos(slope / 2)]
+    settings = Settings(T, method="moreau", step=1e-3, output_step=0.1)
+    motion = simulate(load(file), hold([]), start, np.zeros(6), settings)
+    way = 9.81 * (np.sin(slope) - 0.1 * np.cos(slope)) * T**2 / 2
+    assert motion.q[-1][:3] - motion.q[0][:3] == pytest.approx(way * down, abs=1e-9)
+
+
+def test_what_is_left_out_is_told(tmp_path: Path) -> None:
+    """Ellipsoids, bodies among themselves, pairs; and, without the option, that it exists."""
+    more = '<body><freejoint/><geom size="0.1" pos="3 0 3"/></body>'
+    text = SCENE.replace("GEOM", '<geom type="ellipsoid" size="0.1 0.2 0.3"/>').replace(
+        "</worldbody>", f"{more}</worldbody>"
+    )
+    told = [str(x) for x in bring(text, tmp_path).notices]
+    assert any("passes through planes: contacts of the type ellipsoid" in x for x in told)
+    assert any("1 pairs of geoms may touch besides" in x for x in told)
+    assert any("1 contacts of geoms with planes are rigid" in x for x in told)
+    pair = text.replace("</mujoco>", '<contact><pair geom1="floor" geom2="floor"/></contact></mujoco>')
+    assert any("a pair of geoms is left out" in str(x) for x in bring(pair, tmp_path).notices)
+    without = [str(x) for x in bring(text, tmp_path, None).notices]
+    assert any("2 of the bodies' geoms may touch others" in x and "--contacts 0" in x for x in without)
