@@ -62,6 +62,7 @@ from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
 
 GRAVITY = (0.0, 0.0, -9.81)
+MJCF = "mujoco"  # the root of its files
 TOLERANCE = 1e-9  # of the largest moment: rounding of a file's digits in an inertia that is just possible
 SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a point
 AGREED = 1e-6  # rad or m: the digits with which joints are held
@@ -397,6 +398,8 @@ class Draft:
             allow_unphysical=not allowed,
         )
         model = self._write_stops(self._damp_balls(self._close(self._drop_idle(model))))
+        if self.choices.contacts is not None and root.tag != MJCF:
+            self.findings.sum_up("no contacts are made: only a file of MJCF has planes that geoms touch", alters=True)
         carriers = find_carriers(model)
         touching = [x for x in self._contacts if carriers.get(x.body) != carriers.get(x.other.body, BASE)]
         model = replace(model, contacts=tuple(touching))

@@ -167,5 +167,9 @@ def test_what_is_left_out_is_told(tmp_path: Path) -> None:
     assert any("1 contacts of geoms with planes are rigid" in x for x in told)
     pair = text.replace("</mujoco>", '<contact><pair geom1="floor" geom2="floor"/></contact></mujoco>')
     assert any("a pair of geoms is left out" in str(x) for x in bring(pair, tmp_path).notices)
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base">{inertial}</link></robot>')
+    urdf = import_model(tmp_path / "arm.urdf", Choices(contacts=0.0, base="floating"))
+    assert any("only a file of MJCF has planes" in str(x) for x in urdf.notices)
     without = [str(x) for x in bring(text, tmp_path, None).notices]
     assert any("2 of the bodies' geoms may touch others" in x and "--contacts 0" in x for x in without)
