@@ -89,8 +89,8 @@ static void draw_step(int n, int nx, int rows, int kind)
             m[i] -= M[i * MOST + k] * z0[k];
 }
 
-/* A step for the x of the point: all rows hold, the cost has no derivative by v, and by x the one of its reduced form. */
-    and by x the one that is reduced_slope. */
+/* A step for the x of the point: all rows hold, the cost has no derivative by v,
+ * and by x the one of its reduced form. */
 static void meet(int nx, int nv, int rows, int kind)
 {
     const int n = nx + nv, width = mbs_stages_width(nx);
@@ -126,7 +126,8 @@ static void meet(int nx, int nv, int rows, int kind)
             reduced_slope += P[j * width + i] * z0[i];
         for (i = 0; i < step.passed && j < nx; ++i)
             reduced_slope += C[i * width + j] * passed[i];
-        LAW("the cost changes by x alone, as its reduced form does", real_abs(slope - reduced_slope - (j < nx ? p[j] : 0)) < 1e-9);
+        LAW("the cost changes by x alone, as its reduced form does",
+            real_abs(slope - reduced_slope - (j < nx ? p[j] : 0)) < 1e-9);
         LAW("x is kept", j >= nx || z[j] == z0[j]);
     }
     for (i = 0; i < nx; ++i) {
