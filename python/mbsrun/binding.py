@@ -136,7 +136,7 @@ class Entry:
         return found.name if found else None
 
     def call_once(self, inputs: Mapping[str, ArrayLike], hidden: Array | None) -> tuple[int, dict[str, Array]] | None:
-        """Call for one state; return the status and dense results, or None if the inputs do not fit one state."""
+        """Call for one state or a batch of one; return the status and dense results, None if the inputs do not fit."""
         try:
             desk = self.free.pop()
         except IndexError:
@@ -181,11 +181,13 @@ class _Desk:
             self.results.append((port.argument.name, end, end + numbers.size, None if port.is_vector else port.shape))
             start, end = start + port.argument.nnz, end + numbers.size
         self.spread = np.concatenate(spread)
+        self.is_batch = False
 
     def lay(self, inputs: Mapping[str, ArrayLike]) -> bool:
         """Copy the inputs to the memory that the function reads; return whether they are complete and fit one state."""
         if not self.is_plain or len(inputs) != len(self.slots):
             return False
+        self.is_batch = False
         for name, shape, slot in self.slots:
             array = inputs.get(name)
             if type(array) is not np.ndarray:
@@ -193,7 +195,11 @@ class _Desk:
                     array = np.asarray(array)
                 except (ValueError, RuntimeError):
                     return False
-            if array.shape != shape or array.dtype.kind not in "fiu":
+            if array.shape != shape:
+                if array.shape != (1, *shape):
+                    return False
+                array, self.is_batch = array[0], True
+            if array.dtype.kind not in "fiu":
                 return False
             slot[...] = array
         return True
@@ -201,10 +207,11 @@ class _Desk:
     def read(self) -> dict[str, Array]:
         """Copy the results from the memory that the function wrote."""
         entries = self.found.take(self.spread)
-        return {
+        found = {
             name: entries[start:end] if shape is None else entries[start:end].reshape(shape)
             for name, start, end, shape in self.results
         }
+        return {name: array[None] for name, array in found.items()} if self.is_batch else found
 
 
 def bind(library: Path, kernel: Kernel) -> Entry:

@@ -75,6 +75,23 @@ def test_a_batch_is_its_states(k: Kernels, tape: Tape) -> None:
         alone = k(tape.name, **{name: array[i] for name, array in inputs.items()})
         for name, value in alone.items():
             np.testing.assert_array_equal(found[name][i], value)
+        batch_of_one = k(tape.name, **{name: array[i : i + 1] for name, array in inputs.items()})
+        assert {name: value.shape for name, value in batch_of_one.items()} == {
+            name: (1, *value.shape) for name, value in alone.items()
+        }
+        for name, value in alone.items():
+            np.testing.assert_array_equal(batch_of_one[name][0], value)
+
+
+def test_one_input_with_a_batch_axis_makes_a_batch_of_one(k: Kernels) -> None:
+    """The next call without such an axis has none again."""
+    inputs = draw(sample_tape(), 3)
+    alone = k.impl(**inputs)
+    batch = k.impl(**{**inputs, "x": inputs["x"][None]})
+    again = k.impl(**inputs)
+    for name, value in alone.items():
+        np.testing.assert_array_equal(batch[name], value[None])
+        assert again[name].shape == value.shape
 
 
 def test_an_input_without_batch_axis_is_the_same_for_all_states(k: Kernels) -> None:

@@ -387,8 +387,8 @@ class _Kinematics:
 
         def jacobian(free: Array) -> Array:
             steps = STEP * np.eye(len(free))
-            ahead, behind = self.residual(complete(free + steps), frames), self.residual(complete(free - steps), frames)
-            return np.asarray((ahead - behind).T / (2 * STEP))
+            both = self.residual(complete(np.concatenate((free + steps, free - steps))), frames)
+            return np.asarray((both[: len(free)] - both[len(free) :]).T / (2 * STEP))
 
         if self.free.any():
             from scipy.optimize import least_squares  # here, and late: it takes long to load
