@@ -134,7 +134,7 @@ def draw_times(track: Track, times: Times) -> Figure:
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     axes = figure.subplots()
     milliseconds = 1e3 * np.array([sample.decision.seconds for sample in track.samples])
-    spread = np.geomspace(max(milliseconds.min(), 1e-4), max(milliseconds.max(), 2e-4) * 1.001, BINS)
+    spread = np.geomspace(max(milliseconds.min(), 1e-4), max(milliseconds.max(), 2e-4) * 1.001, BINS + 1)
     axes.hist(milliseconds.tolist(), spread.tolist(), color=COLORS[0])
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
