@@ -99,14 +99,27 @@ KERNEL(change)
     return count(CHANGE, iw, w, memory);
 }
 
+static casadi_real asked_at[9];
+
+/* Note the time of a question, the last one first. */
+static void note(casadi_real t)
+{
+    int k;
+    for (k = 8; k > 0; --k)
+        asked_at[k] = asked_at[k - 1];
+    asked_at[0] = t;
+}
+
 static int lead(casadi_real t)
 {
+    note(t);
     course[0] = 10 + t, course[1] = 20 + t, course[2] = 30 + t;
     return ++calls[GUIDE] == fails[GUIDE];
 }
 
 static int give(casadi_real t)
 {
+    note(t);
     v[0] = 100 + t;
     return ++calls[INPUTS] == fails[INPUTS];
 }
@@ -403,7 +416,8 @@ static void closings(void)
     LAW("from where the way counts", fabs(q[0] - 0.25) < 2e-9 && way < 2e-8 && way > 0);
     for (k = 0; k < 2; ++k) {
         r = open_gap(0, 0.25), noise = 1.25 * (k ? 0.52e-11 : 0.48e-11); /* twice as much each time, of 1.25 */
-        LAW("noise ends a closing", close_coordinates(&r, &way) == 0 && calls[CLOSURE] == 3 + k && calls[JACOBIAN] == 1 + k);
+        LAW("noise ends a closing",
+            close_coordinates(&r, &way) == 0 && calls[CLOSURE] == 3 + k && calls[JACOBIAN] == 1 + k);
     }
     r = open_gap(0, 0.25), noise = 1e-3;
     LAW("or it fails", close_coordinates(&r, &way) == MBS_OPEN && calls[CLOSURE] == 25 && outcome.loop == 4);
@@ -467,7 +481,10 @@ static void speeds(void)
 
 static void courses(void)
 {
-    const casadi_real rows[12] = {0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6};
+    static const casadi_int two[2] = {0, 3};
+    const casadi_real rows[12] = {0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6}, many[12] = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11,
+        12};
+    casadi_real six[6];
     mbs_run r = drive(0, MBS_PROJECTION);
     LAW("joints are driven by a function",
         guide(&r, 0.5, 1) == 0 && q[2] == 10.5 && qd[2] == 20.5 && q[0] == 0 && q[1] == 0);
@@ -476,6 +493,11 @@ static void courses(void)
     r.courses = rows, r.row_of_step = 2;
     LAW("or by rows", guide(&r, 0.5, 1) == 0 && q[2] == 4 && qd[2] == 5 && course[2] == 6 && calls[GUIDE] == 2);
     LAW("of a stage", guide(&r, 0.5, 0) == 0 && q[2] == 1 && course[2] == 3);
+    anew(0, MBS_PROJECTION);
+    plant.d = 2, plant.driven = plant.place = two, plant.course = six;
+    r = open_here(), r.courses = many, r.row_of_step = 1;
+    LAW("rows have all driven joints",
+        guide(&r, 0.5, 0) == 0 && q[0] == 7 && q[3] == 8 && qd[0] == 9 && qd[3] == 10 && six[5] == 12);
     r = drive(0, MBS_PROJECTION);
     manner.guide = 0, course[0] = 7, course[1] = 8;
     LAW("or stay", guide(&r, 0.5, 1) == 0 && q[2] == 7 && qd[2] == 8);
@@ -672,6 +694,45 @@ static void ends(void)
     LAW("as a kernel that fails while a branch is named", finish(&r, 0, 0.5, y) == 11 + RATES);
 }
 
+/* Inputs and courses are asked for at the times of stages and ends. */
+static void times(void)
+{
+    const casadi_real x[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+    casadi_real y[8], h = 0, values[2];
+    mbs_run r = anew(0, MBS_PROJECTION);
+    manner.inputs = give, manner.guide = 0, manner.atol = 1;
+    LAW("stages have their times", step(&r, 3, 0.5, x, 0, y) == 0 && asked_at[0] == 3.5 && asked_at[1] == 3);
+    evaluate(&r, 3, 0, x);
+    LAW("as a first guess has", begin(&r, 3, x, &h) == 0 && asked_at[0] == 3 + 1e-6);
+    r = drive(0, MBS_PROJECTION);
+    plant.modes = &modes;
+    r = open_here();
+    evaluate(&r, 3, 0, x), memcpy(r.first, r.k, 8 * sizeof *r.first);
+    LAW("shorter steps end at their end",
+        try_step(&r, 3, 0.5, x, values) == 0 && asked_at[0] == 3.5 && asked_at[1] == 3.5
+        && asked_at[2] == 3.5 && asked_at[3] == 3);
+}
+
+/* The force that holds a joint, beside the forces of loops. */
+static void holding(void)
+{
+    static const casadi_int kind[1] = {MBS_FORCE}, joint[1] = {2}, place[1] = {2};
+    static const casadi_real side[1] = {-2}, level[1] = {3};
+    const casadi_real rate[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+    casadi_real values[2] = {77, 77};
+    mbs_run r;
+    anew(2, MBS_PROJECTION);
+    held[2] = 1, plant.modes = &modes, modes.guards = 1, modes.kind = kind, modes.joint = joint, modes.place = place;
+    modes.side = side, modes.level = level, push[2] = 10;
+    r = open_here();
+    LAW("a force that holds a joint is a guard", guard(&r, rate, values) == 0 && near_by(values[0], -2 * (-10 - 3)));
+    LAW("without a rate", values[1] == 0);
+    fails[JACOBIAN] = 2;
+    LAW("a kernel that fails is named", guard(&r, rate, values) == 11 + JACOBIAN);
+    fails[RESIDUAL] = 3;
+    LAW("each", guard(&r, rate, values) == 11 + RESIDUAL);
+}
+
 /* A point on a circle of radius 1 that turns by itself, by ways that keep it there. */
 static void turns(void)
 {
@@ -702,6 +763,6 @@ static void turns(void)
 int main(void)
 {
     rooms(), sizes(), choices(), corrections(), masses(), renewals(), moves(), closings(), speeds(), courses();
-    accelerations(), choices_of_ways(), states(), forces(), evaluations(), ends(), turns();
+    accelerations(), choices_of_ways(), states(), forces(), evaluations(), ends(), times(), holding(), turns();
     return broken > 0;
 }
