@@ -119,14 +119,16 @@ class Dynamics(Equations):
             return qdd - self.call(name, q, qd, v)["qdd"]
         return self.call(name, q, qd, v, qdd, lam)["Phi"]
 
-    def stiffnesses(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array]:
+    def stiffnesses(
+        self, q: Array, qd: Array, qdd: Array, v: Array, lam: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Differentiate the residual by q, qd and qdd, shapes (..., n, nq), (..., n, n) twice."""
         self.effort.jacobians += _states(q)
         name = name_kernel(self._evaluated.function, Order.JACOBIAN)
         if self._evaluated.is_direct:
             K, C = self._pick(name, "qdd", ("q", "qd"), q, qd, v)
             return -K, -C, np.broadcast_to(np.eye(self.size), C.shape)
-        K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd)
+        K, C, M = self._pick(name, "Phi", ("q", "qd", "qdd"), q, qd, v, qdd, lam)
         return K, C, M
 
     def linearise(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, Array, Array, Array]:
@@ -204,9 +206,19 @@ class Dynamics(Equations):
         kernel = self.kernels.manifest.kernel(self._evaluated.mass)
         return find_mass_matrix(kernel).name
 
-    def _pick(self, name: str, result: str, by: tuple[str, ...], q: Array, *rest: Array) -> tuple[Array, ...]:
+    def _pick(
+        self,
+        name: str,
+        result: str,
+        by: tuple[str, ...],
+        q: Array,
+        qd: Array,
+        v: Array,
+        qdd: Array | None = None,
+        lam: Array | None = None,
+    ) -> tuple[Array, ...]:
         """Call a Jacobian kernel; blocks without an entry are 0."""
-        return self._take(self.call(name, q, *rest), result, by, q)
+        return self._take(self.call(name, q, qd, v, qdd, lam), result, by, q)
 
     def _take(self, blocks: Mapping[str, Array], result: str, by: tuple[str, ...], q: Array) -> tuple[Array, ...]:
         shapes = ((*q.shape[:-1], self.size, self.places if x == "q" else self.size) for x in by)

@@ -149,6 +149,9 @@ class Segment:
     jumps: tuple[Jump, ...] = ()
     push: Push | None = None  # of a model with rigid contacts
     bounces: Bounces | None = None  # between the steps
+    locking: tuple[int, ...] | None = None  # joints at rest whose forces vary; None: all
+    forces: tuple[float, ...] = ()  # (n,), of others at rest
+    passage: object | None = None  # how a model with rigid contacts came into the mode: `touching.Passage`
 
 
 @dataclass(frozen=True)
@@ -356,7 +359,8 @@ class Chunk:
             event, guard, e = bounces.events[k], bounces.guards[k], bounces.restitution[k]
             jump = Jump(self.qd[first - 1], self.qd[first], (guard.joint,), (e,))
             loss = float(bounces.losses[k])
-            own = Segment(segment.modes, (event,), loss, guards=(guard,), jumps=(jump,))
+            happened = {"events": (event,), "loss": loss, "driven": 0.0, "guards": (guard,), "jumps": (jump,)}
+            own = replace(segment, bounces=None, **happened)
             yield self._cut(first, ends[k + 1], own)
 
     def _cut(self, first: int, end: int, segment: Segment) -> Chunk:

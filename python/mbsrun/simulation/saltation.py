@@ -12,7 +12,8 @@ counts (Aizerman, Gantmacher, "On the stability of periodic motions", J. Appl. M
     X+ = (R_x + (f+ - R_x f-) g_x / (g_x f- + g_t)) X-
 
 The derivative holds while a small change of the start leaves the order of events. Where the guard's rate is 0, at a
-grazing event, and where several guards meet, there is none.
+grazing event, and where several guards meet by chance, there is none. Guards that meet at all neighbouring starts are
+one event. Loops and points that touch hold the start: its changes are those that keep their equations.
 """
 
 from __future__ import annotations
@@ -23,22 +24,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Manifest
-from mbsrun.kernel import Kernels
+from mbsrun.kernel import ArgumentError, Kernels
+from mbsrun.simulation.contact_variation import ContactField
+from mbsrun.simulation.course import Course
 from mbsrun.simulation.drive import Drive, Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.integration.joints import HELD, Joints
 from mbsrun.simulation.integration.methods import METHODS
 from mbsrun.simulation.integration.tableaus import DOP853, EULER, RK4, RK45, Pair
-from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Chunk, Guard, Jump, Motion, Segment, Settings
+from mbsrun.simulation.motion import Chunk, Motion, Segment, Settings
 from mbsrun.simulation.simulate import simulate
+from mbsrun.simulation.variation import Crossing, Field, JointField, SlopeError
 
 Array = NDArray[np.float64]
 
 PAIRS = {"euler": EULER, "rk4": RK4, "rk45": RK45, "dop853": DOP853}
 GRAZING = 1e6  # an event that makes more of a small change of the state grazes
 RETURN = 0.1  # of a rebound's velocity: a joint that comes back as fast did not graze
-SHIFT = 1e-6  # s: of central differences of inputs over time
+NOTHING = 1e-10  # of the rates of the state: an event that changes them by less changes nothing
+SAME = 1e-6  # of the derivatives of the times of guards: those that differ by less are of one event
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +53,18 @@ class Sensitivity:
     finding: str | None  # why there is no derivative
 
 
-def differentiate(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings) -> Sensitivity:
+def differentiate(
+    kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, settings: Settings, course: Course | None = None
+) -> Sensitivity:
     """Integrate a motion as `simulate` does, by an explicit method, with the derivative of its end by its start.
 
-    Raises ValueError for loops, driven joints, rigid contacts, inputs that follow the state, and other methods.
+    In loops, and where points touch at the start, a change of the start is followed by the least one that keeps their
+    equations. Raises ValueError for inputs that follow the state, and other methods, ArgumentError for kernels that
+    were not generated, and what `simulate` raises.
     """
     _check(kernels.manifest, drive, settings)
-    watcher = _Watcher(kernels, PAIRS[settings.method])
-    motion = simulate(kernels, drive, q, qd, settings, watch=watcher.add)
+    watcher = _Watcher(PAIRS[settings.method], len(kernels.manifest.positions) + len(kernels.manifest.coordinates))
+    motion = simulate(kernels, drive, q, qd, settings, course=course, watch=watcher.add)
     finding = watcher.finding if motion.halt is None else str(motion.halt)
     slopes = watcher.X if finding is None else np.full_like(watcher.X, np.nan)
     return Sensitivity(motion, slopes, finding)
@@ -66,35 +73,52 @@ def differentiate(kernels: Kernels, drive: Drive, q: ArrayLike, qd: ArrayLike, s
 def _check(manifest: Manifest, drive: Drive, settings: Settings) -> None:
     if settings.method not in PAIRS:
         raise ValueError(f"{settings.method} is not differentiated; give one of {', '.join(PAIRS)}")
-    if manifest.loops or manifest.driven or manifest.rigid:
-        raise ValueError("loops, driven joints and rigid contacts are not differentiated; take them away")
     if drive.control is not None:
         raise ValueError("inputs that follow the state are not differentiated; give them over time")
+    needed = {"jac_semi_res"} | ({"jac_rates"} if manifest.configuration else set())
+    if manifest.loops:
+        needed |= {"jac_loops", "jac_loop_rates", "jac_loop_accelerations", "jac_loop_forces"}
+    missing = sorted(needed - {kernel.name for kernel in manifest.kernels})
+    if missing:
+        raise ArgumentError(f"{manifest.model} was generated without {', '.join(missing)}; generate all functions")
     assert METHODS[settings.method].stability is not None, "the methods are explicit"
 
 
 class _Watcher:
     """Carries the derivative along the steps of a motion."""
 
-    def __init__(self, kernels: Kernels, pair: Pair) -> None:
-        self.field, self.tableau = _Field(kernels), pair.tableau
-        size = len(kernels.manifest.positions) + len(kernels.manifest.coordinates)
+    def __init__(self, pair: Pair, size: int) -> None:
+        self.tableau = pair.tableau
         self.X = np.eye(size)
+        self.field: Field | None = None
         self.last: tuple[Array, Piece, Segment] | None = None  # the state before an event, and its mode
         self.finding: str | None = None
-        self.rebounds: dict[int, float] = {}  # velocities after the last impacts of joints
+        self.rebounds: dict[int, float] = {}  # speeds after the last impacts of joints and points
 
-    def add(self, _: Dynamics, piece: Piece, chunk: Chunk) -> None:
+    def add(self, dynamics: Dynamics, piece: Piece, chunk: Chunk) -> None:
         """Go along steps; pass the event before them first."""
+        if self.finding is not None:
+            return
+        if self.field is None:
+            self.field = ContactField(dynamics) if dynamics.kernels.manifest.rigid else JointField(dynamics)
         segment = chunk.segment or Segment((0,) * chunk.qd.shape[1])
-        state = np.hstack((chunk.q, chunk.qd))
-        if self.last is not None and (segment.guards or segment.jumps):
-            self.jump(float(chunk.t[0]), segment, state[0])
-        for matrix in self.differentiate(piece, chunk.t, state, segment.modes):
-            self.X = matrix @ self.X
+        state, times = np.hstack((chunk.q, chunk.qd)), (float(chunk.t[0]), float(chunk.t[-1]))
+        try:
+            if self.last is not None:
+                self.jump(self.field, times[0], segment, state[0])
+            self.X = self.field.project(state[0], segment) @ self.X
+            for matrix in self.differentiate(self.field, piece, chunk.t, state, segment):
+                self.X = matrix @ self.X
+            self.X = self.field.project(state[-1], segment) @ self.X
+        except SlopeError as error:
+            self.note(str(error), times[0])
         self.last = state[-1], piece, segment
 
-    def differentiate(self, piece: Piece, t: Array, state: Array, modes: tuple[int, ...]) -> Array:
+    def note(self, finding: str, time: float) -> None:
+        """Note why there is no derivative."""
+        self.finding = self.finding or f"{finding} at t = {time:.6g} s, where there is no derivative"
+
+    def differentiate(self, field: Field, piece: Piece, t: Array, state: Array, segment: Segment) -> Array:
         """Return the derivative of each step's end by its start, (k, N, N)."""
         A, b, c = (np.array(x, dtype=np.float64) for x in (self.tableau.A, self.tableau.b, self.tableau.c))
         h, x, size = np.diff(t)[:, None], state[:-1], state.shape[1]
@@ -104,111 +128,52 @@ class _Watcher:
             for j in np.flatnonzero(A[i, :i]):
                 y += h * A[i, j] * rates[j]
                 Y += h[:, :, None] * A[i, j] * slopes[j]
-            rate, slope = self.field.at(t[:-1] + c[i] * h[:, 0], y, piece, modes)
+            rate, slope = field.at(t[:-1] + c[i] * h[:, 0], y, piece, segment)
             rates.append(rate)
             slopes.append(slope @ Y)
         step = sum((b[i] * slopes[i] for i in range(len(b))), start=np.zeros_like(slopes[0]))
         return np.eye(size) + h[:, :, None] * step
 
-    def jump(self, time: float, segment: Segment, after: Array) -> None:
+    def jump(self, field: Field, time: float, segment: Segment, after: Array) -> None:
         """Multiply by the saltation matrix of an event."""
         assert self.last is not None, "an event follows steps"
         before, piece, old = self.last
-        if len(segment.guards) != 1:
-            many = "several joints switch at once" if segment.guards else "a joint hits a stop as an input jumps"
-            self.finding = self.finding or f"{many} at t = {time:.6g} s, where there is no derivative"
+        impact = field.strike(segment, before)
+        is_event = impact is not None or field.has_guards(segment)
+        if not is_event:
             return
-        (guard,), field = segment.guards, self.field
+        R = np.eye(len(before)) if impact is None else impact
+        R = field.project(after, segment) @ R
         f_before, f_after = (
-            field.at(np.array([time]), x[None], piece, modes)[0][0]
-            for x, modes in ((before, old.modes), (after, segment.modes))
+            field.at(np.array([time]), x[None], piece, mode)[0][0] for x, mode in ((before, old), (after, segment))
         )
-        R = np.eye(len(before))
-        for jump in segment.jumps:
-            R = field.strike(before[: field.places], jump) @ R
         change = f_after - R @ f_before
-        if not change.any():
+        if impact is None and np.abs(change).max() <= NOTHING * max(np.abs(f_after).max(), np.abs(f_before).max()):
             self.X = R @ self.X
             return
-        slope, drift = field.slope(time, guard, before, piece, old.modes)
-        rate = float(slope @ f_before) + drift
-        returns = abs(rate) > RETURN * self.rebounds.get(guard.joint, np.inf)  # one of many, before the joint rests
-        self.rebounds |= {guard.joint: abs(float(after[field.places + guard.joint]))} if guard.kind == PLACE else {}
-        if not (np.abs(np.outer(change, slope)).max() < GRAZING * abs(rate) or (returns and guard.kind == PLACE)):
-            name = field.joints.manifest.coordinates[guard.joint].name
-            self.finding = self.finding or f"joint {name} grazes at t = {time:.6g} s, where there is no derivative"
+        crossings = field.list_crossings(time, before, after, piece, old, segment)
+        crossing = self.choose(crossings, f_before, time)
+        if crossing is None or not change.any():
+            self.X = R @ self.X
             return
-        self.X = (R + np.outer(change, slope) / rate) @ self.X
+        rate = float(crossing.slope @ f_before) + crossing.drift
+        speed = crossing.rebound
+        returns = speed is not None and abs(rate) > RETURN * self.rebounds.get(crossing.key, np.inf)  # one of many
+        self.rebounds |= {crossing.key: speed} if speed is not None else {}
+        if not (np.abs(np.outer(change, crossing.slope)).max() < GRAZING * abs(rate) or returns):
+            self.note(f"{crossing.name} grazes", time)
+            return
+        self.X = (R + np.outer(change, crossing.slope) / rate) @ self.X
 
-
-class _Field:
-    """The rates of the state in a mode, with their derivatives."""
-
-    def __init__(self, kernels: Kernels) -> None:
-        self.dynamics = Dynamics(kernels, Formulation.SEMI)
-        self.joints, self.places = Joints.of(kernels.manifest), self.dynamics.places
-
-    def at(self, t: Array, x: Array, piece: Piece, modes: tuple[int, ...]) -> tuple[Array, Array]:
-        """Return the rates (k, N) at states (k, N), and their derivatives (k, N, N)."""
-        qdd, by_q, by_qd = self.accelerate(t, x, piece, modes)
-        q, qd = np.split(x, [self.places], axis=1)
-        upper = np.concatenate(self.dynamics.rate_slopes(q, qd), axis=2)
-        slopes = np.concatenate((upper, np.concatenate((by_q, by_qd), axis=2)), axis=1)
-        return np.hstack((self.dynamics.rates(q, qd), qdd)), slopes
-
-    def accelerate(self, t: Array, x: Array, piece: Piece, modes: tuple[int, ...]) -> tuple[Array, Array, Array]:
-        """Return accelerations (k, n), and their derivatives by q and qd."""
-        q, qd = np.split(x, [self.places], axis=1)
-        v, dynamics = piece.values(t), self.dynamics
-        free = np.flatnonzero(~np.isin(modes, HELD))
-        signs = np.where(np.abs(modes) == 1, modes, 0)
-        qdd = np.zeros_like(qd)
-        M = dynamics.mass_matrix(q, qd, v)[:, free][:, :, free]
-        right = -signs * self.joints.rub(qd) - dynamics.residual(q, qd, qdd, v)
-        qdd[:, free] = np.linalg.solve(M, right[:, free, None])[:, :, 0]
-        K, C, _ = dynamics.stiffnesses(q, qd, qdd, v)
-        C = C + (signs * self.joints.steepen(qd))[:, :, None] * np.eye(qd.shape[1])
-        by_q, by_qd = np.zeros_like(K), np.zeros_like(C)
-        by_q[:, free], by_qd[:, free] = -np.linalg.solve(M, K[:, free]), -np.linalg.solve(M, C[:, free])
-        return qdd, by_q, by_qd
-
-    def slope(self, time: float, guard: Guard, x: Array, piece: Piece, modes: tuple[int, ...]) -> tuple[Array, float]:
-        """Return the derivative (N,) of a guard's number by the state, and by the time at a constant state."""
-        found = np.zeros(len(x))
-        if guard.kind != FORCE:
-            found[self.places + guard.joint if guard.kind == SPEED else guard.place] = 1.0
-            return found, 0.0
-        q, qd = np.split(x[None], [self.places], axis=1)
-        qdd, by_q, by_qd = self.accelerate(np.array([time]), x[None], piece, modes)
-        K, C, M = self.dynamics.stiffnesses(q, qd, qdd, piece.values(np.array([time])))
-        found = np.concatenate((K + M @ by_q, C + M @ by_qd), axis=2)[0, guard.joint]
-        near = [self.hold(time + shift, x, guard.joint, piece, modes) for shift in (-SHIFT, SHIFT)]
-        return found, (near[1] - near[0]) / (2 * SHIFT)
-
-    def hold(self, time: float, x: Array, joint: int, piece: Piece, modes: tuple[int, ...]) -> float:
-        """Return the force that holds a joint."""
-        q, qd = np.split(x[None], [self.places], axis=1)
-        qdd = self.accelerate(np.array([time]), x[None], piece, modes)[0]
-        return float(self.dynamics.residual(q, qd, qdd, piece.values(np.array([time])))[0, joint])
-
-    def strike(self, q: Array, jump: Jump) -> Array:
-        """Return the derivative (N, N) of the state after an impact by the state before.
-
-        M (after - before) = impulses on the joints that hit, and after = -restitution before there.
-        """
-        n, hit = len(jump.before), list(jump.joints)
-        rest, v = np.zeros((1, n)), np.zeros((1, len(self.joints.manifest.inputs)))
-        change = (jump.after - jump.before)[None]
-        moved, _, M = self.dynamics.stiffnesses(q[None], rest, change, v)
-        still = self.dynamics.stiffnesses(q[None], rest, rest, v)[0]
-        system = np.zeros((n + len(hit), n + len(hit)))
-        system[:n, :n] = M[0]
-        system[n:, hit] = np.eye(len(hit))
-        system[hit, n:] = -np.eye(len(hit))
-        right = np.zeros((n + len(hit), self.places + n))
-        right[:n, : self.places] = -(moved - still)[0]
-        right[:n, self.places :] = M[0]
-        right[n + np.arange(len(hit)), [self.places + i for i in hit]] = [-e for e in jump.restitution]
-        found = np.eye(self.places + n)
-        found[self.places :] = np.linalg.solve(system, right)[:n]
-        return found
+    def choose(self, crossings: list[Crossing], rates: Array, time: float) -> Crossing | None:
+        """Return the guard of an event; of several, one of those that meet at all neighbouring starts."""
+        if not crossings:
+            self.note("a joint hits a stop as an input jumps", time)
+            return None
+        if len(crossings) > 1:
+            times = [x.slope @ self.X / (float(x.slope @ rates) + x.drift or np.nan) for x in crossings]
+            scale = max(float(np.abs(x).max()) for x in times)
+            if not all(np.abs(x - times[0]).max() <= SAME * scale for x in times):
+                self.note(f"several {crossings[0].name.split()[0]}s switch at once", time)
+                return None
+        return crossings[0]

@@ -655,6 +655,8 @@ def test_what_happened_at_a_time_waits_for_a_step() -> None:
     course = SimpleNamespace(
         **happened,
         modes=np.array([1]),
+        locking=np.zeros(0, dtype=np.intp),
+        holding=np.zeros(1),
         is_locked=False,
         dynamics=SimpleNamespace(places=1),
         plant=SimpleNamespace(make_dense=lambda *_: None),

@@ -22,7 +22,6 @@ from mbsrun.simulation.drive import Piece, control, hold
 from mbsrun.simulation.integration import touching
 from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.motion import Chunk, HaltError
-from mbsrun.simulation.saltation import differentiate
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
 
@@ -316,11 +315,6 @@ def test_contacts_beside_stops_are_refused(make: Make) -> None:
     disc.manifest = disc.manifest.model_copy(update={"coordinates": (first, *disc.manifest.coordinates[1:])})
     with pytest.raises(ValueError, match="dop853 takes no rigid contacts beside stops or friction"):
         simulate(disc, hold([]), [0, 1, 0], [0, 0, 0], Settings(1.0))
-
-
-def test_rigid_contacts_are_not_differentiated(make: Make) -> None:
-    with pytest.raises(ValueError, match="rigid contacts are not differentiated"):
-        differentiate(make(DISC), hold([]), [0, 1, 0], [0, 0, 0], Settings(0.1))
 
 
 def test_a_feedback_without_numbers_ends_a_motion(make: Make) -> None:

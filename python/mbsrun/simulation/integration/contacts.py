@@ -171,7 +171,7 @@ class Contacts:
                 ends.append(touch.pull[:, k] if goal is None else -goal[:, k])
                 weights.append(1.0)
             if is_stuck and self.coefficient[k] > 0:
-                for t in _span(n):
+                for t in span(n):
                     units.append((k, t))
                     rows.append(np.einsum("ki,kin->kn", t, S))
                     ends.append(np.zeros(K) if is_impact else (t * touch.drift[:, k]).sum(axis=1))
@@ -203,7 +203,7 @@ def find_way(touch: Touch, mode: Mode, k: int) -> Array:
     return np.asarray(np.where(is_known, sign * slip / np.maximum(size, 1e-300), way))
 
 
-def _span(n: Array) -> tuple[Array, Array]:
+def span(n: Array) -> tuple[Array, Array]:
     """Return two directions across normals (K, 3)."""
     axis = np.eye(3)[np.abs(n).argmin(axis=1)]
     first = np.cross(n, axis)
@@ -329,7 +329,7 @@ class Search:
         loads, ways = self._load(stick), mode.ways.copy()
         for k in turning:
             size = float(np.linalg.norm(loads.friction[0, k]))
-            ways[k] = -loads.friction[0, k] / size if size > 0 else _span(self.touch.normal[:, k])[0][0]
+            ways[k] = -loads.friction[0, k] / size if size > 0 else span(self.touch.normal[:, k])[0][0]
         for _ in range(TURNS):
             mode = replace(mode, ways=ways.copy())
             loads = self._load(mode)

@@ -181,7 +181,8 @@ class _Course(Course):
         """Bundle steps with the motion within them, in their own mode."""
         assert self.modes is not None, "a mode was found"
         happened = self.passed, self.loss, self.driven, self.guards, self.jumps
-        segment = Segment(tuple(map(int, self.modes)), *happened, bounces=bounces)
+        modes, locking, forces = (tuple(x.tolist()) for x in (self.modes, self.locking, self.holding))
+        segment = Segment(modes, *happened, bounces=bounces, locking=locking, forces=forces)
         if len(times) > 1:
             self.passed, self.loss, self.driven, self.guards, self.jumps = (), 0.0, 0.0, (), ()
         q, qd = np.split(states, [self.dynamics.places], axis=1)

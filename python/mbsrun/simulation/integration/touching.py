@@ -57,6 +57,29 @@ class Guard:
     bound: Bound
 
 
+@dataclass(frozen=True, eq=False)
+class Strike:
+    """A phase of an impact: M (after - before) = impulses; velocities along normals are -e times the ones before."""
+
+    q: Array
+    before: Array
+    mode: Mode
+    loads: Loads  # `qdd` are the velocities after it
+    restitution: Array  # (P,)
+    leaving: Array | None = (
+        None  # (P,): the impulses of points that leave are so many times the ones of the phase before
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """The mode of some steps, and what led to it at their start."""
+
+    mode: Mode
+    guards: tuple[Guard, ...] = ()  # that fell to 0
+    strikes: tuple[Strike, ...] = ()
+
+
 def integrate(
     pair: Pair, dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
 ) -> Iterator[Chunk]:
@@ -93,6 +116,9 @@ class _Course(Course):
         self.fastest = 0.0
         self.passed: tuple[Event, ...] = ()
         self.loss = 0.0
+        self.fired: tuple[Guard, ...] = ()  # at the last event
+        self.guards: tuple[Guard, ...] = ()  # that fired since the last chunk,
+        self.strikes: tuple[Strike, ...] = ()  # and impacts
 
     # --- at one state ---
 
@@ -160,7 +186,7 @@ class _Course(Course):
         """Pass one impact; a rebound that is too low to be seen is none."""
         restitution = self.contacts.restitution * bounces
         points = [int(k) for k in near if speed[k] <= 0]
-        after, loads = self.strike(qd, M, touch, points, restitution, speed)
+        after, loads, strikes = self.strike(q, qd, M, touch, points, restitution, speed)
         last = dict[int, float]()
         rebound = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
         rebounding = [k for k in points if restitution[k] > 0 > speed[k] and 0 < rebound[k] < SLOW]
@@ -176,7 +202,8 @@ class _Course(Course):
                     last[k] = time - 2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k])
             if last:
                 restitution[list(last)] = 0.0
-                after, loads = self.strike(qd, M, touch, points, restitution, speed)
+                after, loads, strikes = self.strike(q, qd, M, touch, points, restitution, speed)
+        self.strikes = (*self.strikes, *strikes)
         self.loss += 0.5 * float((qd - after) @ M @ (qd + after))
         ends = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
         names = self.contacts.names
@@ -187,22 +214,26 @@ class _Course(Course):
         ]
 
     def strike(
-        self, qd: Array, M: Array, touch: Touch, points: list[int], restitution: Array, speed: Array
-    ) -> tuple[Array, Loads]:
-        """Return the velocities after an impact, and its impulses."""
+        self, q: Array, qd: Array, M: Array, touch: Touch, points: list[int], restitution: Array, speed: Array
+    ) -> tuple[Array, Loads, tuple[Strike, ...]]:
+        """Return the velocities after an impact, its impulses, and its phases."""
         slipping = self.find_slipping(touch, points)
         held, none = self.find_held(points), np.zeros((1, len(speed)))
 
-        def solve(before: Array, goal: Array, given: Array | None = None) -> Loads:
+        def solve(before: Array, goal: Array, given: Array | None = None) -> tuple[Mode, Loads]:
             inertia = M[None], before[None]
-            return Search(self.contacts, touch, inertia, points, slipping, goal=goal, held=held, given=given).find()[1]
+            return Search(self.contacts, touch, inertia, points, slipping, goal=goal, held=held, given=given).find()
 
         if self.settings.impacts is Impacts.NEWTON:
-            loads = solve(qd, (-restitution * speed)[None])
-            return loads.qdd[0], loads
-        pressed = solve(qd, none)
-        found = solve(pressed.qdd[0], none, restitution * np.maximum(pressed.normal[0], 0))
-        return found.qdd[0], replace(found, normal=pressed.normal + found.normal)
+            mode, loads = solve(qd, (-restitution * speed)[None])
+            return loads.qdd[0], loads, (Strike(q, qd, mode, loads, restitution),)
+        mode, pressed = solve(qd, none)
+        leaving, found = solve(pressed.qdd[0], none, restitution * np.maximum(pressed.normal[0], 0))
+        phases = (
+            Strike(q, qd, mode, pressed, none[0]),
+            Strike(q, pressed.qdd[0], leaving, found, none[0], leaving=restitution),
+        )
+        return found.qdd[0], replace(found, normal=pressed.normal + found.normal), phases
 
     def decide(self, time: float, piece: Piece, q: Array, qd: Array, points: list[int]) -> Mode:
         """Find the mode in which the motion goes on."""
@@ -326,7 +357,9 @@ class _Course(Course):
             else:  # an event at once
                 states[-1] = x
             if len(times) > STEPS or is_event or time >= piece.end:
-                yield self.gather(piece, mode, times, states)
+                chunk = self.gather(piece, mode, times, states)
+                self.guards = (*self.guards, *self.fired) if is_event else self.guards
+                yield chunk
                 times, states = [time], [x]
 
     def advance(self, piece: Piece, mode: Mode, time: float, x: Array, h: float, *, fixed: bool) -> tuple[float, Array]:
@@ -412,6 +445,7 @@ class _Course(Course):
         state = self.step(piece, mode, np.array([time]), x[None], np.array([length]))[0][0]
         at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
         near = [j for end, j in ends if end <= length * (1 + 1e-12) or at[j] <= 0]
+        self.fired = tuple(guards[j] for j in near)
         self.released = {guards[j].point for j in near}
         self.torn = {guards[j].point for j in near if guards[j].bound is Bound.PRESS}
         self.turned = {guards[j].point for j in near if guards[j].bound is Bound.SLIP}
@@ -453,9 +487,10 @@ class _Course(Course):
             lost = -(loads.friction * touch.slip).sum(axis=(1, 2))
             return loads.qdd, force.reshape(len(at), -1), lost
 
-        segment = Segment((0,) * self.dynamics.size, self.passed, self.loss, push=push)
+        passage = Passage(mode, self.guards, self.strikes)
+        segment = Segment((0,) * self.dynamics.size, self.passed, self.loss, push=push, passage=passage)
         if len(t) > 1:
-            self.passed, self.loss = (), 0.0
+            self.passed, self.loss, self.guards, self.strikes = (), 0.0, (), ()
         return Chunk(t, q, qd, dense, segment=segment)
 
 
