@@ -106,6 +106,8 @@ class _Watcher:
         try:
             if self.last is not None:
                 self.jump(self.field, times[0], segment, state[0])
+            elif self.field.strike(segment, state[0]) is not None:
+                raise SlopeError("the motion begins with an impact")
             self.X = self.field.project(state[0], segment) @ self.X
             for matrix in self.differentiate(self.field, piece, chunk.t, state, segment):
                 self.X = matrix @ self.X

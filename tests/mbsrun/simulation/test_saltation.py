@@ -246,6 +246,8 @@ def test_contacts_that_graze_or_meet_have_a_finding(make: Make, monkeypatch: pyt
     assert flat.finding is not None
     assert "several contacts switch at once" in flat.finding
     assert np.isnan(flat.slopes).all()
+    struck = differentiate(disc, hold([]), [0, RADIUS, 0], [0, -1, 0], Settings(0.1, **TIGHT))
+    assert struck.finding == "the motion begins with an impact at t = 0 s, where there is no derivative"
 
 
 def test_derivatives_beside_a_driven_joint_are_the_differences() -> None:
