@@ -21,8 +21,8 @@ from mbsrun.simulation.course import follow
 from mbsrun.simulation.drive import express, hold
 from mbsrun.simulation.motion import Impacts
 from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.parts import equip, rub, stop
 from tests.mbsrun.simulation.planar import PLANAR, POINT, grip
-from tests.mbsrun.simulation.test_switching_loops import equip, rub, stop
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]

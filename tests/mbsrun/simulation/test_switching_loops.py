@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbsgen.expressions import parse
-from mbsgen.manifest import Friction, Stops
 from mbsrun import Mechanism, load
 from mbsrun.closure import Closure
 from mbsrun.models import Extent
@@ -21,9 +19,9 @@ from mbsrun.simulation.closing import complete_velocities
 from mbsrun.simulation.drive import express, hold
 from mbsrun.simulation.integration.complementarity import solve_redundant
 from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.parts import equip, rub, stop
 
 Array = NDArray[np.float64]
-Part = Stops | Friction
 
 LOOPS = ("exp2", "impl", "semi", "semi_res", "energy", "power", "frames", "loops", "loop_rates", "loop_jacobian")
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
@@ -38,26 +36,6 @@ def four_bar() -> Mechanism:
 @pytest.fixture(scope="session")
 def five_bar() -> Mechanism:
     return load(MODELS / "five_bar.yaml", extent=Extent(LOOPS, 1))
-
-
-def equip(kernels: Mechanism, **joints: Part | tuple[Part, ...]) -> Mechanism:
-    """Return a mechanism with rigid stops and dry friction, of which the kernels know nothing."""
-    found, equipped = [], copy.copy(kernels)
-    for coordinate in kernels.manifest.coordinates:
-        given = joints.get(coordinate.name, ())
-        parts = given if isinstance(given, tuple) else (given,)
-        change = {"stops" if isinstance(part, Stops) else "friction": part for part in parts}
-        found.append(coordinate.model_copy(update=change))
-    equipped.manifest = kernels.manifest.model_copy(update={"coordinates": tuple(found)})
-    return equipped
-
-
-def rub(torque: float, static: float | None = None) -> Friction:
-    return Friction(torque=torque, static=torque if static is None else static, stribeck=None)
-
-
-def stop(lower: float | None, upper: float | None, restitution: float) -> Stops:
-    return Stops(lower=lower, upper=upper, restitution=restitution)
 
 
 def move(kernels: Mechanism, rates: dict[str, float], drive: Drive, settings: Settings) -> Motion:
