@@ -41,7 +41,7 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What a mode holds: forces lam (r,) along G, and rows J a + b, with derivatives by the state; K states."""
+    """The equations of a mode: forces lam (r,) along G, and rows J a + b, with derivatives by the state; K states."""
 
     G: Array  # (K, n, r)
     J: Array  # (K, r, n)
@@ -385,5 +385,5 @@ class ContactField(Field):
 
 def find_passage(segment: Segment) -> Passage:
     """Return how a model with rigid contacts came into its mode."""
-    assert isinstance(segment.passage, Passage), "the steps are those of rigid contacts"
+    assert isinstance(segment.passage, Passage), "the steps belong to rigid contacts"
     return segment.passage

@@ -13,7 +13,7 @@ counts (Aizerman, Gantmacher, "On the stability of periodic motions", J. Appl. M
 
 The derivative holds while a small change of the start leaves the order of events. Where the guard's rate is 0, at a
 grazing event, and where several guards meet by chance, there is none. Guards that meet at all neighbouring starts are
-one event. Loops and points that touch hold the start: its changes are those that keep their equations.
+one event. Changes of the start keep the equations of loops and of points that touch.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 PAIRS = {"euler": EULER, "rk4": RK4, "rk45": RK45, "dop853": DOP853}
 GRAZING = 1e6  # an event that makes more of a small change of the state grazes
 RETURN = 0.1  # of a rebound's velocity: a joint that comes back as fast did not graze
-NOTHING = 1e-10  # of the rates of the state: an event that changes them by less changes nothing
-SAME = 1e-6  # of the derivatives of the times of guards: those that differ by less are of one event
+NOTHING = 1e-10  # of the rates of the state: an event with a smaller change is none
+SAME = 1e-6  # of the derivatives of the times of guards: guards that differ by less are of one event
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class _Watcher:
         self.X = (R + np.outer(change, crossing.slope) / rate) @ self.X
 
     def choose(self, crossings: list[Crossing], rates: Array, time: float) -> Crossing | None:
-        """Return the guard of an event; of several, one of those that meet at all neighbouring starts."""
+        """Return the guard of an event; of several, a guard of a group that meets at all neighbouring starts."""
         if not crossings:
             self.note("a joint hits a stop as an input jumps", time)
             return None

@@ -67,7 +67,7 @@ class Strike:
     loads: Loads  # `qdd` are the velocities after it
     restitution: Array  # (P,)
     leaving: Array | None = (
-        None  # (P,): the impulses of points that leave are so many times the ones of the phase before
+        None  # (P,): by point: the ratio of its impulse to the one of the phase before, if it leaves
     )
 
 
