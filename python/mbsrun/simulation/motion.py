@@ -359,8 +359,15 @@ class Chunk:
             event, guard, e = bounces.events[k], bounces.guards[k], bounces.restitution[k]
             jump = Jump(self.qd[first - 1], self.qd[first], (guard.joint,), (e,))
             loss = float(bounces.losses[k])
-            happened = {"events": (event,), "loss": loss, "driven": 0.0, "guards": (guard,), "jumps": (jump,)}
-            own = replace(segment, bounces=None, **happened)
+            own = replace(
+                segment,
+                bounces=None,
+                events=(event,),
+                loss=loss,
+                driven=0.0,
+                guards=(guard,),
+                jumps=(jump,),
+            )
             yield self._cut(first, ends[k + 1], own)
 
     def _cut(self, first: int, end: int, segment: Segment) -> Chunk:
