@@ -129,6 +129,7 @@ def test_a_force_has_the_size_that_moves_its_mass(tmp_path: Path, unit: str) -> 
 UNITS = list(
     itertools.product(("1", "1e6", "1e-6"), ("1", "1e3", "1e-3"), ("1", "1e4", "1e-4"))
 )  # metre, second, kilogram
+TINY = [("1e-7", "1e7", "1"), ("1e-9", "1e3", "1"), ("1e-12", "1", "1e-6"), ("1e-9", "1e-3", "1e3")]
 EXTREME = [("1e6", "1e3", "1e4"), ("1e6", "1e-3", "1e4"), ("1e-6", "1e3", "1e-4"), ("1e-6", "1e-3", "1e-4")]
 
 REST_TO_REST = """
@@ -192,6 +193,31 @@ def test_small_bounds_hold_in_their_own_unit(tmp_path: Path, units: Sequence[str
     assert outcome.cost.total == pytest.approx(float(units[1]), rel=1e-6)
 
 
+FARTHEST = """
+horizon: second
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM, most: kilogram*metre/second**2}
+states:
+  x: {rate: v, start: 0}
+  v: {rate: f/kilogram, start: 0, end: 0}
+controls: {f: {range: [-most, most]}}
+cost: {terminal: [{expression: -x/metre}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+@pytest.mark.parametrize("units", [*EXTREME, *TINY])
+def test_a_state_has_the_size_that_a_limit_lets_it_reach(tmp_path: Path, units: Sequence[str]) -> None:
+    """From rest to rest in T, a force of at most F moves m by F T^2 / (4 m); only F, which is tiny, states a size."""
+    problem, plant = read_problem(_write(tmp_path, FARTHEST, units), load_on_demand, NO_MECHANISM)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.cost.total == pytest.approx(-0.25, rel=1e-6)
+    assert outcome.run.iterations < 15
+
+
 AROUND = """
 model: table.yaml
 horizon: second
@@ -216,7 +242,7 @@ bodies:
 """
 
 
-@pytest.mark.parametrize("units", EXTREME)
+@pytest.mark.parametrize("units", [*EXTREME, *TINY])
 def test_a_mechanism_passes_an_obstacle_in_any_unit(tmp_path: Path, units: Sequence[str]) -> None:
     """The forces are the ones of 1 m, 1 s, 1 kg, times the units.
 
@@ -230,6 +256,30 @@ def test_a_mechanism_passes_an_obstacle_in_any_unit(tmp_path: Path, units: Seque
         metre, second, kilogram = map(float, own)
         costs.append(outcome.cost.total / ((metre * kilogram) ** 2 / second**3))
     assert costs[1] == pytest.approx(costs[0], rel=1e-5)
+
+
+BOTH = """
+model: table.yaml
+horizon: second
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM, most: kilogram*metre/second**2}
+start: {pose: {}}
+end: {pose: {x: null, y: null}, velocity: zero}
+bounds: {inputs: {x: [-most, most], y: [-most, most]}}
+cost: {terminal: [{expression: -(q_x + q_y)/metre}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+@pytest.mark.parametrize("units", [*EXTREME, *TINY])
+def test_a_mechanism_has_the_size_that_limits_let_it_reach(tmp_path: Path, units: Sequence[str]) -> None:
+    """From rest to rest in T, a force of at most F moves m by F T^2 / (4 m); the first body carries the second."""
+    (tmp_path / "table.yaml").write_text(TABLE.replace("KILOGRAM", units[2]), "utf-8")
+    outcome = solve(*read_problem(_write(tmp_path, BOTH, units), load_on_demand))
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.cost.total == pytest.approx(-0.25 / 2 - 0.25, rel=1e-6)
 
 
 def test_a_launch_in_metres_and_kilograms() -> None:

@@ -8,6 +8,10 @@ A guess, a bound or an end that is not 0 is a size. Others follow from the rates
     Where z moves several states, the least of these sizes counts.
 
 The larger of both counts. A size that is found this way gives sizes to others in turn.
+
+Where nothing else gives a state a size, it has what terms of known sizes let it reach from 0, T (|r_s| + sum |dr_s/dz|
+|z|), if that is small: a force of at most 1e-9 N. Larger reaches are limits that a state may stay far from.
+The same holds for a tree at rest at 0, by its accelerations.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbsgen.expressions import evaluate, names, parse
+from mbsgen.roles import Role
 from mbsrun.jets import Jet, make_jets, vary
 from mbsrun.ocp.evaluation.values import Parts, Values
 from mbsrun.ocp.ground.functions import Array, Indices
@@ -26,15 +31,16 @@ from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.state_guess import list_parts
 from mbsrun.ocp.problem.problem import Problem, Range, State
 
+REACH = 1e-4  # the largest reach that is a size
 ROUNDED = 1e-9  # computed sizes below this are zeros that rounded; numbers of a file are none
 
 
 def size_added(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
     """Return a complete motion in which open states and controls that are guessed as 0 have their usual sizes.
 
-    It is the same motion where all have a size.
+    So has a mechanism that rests at 0 with tiny limits of inputs. It is the same motion where all have a size.
     """
-    states = problem.every_state
+    motion, states = _size_moving(motion, problem, plant), problem.every_state
     guessed = np.concatenate([_find_largest(motion.states), _find_largest(motion.controls)])
     stated = np.concatenate([[_find_stated(state) for state in states], guessed[len(states) :]])
     sizes = np.maximum(np.where((stated == 0) & (guessed < ROUNDED), 0.0, guessed), stated)
@@ -49,6 +55,45 @@ def size_added(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory
     return _put(motion, changed, sizes) if changed.size else motion
 
 
+def _size_moving(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory:
+    """Return a motion of the sizes that limits of inputs let a tree reach, where it rests at 0 and they are small.
+
+    It is the same motion elsewhere.
+    """
+    parts = (motion.q, motion.qd, motion.u, motion.point_q, motion.point_qdd)
+    limits = np.array([_find_magnitude(pair) if np.isfinite(pair).all() else np.inf for pair in problem.bounds.u])
+    if not limits.size or not np.isfinite(limits).all() or any(part.any() for part in parts):
+        return motion
+    is_tree = not (plant.manifest.dependent or plant.manifest.driven)
+    read = {port.name for port in plant.describe("impl").inputs if port.role not in (Role.SETUP, Role.DESIGN)}
+    if not is_tree or read != {"q", "qd", "qdd", "u"}:
+        return motion
+    a, T = _find_acceleration(limits, motion.qd.shape[1], plant), float(motion.t[-1])
+    if not 0 < a * T**2 < REACH:
+        return motion
+    return replace(
+        motion,
+        q=motion.q + a * T**2,
+        qd=motion.qd + a * T,
+        point_q=motion.point_q + a * T**2,
+        point_qd=motion.point_qd + a * T,
+        point_qdd=motion.point_qdd + a,
+    )
+
+
+def _find_acceleration(limits: Array, n: int, plant: Plant) -> float:
+    """Return the largest acceleration M^-1 (|Q| + |c|) at rest, by inputs within limits (m,) and all other forces."""
+    m, rest = limits.size, np.zeros((1 + n + limits.size, n))
+    qdd, u = rest.copy(), np.zeros((1 + n + m, m))
+    qdd[1 : n + 1], u[n + 1 :] = np.eye(n), np.diag(limits)
+    Phi = plant("impl", q=rest, qd=rest, qdd=qdd, u=u)["Phi"].reshape(1 + n + m, n)
+    forces = np.abs(Phi[0]) + np.abs(Phi[n + 1 :] - Phi[0]).sum(axis=0)
+    try:
+        return float((np.abs(np.linalg.inv((Phi[1 : n + 1] - Phi[0]).T)) @ forces).max())
+    except np.linalg.LinAlgError:
+        return 0.0
+
+
 def _spread_sizes(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
     """Return sizes (n,) with the unknown ones, 0, found from rates (ns,) of states and their derivatives (ns, n)."""
     sizes, ns = sizes.copy(), len(rates)
@@ -61,8 +106,20 @@ def _spread_sizes(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
         found = np.maximum(changes, np.where(np.isfinite(moved), moved, 0.0))
         is_new = (sizes == 0) & (found > 0)
         if not is_new.any():
+            found = np.concatenate([_find_reach(sizes, rates, slopes, T), np.zeros(len(sizes) - ns)])
+            is_new = (sizes == 0) & (found > 0)
+        if not is_new.any():
             return sizes
         sizes[is_new] = found[is_new]
+
+
+def _find_reach(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
+    """Return what states (ns,) reach from 0 by terms of known sizes, if it is small; else 0."""
+    slopes = slopes.copy()
+    np.fill_diagonal(slopes, 0.0)  # a state moves others, not itself
+    is_known = ((slopes == 0) | (sizes > 0)).all(axis=1)
+    reach = T * (rates + slopes @ sizes)
+    return np.where(is_known & (reach < REACH), reach, 0.0)
 
 
 def _differentiate_rates(motion: Trajectory, problem: Problem, plant: Plant) -> tuple[Array, Array]:

@@ -41,14 +41,15 @@ def find_scales(own: Transcription, x: Array, bounds: tuple[Array, Array]) -> Ar
     scales = np.ones(size)
     for group in _list_groups(own):
         scales[group] = round_scale(float(guess[group].max()), limits[group])
-    rounded = ROUNDED
+    # coordinates round where loops or sensors give them; else they are the file's
+    rounded = ROUNDED if own.closure is not None or own.structure.sensors else 0.0
     for groups in _list_moving(own):  # coordinates first: rates of small ones are smaller
         largest = [float(guess[group].max(initial=0.0)) for group in groups]
         most = min(1.0, max(largest, default=0.0))
         common = most if most > rounded else 0.0
         for group, own_largest in zip(groups, largest, strict=True):
             scales[group] = round_scale(max(own_largest, common) if common else 0.0, limits[group], USUAL)
-        rounded = ROUNDED * common if common else rounded
+        rounded = ROUNDED * (common or 1.0)
     return scales[kept]
 
 
