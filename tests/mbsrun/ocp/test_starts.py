@@ -21,6 +21,7 @@ from mbsrun.ocp.guessing.starts import (
     add_waves,
     coarsen,
     count_turns,
+    describe_starts,
     describe_turns,
     list_turning,
     vary,
@@ -35,7 +36,7 @@ from mbsrun.ocp.searching.attempts import (
     summarise,
 )
 from mbsrun.ocp.searching.executor import Worker
-from mbsrun.ocp.searching.multistart import describe_starts, gather, list_starts, state_study
+from mbsrun.ocp.searching.multistart import gather, list_starts, state_study
 from mbsrun.ocp.searching.search import Job
 from mbsrun.ocp.searching.study import Targets
 from mbsrun.ocp.searching.trials import COUNTS, plan_round, restate

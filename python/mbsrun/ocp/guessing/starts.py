@@ -28,6 +28,7 @@ from mbsrun.ocp.ground.trajectory import NONE, Trajectory
 from mbsrun.ocp.guessing.guess import balance, bump, close_motion, find_pose, interpolate, rest, scatter_poses
 from mbsrun.ocp.guessing.state_guess import complete
 from mbsrun.ocp.problem.problem import Form, Problem, Range
+from mbsrun.ocp.solution.solution import Starts
 from mbsrun.quaternions import normalise
 
 Array = NDArray[np.float64]
@@ -75,6 +76,17 @@ def describe_turns(turns: str) -> str:
     """Describe turns: "with +2 turns of q1"."""
     told = (part.rpartition(" ") for part in turns.split(", ") if part)
     return ", ".join(f"with {count} turn{'s' * (abs(int(count)) > 1)} of {name}" for name, _, count in told)
+
+
+def describe_starts(starts: Starts) -> str:
+    """Describe the lowest cost and the number of starts that found it, in words."""
+    made, best = len(starts.results), starts.best
+    if best is None:
+        return f"no solution in {made} starts"
+    times = "once" if starts.times == 1 else f"{starts.times} times"
+    turns = f" ({describe_turns(best.turns)})" if best.turns else ""
+    hops = f", by {len(starts.hops)} hops from the best of them" if starts.hops and not starts.times else ""
+    return f"the lowest cost{turns} was found {times} in {made} starts{hops}; lower ones may exist"
 
 
 def vary(

@@ -20,7 +20,7 @@ from types import FrameType
 from mbsrun.environment import describe_environment
 from mbsrun.models import find_folder
 from mbsrun.ocp.ground.plant import Plant
-from mbsrun.ocp.guessing.starts import TURNS, Kind, Variation, describe_turns, list_turning
+from mbsrun.ocp.guessing.starts import TURNS, Kind, Variation, list_turning
 from mbsrun.ocp.methods import choose
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.searching.attempts import is_higher
@@ -92,17 +92,6 @@ def gather(trials: Sequence[Trial], attempts: Sequence[Attempt], seed: int, hops
         return tuple(Start(k, a.part, a.status, a.iterations, a.cpu_seconds, a.cost, a.turns) for k, a in pairs)
 
     return Starts(seed, len(trials), collect(trials), collect(hops))
-
-
-def describe_starts(starts: Starts) -> str:
-    """Describe the lowest cost and the number of starts that found it, in words."""
-    made, best = len(starts.results), starts.best
-    if best is None:
-        return f"no solution in {made} starts"
-    times = "once" if starts.times == 1 else f"{starts.times} times"
-    turns = f" ({describe_turns(best.turns)})" if best.turns else ""
-    hops = f", by {len(starts.hops)} hops from the best of them" if starts.hops and not starts.times else ""
-    return f"the lowest cost{turns} was found {times} in {made} starts{hops}; lower ones may exist"
 
 
 # --- the search -----------------------------------------------------------------------------------------------------

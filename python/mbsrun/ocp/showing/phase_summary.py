@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from mbsrun.ocp.ground.status import SOLVED
-from mbsrun.ocp.searching.multistart import describe_starts
+from mbsrun.ocp.guessing.starts import describe_starts
 from mbsrun.ocp.showing.summary import (
     list_program,
     list_sensitivities,

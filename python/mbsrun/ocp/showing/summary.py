@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from mbsrun.closure import CLOSED
+from mbsrun.ocp.guessing.starts import describe_starts
 from mbsrun.ocp.problem.problem import Loops, Unknown
-from mbsrun.ocp.searching.multistart import describe_starts
 from mbsrun.ocp.solution.solution import Resimulation, Run, Size, Solution
 
 UNUSED = 1e-6  # a slack that counts as 0: solvers keep it off its bound
