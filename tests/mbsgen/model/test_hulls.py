@@ -21,6 +21,7 @@ from mbsgen.model.tree import Tree
 from mbsgen.model.writer import write_model
 from mbsrun import load
 from mbsrun.kernel import KernelError
+from mbsrun.models import Extent
 from tests.fuzz import mechanisms
 from tests.mbsgen.model.pairs import REST, Array, call, find_drawn, make_pair, press
 
@@ -178,7 +179,7 @@ def test_all_functions_agree_with_virtual_power(kind: str, numbers: str, tmp_pat
 
 def test_derivatives_are_differences(tmp_path: Path) -> None:
     """First and second derivatives of all functions, in 50 digits."""
-    seed = find_drawn(tmp_path, lambda touch: "friction" in touch, "capsule")
+    seed = find_drawn(tmp_path, lambda touch: "friction" not in touch, "capsule")
     assert mechanisms.examine(replace(mechanisms.draw(seed), reductions="all"), seed, derivatives=True) == ""
 
 
@@ -189,7 +190,7 @@ def test_a_cylinder_that_stands_has_no_lowest_point(requires: Callable[[str], st
     bodies = [body(name, free(), mass=2, inertia=(0.1, 0.1, 0.1)) for name in ("a", "b")]
     file = tmp_path / "log.yaml"
     file.write_text(write_model(make_model("log", bodies, gravity=(0, 0, 0), contacts=[log])), encoding="utf-8")
-    plant = load(file)
+    plant = load(file, extent=Extent(("impl",), derivatives=0))
     lean = np.array([np.sin(1e-3), 0, 0, np.cos(1e-3)])
     assert np.isfinite(plant.impl(q=stand(np.ones(3), np.zeros(3), tuple(lean)), qd=REST, qdd=REST)["Phi"]).all()
     with pytest.raises(KernelError, match=r"log\.1"):
