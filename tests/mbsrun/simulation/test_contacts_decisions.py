@@ -18,8 +18,8 @@ from mbsrun.simulation.integration.contacts import (
     Search,
     State,
     Touch,
-    _span,
     find_way,
+    span,
 )
 from tests.mbsrun.simulation.particles import Floor, drop
 
@@ -220,7 +220,7 @@ def test_a_way_is_smooth_where_a_point_comes_to_rest() -> None:
 
 def test_two_directions_lie_across_each_normal() -> None:
     for n in (np.array([[0.0, 0.0, 1.0]]), np.array([[0.6, 0.0, 0.8]]), np.array([[1.0, 2.0, -2.0]]) / 3):
-        basis = np.array([n[0], *(x[0] for x in _span(n))])
+        basis = np.array([n[0], *(x[0] for x in span(n))])
         assert basis @ basis.T == pytest.approx(np.eye(3), abs=1e-14)
 
 

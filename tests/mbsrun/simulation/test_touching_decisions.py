@@ -590,9 +590,10 @@ def test_poissons_expansion_has_its_share_of_the_compressions_impulse() -> None:
         motion = course(drop(Floor(restitution=0.25), M=((2.0, 0.0), (0.0, 2.0))), impacts=impacts)
         q, qd = np.zeros(2), np.array([0.0, -4.0])
         touch = motion.contacts.touch(q[None], qd[None])
-        after, loads = motion.strike(qd, 2 * np.eye(2), touch, [0], np.array([0.25]), np.array([-4.0]))
+        after, loads, phases = motion.strike(q, qd, 2 * np.eye(2), touch, [0], np.array([0.25]), np.array([-4.0]))
         assert after == pytest.approx([0.0, 1.0])
         assert loads.normal == pytest.approx(np.array([[2 * 4 * 1.25]]))
+        assert len(phases) == (1 if impacts is Impacts.NEWTON else 2)
 
 
 def test_a_motion_in_a_formulation_without_mass_matrix_takes_one_with() -> None:
