@@ -138,6 +138,8 @@ static void parts(void)
     LAW("a vector that is short stays", t[0] == 3 && t[1] == -4);
     shorten(2.5, t);
     LAW("a longer one is shortened", t[0] == 1.5 && t[1] == -2);
+    t[0] = t[1] = 0, shorten(0, t);
+    LAW("one of no length has none", t[0] == 0 && t[1] == 0);
 }
 
 /* A push and a contact, by hand: across the normal (5 3; 3 -3) has the eigenvalues 6 and -4. */
@@ -169,6 +171,21 @@ static void scales(void)
     w[0] = 0.25;
     scale(&s, P);
     LAW("the first counts", s.rho[1] == 4e12);
+    free_of[0] = 0.0625, free_of[1] = 0;
+    scale(&s, P);
+    LAW("small impulses have a small size", s.scale == 0.25);
+}
+
+/* A contact alone: across the normal (5 3; 3 -3). */
+static void scale_one(void)
+{
+    static const casadi_int kind_of[1] = {MBS_TOUCH}, first_of[1] = {0};
+    static const casadi_real grip_of[1] = {0.5}, w[9] = {4, 7, 7, 7, 5, 3, 7, 3, -3}, free_of[3] = {0, 0, 0};
+    const casadi_real P[3] = {0, 0, 0};
+    const mbs_cone p = {3, 1, kind_of, first_of, grip_of, w, free_of};
+    mbs_solver s = open_here(&p);
+    scale(&s, P);
+    LAW("the first block may be a contact", s.rho[0] == 0.25 && fabs(s.rho[1] * 6 - 1) < 1e-15 && s.rho[2] == s.rho[1]);
 }
 
 /* Residuals of unit masses: velocities are impulses and more. */
@@ -310,6 +327,6 @@ int main(void)
     LAW("and where it sticks", compare(&s, P) < 2e-7);
     P[0] = -20, P[1] = -30;
     LAW("and where nothing touches", compare(&s, P) < 2e-7);
-    repeat_a_push(), parts(), scales(), residuals(), solutions(), endless();
+    repeat_a_push(), parts(), scales(), scale_one(), residuals(), solutions(), endless();
     return broken > 0;
 }
