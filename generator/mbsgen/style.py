@@ -71,7 +71,7 @@ def load_matplotlib() -> None:
     """
     from matplotlib import artist
 
-    describe = artist.kwdoc
+    describe = getattr(artist, "kwdoc", _say_nothing)  # it has no page in Matplotlib's manual
     artist.kwdoc = _say_nothing
     try:
         import matplotlib.figure  # noqa: F401

@@ -80,7 +80,7 @@ def test_only_what_is_called_is_compiled(tmp_path: Path, own_cache: Path) -> Non
     family = ["sample_adj1_impl", "sample_impl", "sample_jac_adj1_impl", "sample_jac_impl"]
     assert kept(own_cache, ".o") == sorted([*family, "sample_setup"])
     assert objects < set(own_cache.rglob("*.o"))
-    k.impl(x=[[1, 1, 1]], y=[1, 1], z=[0])
+    k.impl(x=[[1, 1, 1]] * 2, y=[1, 1], z=[0])
     assert "mbs_many" in kept(own_cache, ".o")
 
 
