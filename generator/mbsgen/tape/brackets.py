@@ -34,12 +34,15 @@ def take_brackets(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
     fewest, refused = count_varying(tape, constant), 0
     found = _Brackets(tape, constant)
     while refused < TRIED:
+        draft = found.draft
         for places in found.list_shared()[refused:TRIED]:
             count = found.take(places, fewest)
             if count < fewest:
                 fewest = count
                 break
             refused += 1
+            if found.draft is not draft:  # it has other numbers
+                break
         else:
             break
     return found.draft.build()

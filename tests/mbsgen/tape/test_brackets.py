@@ -70,6 +70,15 @@ def test_a_tape_that_is_changed_in_place_is_the_tape_that_is_written_again(
     assert any(followed) or not followed or seed % 4 == 0  # a square root of a negative value is not followed
 
 
+@pytest.mark.parametrize("seed", [58, 109, 114, 155, 231, 257])  # of few in which this decides
+def test_changes_that_are_not_followed_change_nothing(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tape that is written again for some brackets has other numbers, by which the next brackets are found."""
+    tape, attempt = random_brackets(seed), Draft.attempt
+    found = take_brackets(tape, {Role.PARAMETER})
+    monkeypatch.setattr(Draft, "attempt", lambda d, *given: None if d.is_changed else attempt(d, *given))
+    assert take_brackets(tape, {Role.PARAMETER}) == found
+
+
 def test_operations_on_parameters_do_not_count() -> None:
     """x p1 + x p2 and y p1 + y p2 need two products that vary, and no sum."""
     builder = Builder()
