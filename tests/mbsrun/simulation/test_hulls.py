@@ -12,6 +12,7 @@ from mbsrun.animation import Motion as Shown
 from mbsrun.animation import Part, make_film
 from mbsrun.animation.film import Kind, Layer
 from mbsrun.animation.forces import find_loads
+from mbsrun.models import Extent
 from mbsrun.simulation import Settings, simulate
 from mbsrun.simulation.drive import hold
 from tests.mbsrun.simulation.balls import MASSES, ROUGH, SIMULATED, stand
@@ -86,7 +87,8 @@ def test_capsules_and_points_are_drawn(tmp_path: Path) -> None:
     """A capsule as a cylinder with two balls, a hull as the balls about its points."""
     q = np.array([stand((0.4, 0, 0), (0, 0, 0))] * 2)
     for side, kinds in (("capsule", [Kind.CYLINDER, *([Kind.ELLIPSOID] * 3)]), ("points", 3 * [Kind.ELLIPSOID])):
-        pair = load(make(tmp_path, PAIR.replace("SIDES", SIDES[side]).replace("LAW", ROUGH)), extent=SIMULATED)
+        text = PAIR.replace("SIDES", SIDES[side]).replace("LAW", ROUGH)
+        pair = load(make(tmp_path, text), extent=Extent(("frames",), derivatives=0))
         film = make_film([Shown((Part(pair, np.array([0.0, 1.0]), q),))])
         shown = [x for x in film.actors[0].solids if x.layer is Layer.CONTACTS]
         assert sorted(x.kind for x in shown) == sorted(kinds)
