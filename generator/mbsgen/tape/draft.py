@@ -64,14 +64,16 @@ class Draft(Arithmetic):
         self._nodes: dict[int, Key | mpf | None] = {}
         self._bases: dict[int, int] = {}
         self._counts: dict[int, int] = {}  # of uses by operations, outputs and guards
-        self._floor = tape.first_literal << ROOM  # literals come behind it
+        follows = not _has_turned(tape)
+        room = ROOM if follows else 0  # small numbers take less time
+        self._floor = tape.first_literal << room  # literals come behind it
         self._next_literal = self._floor + 1
-        self._is_settled: bool | None = None
+        self._is_settled: bool | None = None if follows else False
         self._journal: list[tuple[dict[Any, Any], Any, Any]] = []  # what a change replaced
-        self._numbers = [*self._number_leaves()]
+        self._numbers = [*self._number_leaves(room)]
         fixed = find_constants(tape, constant)
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            number = (value + 1) << ROOM
+            number = (value + 1) << room
             self._numbers.append(number)
             self.operations[number] = op, self._numbers[a], self._numbers[b] if b >= 0 else 0
         for number, is_fixed in zip(self._numbers, fixed, strict=True):
@@ -92,9 +94,9 @@ class Draft(Arithmetic):
         self.is_changed = False
         self._varying = count_varying(tape, constant)
 
-    def _number_leaves(self) -> Iterator[int]:
+    def _number_leaves(self, room: int) -> Iterator[int]:
         for value in range(self.tape.first_literal):
-            number = (value + 1) << ROOM
+            number = (value + 1) << room
             self._nodes[number], self._bases[number] = None, number
             yield number
         for x in self.tape.literals:
@@ -540,7 +542,7 @@ class Draft(Arithmetic):
             self._slot = self._here = number
             self._made_here = []
             ref = refs[number] = self.operate(op, refs[a], refs[b])
-            if op is not Op.NEG and (abs(ref) != number or self._has_turned(op, a, b)):
+            if op is not Op.NEG and abs(ref) != number:
                 break
         else:
             before = {name: self.__dict__[name] for name in _FOLLOWED}
@@ -551,10 +553,6 @@ class Draft(Arithmetic):
             self.__dict__.update(before)
         self._journal.clear()
         return False
-
-    def _has_turned(self, op: Op, a: int, b: int) -> bool:
-        """Return whether a function that has no sign to give away is applied to a value whose sign is changed."""
-        return op not in _SIGNED and any(x in self.operations and self.operations[x][0] is Op.NEG for x in (a, b))
 
     def _follow(self, refs: Mapping[int, Ref]) -> None:
         """Take the nodes for the values."""
@@ -634,6 +632,12 @@ class Draft(Arithmetic):
 
 
 _MISSING: Any = object()
+
+
+def _has_turned(tape: Tape) -> bool:
+    """Return whether a function that has no sign to give away is applied to a value whose sign is changed."""
+    turned = {value for value, (op, _, _) in enumerate(tape.operations, tape.first_operation) if op is Op.NEG}
+    return any(op not in _SIGNED and op is not Op.NEG and not turned.isdisjoint((a, b)) for op, a, b in tape.operations)
 
 
 def _turn_to(places: Mapping[int, int], ref: Ref) -> Ref:
