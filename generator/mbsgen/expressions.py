@@ -360,6 +360,16 @@ def list_operands(expression: Expression) -> tuple[Expression, ...]:
     return ()
 
 
+def find_first_name(expression: Expression) -> str:
+    """Return the name that an expression begins with; "" where it begins with a number."""
+    while not isinstance(expression, Name):
+        operands = list_operands(expression)
+        if not operands:
+            return ""
+        expression = operands[0]
+    return expression.name
+
+
 # --- reading -------------------------------------------------------------------------------------------------------
 
 _NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mbsgen.comparison import evaluate_tape
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import FLOATS, Algebra, Expression, Name, Number, evaluate, list_operands, names, substitute
+from mbsgen.expressions import FLOATS, Algebra, Number, evaluate, find_first_name, names, substitute
 from mbsgen.formulations.catalogue import FUNCTIONS, REFERENCE, list_giving
 from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Imported, import_model
@@ -111,7 +111,9 @@ class _Motion:
         self.imported = imported
         model = imported.model
         self._joints = {step.name: step.joint for step in list_joints(model)}
-        explicit = {first: x.equation for x in model.constraints if (first := _find_first(x.equation)) in self._joints}
+        explicit = {
+            first: x.equation for x in model.constraints if (first := find_first_name(x.equation)) in self._joints
+        }
         self._equations = explicit
         self.free = [x for x, joint in self._joints.items() if joint.follows is None and x not in explicit]
         opened = replace(model, constraints=(), loops=(), independent=(), assembly=())
@@ -247,16 +249,6 @@ class _Motion:
                 [0, ca * ad, -sa * cb * ad - ca * sb * bd],
             ]
         return E, Ed
-
-
-def _find_first(expression: Expression) -> str:
-    """Return the name that an explicit equation begins with; "" for another one."""
-    while not isinstance(expression, Name):
-        operands = list_operands(expression)
-        if not operands:
-            return ""
-        expression = operands[0]
-    return expression.name
 
 
 def ask_opensim(path: Path, states: Sequence[State]) -> Any:

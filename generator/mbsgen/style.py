@@ -64,26 +64,6 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return within
 
 
-def load_matplotlib() -> None:
-    """Load Matplotlib without the lists of properties in its docstrings, which take a third of the time that it needs.
-
-    For commands: in a process of theirs nobody reads docstrings.
-    """
-    from matplotlib import artist
-
-    describe = getattr(artist, "kwdoc", _say_nothing)  # it has no page in Matplotlib's manual
-    artist.kwdoc = _say_nothing
-    try:
-        import matplotlib.figure  # noqa: F401
-        import mpl_toolkits.mplot3d  # noqa: F401
-    finally:
-        artist.kwdoc = describe
-
-
-def _say_nothing(artist: object) -> str:  # noqa: ARG001
-    return ""
-
-
 METADATA: Mapping[str, Mapping[str, None]] = MappingProxyType(  # versions and dates, which would change the bytes
     {
         "png": {"Software": None},

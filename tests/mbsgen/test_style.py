@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mbsgen.style import DOTS, METADATA, load_matplotlib, save_figure, styled
+from mbsgen.style import DOTS, METADATA, save_figure, styled
 
 
 @pytest.mark.parametrize("layout", ["constrained", None])
@@ -27,11 +27,3 @@ def test_a_figure_that_is_laid_out_once_has_the_pixels_of_matplotlib(layout: str
     assert (figure.get_layout_engine(), figure.dpi) == (engine, dots)
     styled(draw().savefig)(tmp_path / "twice.png", dpi=DOTS, metadata=dict(METADATA["png"]))
     assert (tmp_path / "once.png").read_bytes() == (tmp_path / "twice.png").read_bytes()
-
-
-def test_matplotlib_describes_properties_again_once_it_is_loaded() -> None:
-    from matplotlib import artist
-
-    describe = artist.kwdoc
-    load_matplotlib()
-    assert artist.kwdoc is describe

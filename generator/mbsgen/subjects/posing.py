@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.comparison import evaluate_tape
-from mbsgen.expressions import FLOATS, Expression, Name, Number, evaluate, list_operands, names, substitute
+from mbsgen.expressions import FLOATS, Expression, Number, evaluate, find_first_name, names, substitute
 from mbsgen.formulations.catalogue import FUNCTIONS
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.changes.reduction import build_tree
@@ -45,7 +45,7 @@ class Posed:
 def pose(model: Model, start: Mapping[str, float]) -> Posed:
     """Compute places and lengths where free joints have the coordinates `start`, by name [rad or m]. No loops."""
     joints = {step.name: step.joint for step in list_joints(model)}
-    explicit = {first: x.equation for x in model.constraints if (first := _find_first(x.equation)) in joints}
+    explicit = {first: x.equation for x in model.constraints if (first := find_first_name(x.equation)) in joints}
     values: dict[str, float] = {}
     for parameter in model.parameters:
         values[parameter.name] = evaluate(parameter.value, values, FLOATS)
@@ -72,7 +72,7 @@ def pose(model: Model, start: Mapping[str, float]) -> Posed:
 def has_loops(model: Model) -> bool:
     """Return whether a pose of the model has to be closed first."""
     joints = {step.name for step in list_joints(model)}
-    return bool(model.loops) or any(_find_first(x.equation) not in joints for x in model.constraints)
+    return bool(model.loops) or any(find_first_name(x.equation) not in joints for x in model.constraints)
 
 
 def _find(
@@ -92,13 +92,3 @@ def _find(
         return start.get(name, 0.0)
     ratio, offset = (evaluate(x, values, FLOATS) for x in (follows.ratio, follows.offset))
     return ratio * _find(follows.joint, start, joints, explicit, values) + offset
-
-
-def _find_first(expression: Expression) -> str:
-    """Return the name that an explicit equation begins with; "" for another one."""
-    while not isinstance(expression, Name):
-        operands = list_operands(expression)
-        if not operands:
-            return ""
-        expression = operands[0]
-    return expression.name

@@ -6,6 +6,7 @@ the class that stores it.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from mpmath import mpf
@@ -18,7 +19,7 @@ OWN = -1  # as a base: the node's own number
 _ONE = LITERALS.mpf(1)
 
 
-class Arithmetic:
+class Arithmetic(ABC):
     """Operations on references to nodes, which a class that inherits it stores by `_new`.
 
     fold: evaluate operations on literals, drop 0 and 1, gather literal factors. number: give equal operations one node.
@@ -36,9 +37,9 @@ class Arithmetic:
         self._products: dict[tuple[Ref, Ref], Ref] = {}  # products of 0 < x <= y: most are asked for many times
         self._literals: dict[mpf, Ref] = {}
 
+    @abstractmethod
     def _new(self, key: Key | mpf, base: int = OWN) -> Ref:
         """Store a node; return its number."""
-        raise NotImplementedError
 
     def literal(self, value: mpf) -> Ref:
         """Refer to a literal."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mbsgen.help import ModelCommand
-from mbsgen.style import load_matplotlib
 from mbsrun.commands.columns import check_columns, more_columns
 from mbsrun.commands.console import (
     NOT_SOLVED,
@@ -265,7 +264,6 @@ def solve_command(
             status.update("differentiating the solution")
             derivatives = differentiate(control, outcome, plants, by)
         status.update("drawing")
-        load_matplotlib()
         from mbsrun.ocp.showing.files import write_files
 
         written = write_files(outcome, plants, out, columns)

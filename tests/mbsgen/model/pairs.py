@@ -14,13 +14,21 @@ from mbsgen.formulations import catalogue
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.construction import body, free, make_model
-from mbsgen.model.model import Contact
+from mbsgen.model.model import Contact, Model
+from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.tape.interpreter import evaluate
 from tests.fuzz import mechanisms
 
 Array = NDArray[np.float64]
 Data = dict[str, Any]
+
+
+def read(text: str, folder: Path) -> Model:
+    """Read a model file of this text."""
+    file = folder / "model.yaml"
+    file.write_text(text, encoding="utf-8")
+    return read_model(file)
 
 
 def make_pair(touch: Contact) -> Tree:

@@ -16,12 +16,11 @@ from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, box, contact, make_model, number, plane, prismatic
-from mbsgen.model.model import Block, Model
-from mbsgen.model.reader import read_model
+from mbsgen.model.model import Block
 from mbsgen.model.tree import Kind
 from mbsgen.model.writer import write_model
 from tests.fuzz import mechanisms
-from tests.mbsgen.model.pairs import REST, Array, call, find_drawn, make_pair, press
+from tests.mbsgen.model.pairs import REST, Array, call, find_drawn, make_pair, press, read
 
 r, k, SIZE = 0.1, 1e4, (0.4, 0.3, 0.2)
 LAW: dict[str, Any] = {"stiffness": k, "width": 1e-6}
@@ -58,12 +57,6 @@ contacts:
     width: 0.05
     friction: {coefficient: 0.5, speed: 0.1}
 """  # noqa: E501
-
-
-def read(text: str, folder: Path) -> Model:
-    file = folder / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    return read_model(file)
 
 
 def measure(x: Array) -> float:

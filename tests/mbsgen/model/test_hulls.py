@@ -15,15 +15,14 @@ from mbsgen.errors import InputError
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, capsule, contact, free, make_model, plane
-from mbsgen.model.model import Capsule, Contact, Model
-from mbsgen.model.reader import read_model
+from mbsgen.model.model import Capsule, Contact
 from mbsgen.model.tree import Tree
 from mbsgen.model.writer import write_model
 from mbsrun import load
 from mbsrun.kernel import KernelError
 from mbsrun.models import Extent
 from tests.fuzz import mechanisms
-from tests.mbsgen.model.pairs import REST, Array, call, find_drawn, make_pair, press
+from tests.mbsgen.model.pairs import REST, Array, call, find_drawn, make_pair, press, read
 
 r, R, L, k = 0.1, 0.05, 0.4, 1e4
 LAW: dict[str, Any] = {"stiffness": k, "width": 1e-6}
@@ -58,12 +57,6 @@ contacts:
     width: 0.05
     friction: {coefficient: 0.5, speed: 0.1}
 """  # noqa: E501
-
-
-def read(text: str, folder: Path) -> Model:
-    file = folder / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    return read_model(file)
 
 
 def stand(c: Array, P: Array, turn: tuple[float, ...] = (0, 0, 0, 1)) -> Array:

@@ -19,15 +19,13 @@ from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, contact, make_model, number, plane, prismatic, sphere
-from mbsgen.model.model import Model
-from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Kind
 from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape import reverse
 from mbsgen.tape.interpreter import find_failure
 from tests.fuzz import mechanisms
-from tests.mbsgen.model.pairs import REST, call, find_drawn, make_pair, press
+from tests.mbsgen.model.pairs import REST, call, find_drawn, make_pair, press, read
 
 r, R, k = 0.1, 0.25, 1e4
 LAW: dict[str, Any] = {"stiffness": k, "width": 1e-6}
@@ -64,12 +62,6 @@ contacts:
     width: 0.05
     friction: {coefficient: 0.5, speed: 0.1}
 """  # noqa: E501
-
-
-def read(text: str, folder: Path) -> Model:
-    file = folder / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    return read_model(file)
 
 
 # --- closed forms -----------------------------------------------------------------------------------------------------
