@@ -16,6 +16,7 @@ from mbsgen.errors import Fault
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate, names
 
 COMMAND_LINE = "command line"
+ENDLESS = 1e19  # solvers read limits of this magnitude or more as none
 
 
 def read_settings(file: Path | None, options: Mapping[str, Data]) -> Document:
@@ -80,6 +81,26 @@ class Reading:
         if value < least:
             wanted = {0: "a number that is not negative", math.ulp(0): "a positive number"}
             self.fault(place, f"found {value:g}", f"give {wanted.get(least, f'at least {least:g}')}")
+            return math.nan
+        return value
+
+    def range(self, place: Place, limits: tuple[Expression | None, Expression | None]) -> tuple[float, float]:
+        """Read a lower and an upper limit, infinite where there is none; NaN, which passes later checks, if wrong."""
+        lower, upper = (
+            default if limit is None else self.limit((*place, i), limit)
+            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
+        )
+        if lower > upper:
+            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
+            return (math.nan, math.nan)
+        return (lower, upper)
+
+    def limit(self, place: Place, expression: Expression) -> float:
+        """Compute a number that limits or fixes an unknown of a solver."""
+        value = self.number(place, expression)
+        if abs(value) >= ENDLESS:
+            finding = f"found {value:g}, and solvers read {ENDLESS:g} and more as no limit"
+            self.fault(place, finding, "give null for no limit, or choose a larger unit")
             return math.nan
         return value
 

@@ -218,6 +218,37 @@ def test_a_state_has_the_size_that_a_limit_lets_it_reach(tmp_path: Path, units: 
     assert outcome.run.iterations < 15
 
 
+FARTHEST_BY_A_BUDGET = """
+horizon: second
+intervals: 20
+scheme: radau
+degree: 3
+constants: {metre: METRE, second: SECOND, kilogram: KILOGRAM, budget: (kilogram*metre)**2/second**3}
+states:
+  x: {rate: v, start: 0}
+  v: {rate: f/kilogram, start: 0, end: 0}
+  effort: {rate: f**2, start: 0, end: [0, budget]}
+controls: {f: {}}
+cost: {terminal: [{expression: -x/metre}]}
+solver: {method: mbs, fallback: false}
+"""
+
+
+@pytest.mark.parametrize("units", [("1e-3", "1e2", "1"), ("1e3", "1e-2", "1"), EXTREME[0], *EXTREME[2:], *TINY])
+def test_a_force_has_the_size_that_a_budget_of_its_square_lets_it_have(tmp_path: Path, units: Sequence[str]) -> None:
+    """From rest to rest in T, the integral of f^2 up to B moves m by sqrt(B T^3 / 12) / m.
+
+    For N constant forces B is divided by 1 + 1/(N^2 - 1), as in the least effort over a length. The square has no slope
+    at 0.
+    """
+    problem, plant = read_problem(_write(tmp_path, FARTHEST_BY_A_BUDGET, units), load_on_demand, NO_MECHANISM)
+    outcome = solve(problem, plant)
+    assert isinstance(outcome, Solution), outcome.finding
+    assert outcome.run.status == SOLVED
+    assert outcome.cost.total == pytest.approx(-np.sqrt((1 - 1 / 400) / 12), rel=1e-7)
+    assert outcome.run.iterations < 30
+
+
 AROUND = """
 model: table.yaml
 horizon: second

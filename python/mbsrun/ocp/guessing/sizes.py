@@ -5,12 +5,14 @@ A guess, a bound or an end that is not 0 is a size. Others follow from the rates
     a state s changes by T |r_s|: a velocity from rest to rest under gravity,
     a state or control z that moves a state s of known size balances its rate, |z| = R / |dr_s/dz|: a velocity, where
     positions are known, and then a force. R is the largest of |s| / T, |r_s|, and the terms of other known sizes.
+    Where the slope is 0, the curvature counts, |z|^2 = 2 R / |d2r_s/dz2|: a force whose square a budget limits.
     Where z moves several states, the least of these sizes counts.
 
 The larger of both counts. A size that is found this way gives sizes to others in turn.
 
-Where nothing else gives a state a size, it has what terms of known sizes let it reach from 0, T (|r_s| + sum |dr_s/dz|
-|z|), if that is small: a force of at most 1e-9 N. Larger reaches are limits that a state may stay far from.
+Where nothing else gives a state a size, it has what terms of known sizes and reaches let it reach from 0, T (|r_s| +
+sum |dr_s/dz| |z|), if that is small: a force of at most 1e-9 N. Larger reaches are limits that a state may stay far
+from.
 The same holds for a tree at rest at 0, by its accelerations.
 """
 
@@ -23,7 +25,7 @@ import numpy as np
 
 from mbsgen.expressions import evaluate, names, parse
 from mbsgen.roles import Role
-from mbsrun.jets import Jet, make_jets, vary
+from mbsrun.jets import Jet, Mask, make_jets, vary
 from mbsrun.ocp.evaluation.values import Parts, Values
 from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.ground.plant import Plant
@@ -48,8 +50,7 @@ def size_added(motion: Trajectory, problem: Problem, plant: Plant) -> Trajectory
     closed = np.array([_find_magnitude(pair) if np.isfinite(pair).all() else 0.0 for pair in limits])
     known = np.where(sizes == 0, closed, sizes)
     if states and (known == 0).any():
-        rates, slopes = _differentiate_rates(motion, problem, plant)
-        found = _spread_sizes(known, rates, slopes, float(motion.t[-1]))
+        found = _spread_sizes(known, *_differentiate_rates(motion, problem, plant), float(motion.t[-1]))
         sizes = np.where((sizes == 0) & (closed == 0), found, sizes)
     changed = np.flatnonzero(sizes != guessed)
     return _put(motion, changed, sizes) if changed.size else motion
@@ -94,15 +95,14 @@ def _find_acceleration(limits: Array, n: int, plant: Plant) -> float:
         return 0.0
 
 
-def _spread_sizes(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
+def _spread_sizes(sizes: Array, rates: Array, slopes: Array, curvatures: Array, T: float) -> Array:
     """Return sizes (n,) with the unknown ones, 0, found from rates (ns,) of states and their derivatives (ns, n)."""
     sizes, ns = sizes.copy(), len(rates)
     changes = np.concatenate([rates * T, np.zeros(len(sizes) - ns)])
     changes[changes < ROUNDED] = 0.0
     while True:
         balanced = np.maximum(np.maximum(sizes[:ns] / T, rates), (slopes * sizes).max(axis=1, initial=0.0))
-        moves = (sizes[:ns, None] > 0) & (slopes > 0)
-        moved = np.where(moves, balanced[:, None] / np.where(moves, slopes, 1.0), np.inf).min(axis=0, initial=np.inf)
+        moved = _balance(balanced[:, None], sizes[:ns, None] > 0, slopes, curvatures).min(axis=0, initial=np.inf)
         found = np.maximum(changes, np.where(np.isfinite(moved), moved, 0.0))
         is_new = (sizes == 0) & (found > 0)
         if not is_new.any():
@@ -113,39 +113,53 @@ def _spread_sizes(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
         sizes[is_new] = found[is_new]
 
 
+def _balance(balanced: Array, is_known: Mask, slopes: Array, curvatures: Array) -> Array:
+    """Return the sizes (ns, n) by which states and controls balance rates (ns, 1); infinite where they have no part."""
+    moves, bends = is_known & (slopes > 0), is_known & (slopes == 0) & (curvatures > 0)
+    moved = np.where(moves, balanced / np.where(moves, slopes, 1.0), np.inf)
+    return np.where(bends, np.sqrt(2 * balanced / np.where(bends, curvatures, 1.0)), moved)
+
+
 def _find_reach(sizes: Array, rates: Array, slopes: Array, T: float) -> Array:
-    """Return what states (ns,) reach from 0 by terms of known sizes, if it is small; else 0."""
-    slopes = slopes.copy()
+    """Return what states (ns,) reach from 0 by terms of known sizes and reaches, if it is small; else 0."""
+    slopes, reached = slopes.copy(), sizes.copy()
     np.fill_diagonal(slopes, 0.0)  # a state moves others, not itself
-    is_known = ((slopes == 0) | (sizes > 0)).all(axis=1)
-    reach = T * (rates + slopes @ sizes)
-    return np.where(is_known & (reach < REACH), reach, 0.0)
+    for _ in rates:
+        is_known = ((slopes == 0) | (reached > 0)).all(axis=1) & (reached[: len(rates)] == 0)
+        reach = np.where(is_known, T * (rates + slopes @ reached), 0.0)
+        reached[: len(rates)] += np.where(np.isfinite(reach), reach, 0.0)
+    return np.where(reached < REACH, reached, 0.0)[: len(rates)]
 
 
-def _differentiate_rates(motion: Trajectory, problem: Problem, plant: Plant) -> tuple[Array, Array]:
-    """Return the largest rates (ns,) along a motion, and their derivatives by states and controls (ns, ns + nc)."""
+def _differentiate_rates(motion: Trajectory, problem: Problem, plant: Plant) -> tuple[Array, Array, Array]:
+    """Return the largest rates (ns,) along a motion, and their first and second derivatives (ns, ns + nc).
+
+    The derivatives are by states and controls, the second ones by each of them twice.
+    """
     parts, states = list_parts(motion, plant), problem.every_state
     added = [*(state.name for state in states), *(control.name for control in problem.controls)]
     rates = Values([state.rate for state in states], problem, plant)(parts)
-    slopes = [_differentiate(state.rate, added, parts, problem, plant) for state in states]
-    return _find_largest(rates), np.stack(slopes)
+    derivatives = np.stack([_differentiate(state.rate, added, parts, problem, plant) for state in states])
+    return _find_largest(rates), derivatives[:, 0], derivatives[:, 1]
 
 
 def _differentiate(text: str, added: Sequence[str], parts: Parts, problem: Problem, plant: Plant) -> Array:
-    """Return the largest magnitudes of an expression's derivatives by some of the names that it may read."""
+    """Return the largest magnitudes of an expression's first and second derivatives by some names, (2, names)."""
     expression = parse(text)
     every = sorted(names(expression))
     if not (read := [name for name in every if name in added]):
-        return np.zeros(len(added))
+        return np.zeros((2, len(added)))
     n, values = len(read), Values(every, problem, plant)(parts)
     jets: Mapping[str, Jet] = {
         name: vary(column, read.index(name), n) if name in read else Jet(column, np.zeros((1, n)), np.zeros((1, n, n)))
         for name, column in zip(every, values.T, strict=True)
     }
     with np.errstate(all="ignore"):
-        slopes = _find_largest(evaluate(expression, jets, make_jets(n)).g.reshape(-1, n))
-    found = dict(zip(read, slopes, strict=True))
-    return np.array([found.get(name, 0.0) for name in added])
+        jet = evaluate(expression, jets, make_jets(n))
+    slopes = _find_largest(jet.g.reshape(-1, n))
+    curvatures = _find_largest(np.diagonal(jet.H.reshape(-1, n, n), axis1=1, axis2=2))
+    found = dict(zip(read, zip(slopes, curvatures, strict=True), strict=True))
+    return np.array([found.get(name, (0.0, 0.0)) for name in added]).T
 
 
 def _put(motion: Trajectory, places: Indices, sizes: Array) -> Trajectory:

@@ -67,16 +67,6 @@ class PartReading(Reading):
         self.standing: list[int] = []  # the contacts of the file that stand
         self.has_wrong_contacts = False
 
-    def range(self, place: Place, limits: Limits) -> Range:
-        lower, upper = (
-            default if limit is None else self.number((*place, i), limit)
-            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
-        )
-        if lower > upper:
-            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
-            return (math.nan, math.nan)  # which passes all later checks
-        return (lower, upper)
-
     def check_formula(self, place: Place, text: str) -> None:
         """Look up the names that an expression of the motion reads."""
         for name in sorted(names(parse(text))):
@@ -126,7 +116,7 @@ class PartReading(Reading):
         if isinstance(given, tuple):
             lower, upper = self.range(place, given)
         else:
-            lower = upper = self.number(place, given)
+            lower = upper = self.limit(place, given)
         if lower > bounds[1] or upper < bounds[0]:
             finding = f"{lower:g} is out of [{bounds[0]:g}, {bounds[1]:g}]"
             self.fault(place, finding, "keep to the range of the state")

@@ -6,7 +6,6 @@ that it names. A file without `phases`, but with `links`, is a problem of one ph
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +14,10 @@ from typing import Protocol
 
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
-from mbsgen.expressions import Expression
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.phases import Condition, Impact, Link, Phase, PhasedProblem, Plants
-from mbsrun.ocp.problem.problem import Contact, Problem, Range, Term
+from mbsrun.ocp.problem.problem import Contact, Problem, Term
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.ocp.statement.phase_checks import find_faults
 from mbsrun.ocp.statement.phase_sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
@@ -351,12 +349,3 @@ class _Links(Reading):
         friction = None if section.friction is None else self.number((*place, "friction"), section.friction)
         normal = None if section.normal is None else AXES.index(section.normal)
         return Contact(section.sensor, section.wrench or section.sensor, axes, normal, friction)
-
-    def range(self, place: Place, limits: tuple[Expression | None, Expression | None]) -> Range:
-        lower, upper = (
-            default if limit is None else self.number((*place, i), limit)
-            for i, (limit, default) in enumerate(zip(limits, (-math.inf, math.inf), strict=True))
-        )
-        if lower > upper:
-            self.fault(place, f"{lower:g} is above {upper:g}", "give [lower, upper]; null is no bound")
-        return (lower, upper)
