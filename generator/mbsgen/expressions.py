@@ -1,6 +1,7 @@
 """Expressions in untrusted files, such as `2*l1 + sin(pi/4)`: text -> `Expression` -> a number of any type.
 
-`90 deg` is 90*(pi/180): the word multiplies the term before it, back to the last + or -.
+`90 deg` is 90*(pi/180): the word multiplies the term before it, back to the last + or -. Powers whose exponent is no
+whole number are written by sqrt, exp and log: x**1.5 is sqrt(x)**3, and x**(2/3) is exp(2/3*log(x)).
 
 Python's parser gives the grammar, a white list decides which nodes are accepted, and the text is never run. The result
 is a small tree of our own types. Length, nesting, size and powers are bounded.
@@ -370,6 +371,37 @@ def find_first_name(expression: Expression) -> str:
     return expression.name
 
 
+# --- doubles -------------------------------------------------------------------------------------------------------
+
+
+def _finite(function: Callable[..., float]) -> Callable[..., float]:
+    """Make a function raise where it overflows, as it does where it is undefined."""
+
+    def compute(*operands: float) -> float:
+        result = function(*operands)
+        if not math.isfinite(result):
+            raise OverflowError
+        return result
+
+    return compute
+
+
+_BUILT_IN: Mapping[str, Callable[..., float]] = {"abs": abs, "max": max}
+_MATH: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in PRIMITIVES if name not in _BUILT_IN}
+
+FLOATS: Algebra[float] = Algebra(
+    number=float,
+    constants={"pi": math.pi},
+    negate=operator.neg,
+    operations={
+        symbol: _finite(function)
+        for symbol, function in zip("+-*/", (operator.add, operator.sub, operator.mul, operator.truediv), strict=True)
+    },
+    power=_finite(operator.pow),
+    functions={**_BUILT_IN, **{name: _finite(function) for name, function in _MATH.items()}},
+)
+
+
 # --- reading -------------------------------------------------------------------------------------------------------
 
 _NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
@@ -442,7 +474,7 @@ def _convert(node: ast.expr, depth: int = 1, *, halved: bool = False) -> Express
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
             return convert(operand, depth + 1)
         case ast.BinOp(left=base, op=ast.Pow(), right=exponent):
-            return Power(convert(base, depth + 1), _exponent(exponent))
+            return _raise(convert(base, depth + 1), convert(exponent, depth + 1))
         case ast.BinOp(op=op) if halved and type(op) in _OPERATORS and len(chain := _unroll(node)) > _SHORT:
             inverse: Literal["-", "/"] = "-" if isinstance(op, (ast.Add, ast.Sub)) else "/"
             below = depth + len(chain).bit_length()
@@ -482,14 +514,18 @@ def _halve(terms: Sequence[tuple[bool, Expression]], inverse: Literal["-", "/"])
     return False, Operation(inverse, right, left) if is_minus else Operation(inverse, left, right)
 
 
-def _exponent(node: ast.expr) -> int:
-    match node:
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_exponent(operand)
-        case ast.Constant(value=int() as value) if not isinstance(value, bool) and value <= MAX_POWER:
-            return value
-    remedy = f"give a whole number up to {MAX_POWER}; sqrt and exp are functions"
-    raise ExpressionError(f"exponent {_quote(ast.unparse(node))}", remedy)
+def _raise(base: Expression, exponent: Expression) -> Expression:
+    """Return x**n; for half a number sqrt(x)**(2 n), and for any other exp(n log(x)), so that x must be positive."""
+    n = math.nan if names(exponent) else evaluate(exponent, {}, FLOATS)
+    if not abs(n) <= MAX_POWER:
+        remedy = f"give a number up to {MAX_POWER}; for others, exp(n*log(x)) is x to the n where x is positive"
+        raise ExpressionError(f"exponent {_quote(write(exponent))}", remedy)
+    if n.is_integer():
+        return Power(base, int(n))
+    if (2 * n).is_integer() and abs(2 * n) <= MAX_POWER:
+        root = Call("sqrt", (base,))
+        return root if n == 0.5 else Power(root, int(2 * n))
+    return Call("exp", (Operation("*", exponent, Call("log", (base,))),))
 
 
 def _check_call(function: str, arguments: int) -> None:
@@ -571,34 +607,3 @@ def _write(expression: Expression, binding: int) -> str:
         case Call(function, arguments):
             text, strength = f"{function}({', '.join(_write(argument, 0) for argument in arguments)})", 5
     return text if strength >= binding else f"({text})"
-
-
-# --- doubles -------------------------------------------------------------------------------------------------------
-
-
-def _finite(function: Callable[..., float]) -> Callable[..., float]:
-    """Make a function raise where it overflows, as it does where it is undefined."""
-
-    def compute(*operands: float) -> float:
-        result = function(*operands)
-        if not math.isfinite(result):
-            raise OverflowError
-        return result
-
-    return compute
-
-
-_BUILT_IN: Mapping[str, Callable[..., float]] = {"abs": abs, "max": max}
-_MATH: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in PRIMITIVES if name not in _BUILT_IN}
-
-FLOATS: Algebra[float] = Algebra(
-    number=float,
-    constants={"pi": math.pi},
-    negate=operator.neg,
-    operations={
-        symbol: _finite(function)
-        for symbol, function in zip("+-*/", (operator.add, operator.sub, operator.mul, operator.truediv), strict=True)
-    },
-    power=_finite(operator.pow),
-    functions={**_BUILT_IN, **{name: _finite(function) for name, function in _MATH.items()}},
-)
