@@ -156,8 +156,8 @@ static int are_alike(const mbs_stages_problem *problem, int k, int l)
            (l == problem->stages - 1 || k == problem->stages - 1 || a[1].nx == b[1].nx);
 }
 
-/* The first stage of the kind of stage k. */
-static int first_alike(const mbs_stages_problem *problem, int k)
+/* The last stage before stage k of its kind; k itself if it is the first. */
+static int last_alike(const mbs_stages_problem *problem, int k)
 {
     int l;
     for (l = k - 1; l >= 0; --l)
@@ -200,18 +200,18 @@ static void lay_pivots(arena *a, mbs_stages_pivots *p, int n, int first, int ent
 static void lay_shared(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, mbs_stages_stage *t)
 {
     mbs_stages_matrix *const own[] = {&t->E, &t->F, &t->G, &t->H};
-    const int first = first_alike(problem, k), entries = count_block(t, problem->size[k].patterns);
-    const mbs_stages_stage *other = s->recursion.stage ? &s->recursion.stage[first] : t;
+    const int alike = last_alike(problem, k), entries = count_block(t, problem->size[k].patterns);
+    const mbs_stages_stage *other = s->recursion.stage ? &s->recursion.stage[alike] : t;
     const mbs_stages_matrix *const others[] = {&other->E, &other->F, &other->G, &other->H};
     mbs_stages_pivots spare;
     int i;
     for (i = 0; i < 4 && problem->size[k].patterns == NULL; ++i)
-        if (first == k)
+        if (alike == k)
             lay_full_pattern(a, own[i], i == 3);
         else
             share_pattern(own[i], others[i]);
     t->inner.capacity = smaller(t->inner.n * (t->inner.n - 1), FILL * (entries + t->inner.n));
-    if (first < k) {
+    if (alike < k) {
         t->inner.pivots = other->inner.pivots;
         return;
     }
@@ -386,7 +386,7 @@ static int count_exact(const mbs_stages_stage *t)
 static void lay_recursion(arena *a, mbs_stages *s, const mbs_stages_problem *problem)
 {
     mbs_stages_recursion *r = &s->recursion;
-    extent most = {1, 1, 1, 1, 0, 0};
+    extent most = {0};
     int k, lane = 0;
     mbs_stages_stage spare;
     for (k = 0; k < problem->stages; ++k) {
