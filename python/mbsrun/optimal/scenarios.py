@@ -75,7 +75,7 @@ def _list_first(problem: Problem, manifest: Manifest) -> list[tuple[str, Range, 
     names = name_quantities("u", [manifest.coordinates[i].name for i in manifest.actuated])
     pairs = enumerate(zip(names, problem.bounds.u, strict=True))
     found = [(x, bounds, min(max(0.0, bounds[0]), bounds[1])) for i, (x, bounds) in pairs if i not in given]
-    found += [(x.name, x.bounds, x.guess) for x in problem.controls if not x.softens]
+    found += [(x.name, x.bounds, x.guess) for x in problem.controls if not x.is_auxiliary]
     if not found:
         raise ProblemError(problem.name, [("inputs", "there are none that scenarios could share", "give controls")])
     return found

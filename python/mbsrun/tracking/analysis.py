@@ -132,7 +132,7 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
     manifest, margins, left = plant.manifest, [], []
     coordinates = [c.name for c in manifest.coordinates]
     inputs, added = [coordinates[i] for i in manifest.actuated], found.trial.states
-    controls = [(i, x) for i, x in enumerate(problem.controls, len(inputs)) if not x.softens]
+    controls = [(i, x) for i, x in enumerate(problem.controls, len(inputs)) if not x.is_auxiliary]
     named = [x.name for _, x in controls]
     columns = [
         (f"{kind} {name}", key, column, limits, True)
@@ -153,7 +153,7 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
             left.append(constraint.expression)
             continue
         values = _evaluate([expression], found, plant, {TIME: 0.0, "T": problem.horizon})[0]
-        columns.append((constraint.expression, constraint.expression, values, constraint.range, False))
+        columns.append((constraint.label, constraint.expression, values, constraint.range, False))
     for name, key, values, (lower, upper), is_bound in columns:
         if math.isfinite(lower) or math.isfinite(upper):
             distances = np.minimum(values - lower, upper - values)

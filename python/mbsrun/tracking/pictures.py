@@ -65,9 +65,9 @@ def _list_motion(track: Track, problem: Problem, manifest: Manifest) -> Iterator
 
 
 def _list_controls(track: Track, problem: Problem) -> Iterator[Curve]:
-    """Yield controls that the problem adds, except for slacks; nothing states their units."""
+    """Yield controls that the problem adds, except for auxiliary ones; nothing states their units."""
     for i, control in enumerate(problem.controls):
-        if not control.softens:
+        if not control.is_auxiliary:
             drawn = _draw_held(track, len(problem.bounds.u) + i, control.bounds, COLORS[i % len(COLORS)])
             yield Curve(Panel("controls (bounds dashed)"), _shorten(control.name), drawn)
 

@@ -171,6 +171,12 @@ class Control:
     guess: float = 0.0
     rates: Range = (-math.inf, math.inf)  # of (c_(k+1) - c_k) / h, where it is constant
     softens: str = ""  # the constraint that it lets be violated, where it is a slack
+    bounds_from_above: str = ""  # the term of the cost that it stands for, an absolute value or a maximum
+
+    @property
+    def is_auxiliary(self) -> bool:
+        """Return whether nothing but the problem's statement needs it."""
+        return bool(self.softens or self.bounds_from_above)
 
 
 @dataclass(frozen=True)

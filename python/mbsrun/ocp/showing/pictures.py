@@ -131,7 +131,7 @@ def _list_additions(solution: Solution) -> list[Curve]:
     ]
     for k, (color, control) in enumerate(zip(cycle(COLORS), problem.controls, strict=False)):
         points, values = trajectory.point_controls[:, :, k : k + 1], trajectory.controls[:, k]
-        name = f"slack of {control.softens}" if control.softens else control.name
+        name = f"slack of {control.softens}" if control.softens else control.bounds_from_above or control.name
         drawn = _draw_input(trajectory, values, points, color=color)
         drawn = within(drawn, points if points.size else values, control.bounds, color)
         curves.append(Curve(Panel("Slacks" if control.softens else "Further controls"), name, drawn))

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, is_free_name, spell
+from mbsrun.ocp.problem.kinks import bound_kinks
 from mbsrun.ocp.problem.problem import Constraint, Course, Delay, Form, Problem, Range
 from mbsrun.ocp.problem.rewriting import INPUT, RATE, Lifted, Price, lift_controls, lift_inputs, price_largest, soften
 from mbsrun.ocp.statement.parts import FREE, PartReading
@@ -65,7 +66,22 @@ class Rewriting:
             self.reading.check_formula((*place, "expression"), peak.expression)
             weight = self.reading.number((*place, "weight"), peak.weight, least=math.ulp(0))
             problem = price_largest(problem, peak.expression, weight, self.peaks[i], is_absolute=peak.absolute)
-        return problem
+        return self._bound_kinks(problem) if problem.form is Form.STANDARD and not self.reading.faults else problem
+
+    def _bound_kinks(self, problem: Problem) -> Problem:
+        """Bound absolute values and maxima of the cost."""
+        constant: list[str] = []
+        if self.form.course == "constant":
+            given = {force.input for force in problem.forces}
+            constant = [text for i, text in enumerate(self.texts) if i not in given and not problem.delays]
+            constant += [x.name for x in problem.controls if not problem.delays]
+            constant += [x.name for x in problem.unknowns]
+        return bound_kinks(
+            problem,
+            self.reading.constants,
+            constant,
+            lambda role, usual: self._name((), None, usual if role == "controls" else self.prefix + usual, "", role),
+        )
 
     # --- names ---
 
