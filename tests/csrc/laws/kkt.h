@@ -35,6 +35,7 @@ static int begins[KINDS][4][MOST + 1], rows_of[KINDS][4][MOST * MOST];
 static char masks[KINDS][4][MOST * MOST];
 static real entries[STAGES][4][MOST * MOST]; /* E, F, G, and the lower triangle of H: row by row */
 static real rw[ALL], rc[ALL], dw[ALL], dy[ALL], lower_of[ALL], upper_of[ALL];
+static void *apart[6]; /* arrays of the solver in memory of their own, beyond whose ends nobody reads */
 static mbs_stages_problem problem;
 static mbs_stages_team team;
 static mbs_stages *kkt;
@@ -165,6 +166,13 @@ static void draw_stage(int k)
     write_stage(k);
 }
 
+static void *set_apart(int place, const void *from, int count, size_t bytes)
+{
+    free(apart[place]);
+    apart[place] = malloc((size_t)count * bytes);
+    return memcpy(apart[place], from, (size_t)count * bytes);
+}
+
 /* Make a solver of a shape, and draw all numbers; nothing is fixed,
     and all rows are exact. `with_team`: workers cut the
  * stages. */
@@ -194,6 +202,12 @@ static void open_kkt(const kkt_shape *of, int with_team)
     free(room);
     room = malloc(mbs_stages_bytes(&problem));
     kkt = mbs_stages_create(&problem, room, mbs_stages_bytes(&problem));
+    kkt->recursion.stage = set_apart(0, kkt->recursion.stage, shape.stages, sizeof *kkt->recursion.stage);
+    kkt->recursion.step = set_apart(1, kkt->recursion.step, shape.stages, sizeof *kkt->recursion.step);
+    kkt->recursion.soft = set_apart(2, kkt->recursion.soft, shape.stages, sizeof *kkt->recursion.soft);
+    kkt->fixed = set_apart(3, kkt->fixed, kkt->variables, 1), kkt->recursion.fixed = kkt->fixed;
+    kkt->recursion.diagonal = set_apart(4, kkt->recursion.diagonal, kkt->variables, sizeof(real));
+    kkt->recursion.compliance = set_apart(5, kkt->recursion.compliance, kkt->rows, sizeof(real));
     for (k = 0; k < shape.stages; ++k)
         draw_stage(k);
     for (i = 0; i < kkt->variables; ++i)

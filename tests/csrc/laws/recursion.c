@@ -4,12 +4,12 @@
 
 /* Kinds with inner equations and without, dense and sparse; stages of one kind follow each other in more than one
  * group. */
-static const kkt_shape plain_stages = {{{3, 4, 1, 2, 0, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {2, 3, 1, 1, 0, SPARSE}}, 6,
+static const kkt_shape plain_stages = {{{3, 5, 2, 2, 0, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {2, 3, 1, 1, 0, SPARSE}}, 6,
     {0, 0, 1, 1, 1, 2}};
 static const kkt_shape inner_stages = {
     {{6, 8, 6, 2, 5, SPARSE}, {6, 9, 7, 1, 6, APART}, {6, 3, 1, 1, 0, DENSE}}, 12, {0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1,
         2}};
-static const kkt_shape dense_inner = {{{2, 6, 4, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
+static const kkt_shape dense_inner = {{{2, 7, 5, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
 static const kkt_shape full_stages = {{{2, 4, 1, 2, 0, DENSE}, {0}, {0}}, 6, {0}};
 static const kkt_shape no_states = {{{0, 5, 3, 2, 2, DENSE}, {0}, {0}}, 1, {0}};
 static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states};
