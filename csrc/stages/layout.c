@@ -153,7 +153,7 @@ static int are_alike(const mbs_stages_problem *problem, int k, int l)
     const mbs_stages_size *a = &problem->size[k], *b = &problem->size[l];
     return a->nx == b->nx && a->nv == b->nv && a->ne == b->ne && a->ng == b->ng && a->inner == b->inner &&
            a->patterns == b->patterns && (l == problem->stages - 1) == (k == problem->stages - 1) &&
-           (l == problem->stages - 1 || k == problem->stages - 1 || a[1].nx == b[1].nx);
+           (k == problem->stages - 1 || a[1].nx == b[1].nx);
 }
 
 /* The last stage before stage k of its kind; k itself if it is the first. */

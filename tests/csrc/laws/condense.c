@@ -171,6 +171,7 @@ static void defer_apart(void)
     open_kkt(&sparse_stages, 0);
     r = &kkt->recursion;
     for (turn = 0; turn < 4; ++turn) {
+        vary(turn);
         for (k = 6; k < 11; ++k)
             draw_stage(k);
         for (k = 7; k < 10 && turn % 2 == 0; k += 2)

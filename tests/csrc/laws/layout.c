@@ -448,6 +448,9 @@ static void refuses(void)
         LAW("no others", mbs_stages_bytes(&problem) == 0);
         row[0] = -1;
         LAW("none before the first", mbs_stages_bytes(&problem) == 0);
+        column[1] = column[2] = column[3] = 1;
+        LAW("in the first column too", mbs_stages_bytes(&problem) == 0);
+        column[1] = column[2] = column[3] = 0;
         row[0] = 3;
         LAW("in a triangle from the diagonal on", (mbs_stages_bytes(&problem) > 0) == (rows > 3));
         row[0] = 2;
