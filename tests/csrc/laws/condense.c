@@ -7,7 +7,7 @@ static const kkt_shape sparse_stages = {
     {{6, 8, 6, 2, 5, SPARSE}, {6, 9, 7, 1, 6, APART}, {6, 4, 1, 1, 0, DENSE}}, 12, {0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1,
         2}};
 static const kkt_shape full_stages = {{{2, 7, 5, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
-static const kkt_shape inner_alone = {{{1, 5, 3, 1, 3, DENSE}, {1, 3, 2, 0, 2, SPARSE}, {0}}, 3, {0, 0, 1}};
+static const kkt_shape inner_alone = {{{1, 5, 3, 1, 3, DENSE}, {1, 2, 1, 1, 1, SPARSE}, {0}}, 3, {0, 0, 1}};
 static const kkt_shape many_inner = {{{1, 15, 13, 0, 12, DENSE}, {0}, {0}}, 2, {0}};
 static const kkt_shape *const shapes[] = {&sparse_stages, &full_stages, &inner_alone};
 

@@ -35,7 +35,7 @@ static int begins[KINDS][4][MOST + 1], rows_of[KINDS][4][MOST * MOST];
 static char masks[KINDS][4][MOST * MOST];
 static real entries[STAGES][4][MOST * MOST]; /* E, F, G, and the lower triangle of H: row by row */
 static real rw[ALL], rc[ALL], dw[ALL], dy[ALL], lower_of[ALL], upper_of[ALL];
-static void *apart[6]; /* arrays of the solver in memory of their own, beyond whose ends nobody reads */
+static void *apart[6]; /* arrays of the solver, each in separate memory, beyond whose ends nobody reads */
 static mbs_stages_problem problem;
 static mbs_stages_team team;
 static mbs_stages *kkt;
@@ -231,6 +231,12 @@ static int has_curvature(int k, int i)
     return !is_found;
 }
 
+/* The larger of two numbers, which is none if one of them is none. */
+static real larger(real a, real b)
+{
+    return a != a || a > b ? a : b;
+}
+
 /* The largest residual of the rows. */
 static real row_residual(void)
 {
@@ -247,7 +253,7 @@ static real row_residual(void)
                     sum += entries[k][which][i * MOST + j] * dw[t->w + j];
                 if (which == 1)
                     sum -= dw[r->stage[k + 1].w + i];
-                most = real_abs(sum) <= most ? most : real_abs(sum);
+                most = larger(most, real_abs(sum));
             }
     }
     return most;
@@ -276,7 +282,7 @@ static real slope_residual(void)
             if (k > 0 && i < t->nx)
                 sum -= dy[r->stage[k - 1].d + i];
             if (!r->fixed[t->w + i])
-                most = real_abs(sum) <= most ? most : real_abs(sum);
+                most = larger(most, real_abs(sum));
         }
     }
     return most / size;

@@ -11,7 +11,7 @@ static const kkt_shape inner_stages = {
         2}};
 static const kkt_shape dense_inner = {{{2, 7, 5, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
 static const kkt_shape full_stages = {{{2, 4, 1, 2, 0, DENSE}, {0}, {0}}, 6, {0}};
-static const kkt_shape no_states = {{{0, 5, 3, 2, 2, DENSE}, {0}, {0}}, 1, {0}};
+static const kkt_shape no_states = {{{0, 5, 2, 2, 1, DENSE}, {0}, {0}}, 1, {0}};
 static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states};
 
 /* Let some rows that are not inner ones give, and fix some variables: inner ones too, and first states. */
