@@ -12,7 +12,9 @@ static const kkt_shape inner_stages = {
 static const kkt_shape dense_inner = {{{2, 7, 5, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
 static const kkt_shape full_stages = {{{2, 4, 1, 2, 0, DENSE}, {0}, {0}}, 6, {0}};
 static const kkt_shape no_states = {{{0, 5, 2, 2, 1, DENSE}, {0}, {0}}, 1, {0}};
-static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states};
+static const kkt_shape one_state = {{{1, 5, 2, 1, 1, DENSE}, {1, 4, 1, 1, 0, SPARSE}, {0}}, 6, {0, 0, 0, 0, 0, 1}};
+static const kkt_shape tight_stages = {{{4, 1, 2, 1, 0, DENSE}, {4, 1, 1, 1, 0, DENSE}, {0}}, 2, {0, 1}};
+static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states, &one_state};
 
 /* Let some rows that are not inner ones give, and fix some variables: inner ones too, and first states. */
 static void vary(int turn)
@@ -157,6 +159,20 @@ static void curve(void)
     solve_kkt("nor are they");
 }
 
+/* Rows that variables of their stage cannot meet are met by the states before: three of the first state's,
+    by fixed ones too. */
+static void pass_rows(void)
+{
+    int turn;
+    for (turn = 0; turn < 2; ++turn) {
+        open_kkt(&tight_stages, 0);
+        kkt->fixed[2] = (char)turn;
+        LAW("rows are passed", mbs_stages_factorise(&kkt->recursion, 0) == -1 && kkt->recursion.step[0].passed == 3);
+        LAW("as many as can be met", kkt->recursion.dependent == 0);
+        solve_kkt("they are");
+    }
+}
+
 /* A row that repeats another one depends on it; where it asks for something else, what is left is its lack. */
 static void depend(void)
 {
@@ -191,16 +207,17 @@ static void depend(void)
 int main(void)
 {
     int i, turn;
-    for (i = 0; i < 4; ++i)
+    for (i = 0; i < 5; ++i)
         for (turn = 0; turn < 2; ++turn) {
             open_kkt(shapes[i], turn);
             solve_all();
             respond();
             multiply();
         }
-    for (i = 0; i < 3; ++i)
+    for (i = 0; i < 5; ++i)
         cut_stages(shapes[i]);
     curve();
+    pass_rows();
     depend();
     return broken > 0;
 }
