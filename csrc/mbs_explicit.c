@@ -1010,7 +1010,7 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
             break;
         times[++r->out->steps] = length == left ? end : t + length;
         factor = error == 0 ? 10 : 0.9 * pow(error, -1 / (casadi_real)r->how->order);
-        factor = factor > 10 ? 10 : factor < 0.2 ? 0.2 : factor;
+        factor = factor > 10 ? 10 : factor;
         factor = was_rejected && factor > 1 ? 1 : factor;
         if (length * factor > *h || length == *h)
             *h = length * factor;

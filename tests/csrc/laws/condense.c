@@ -110,18 +110,6 @@ static void place(void)
         LAW("the others are as they are", z[i < 6 ? i : i + 5] == outer[i]);
 }
 
-/* Let inner rows from `rank` on be sums of the first two, in the inner variables. */
-static void lose_rank(int k, int rank)
-{
-    const mbs_stages_size *z = &sizes[k];
-    int i, j;
-    for (i = rank; i < z->inner; ++i)
-        for (j = z->nx; j < z->nx + z->inner; ++j)
-            entries[k][0][i * MOST + j] = (rank > 0 ? entries[k][0][j] : 0) - (rank > 1 ? entries[k][0][MOST +
-                j] : 0) * (real)i;
-    write_stage(k);
-}
-
 /* Inner equations that do not give their variables: some of these go to the recursion, with their rows. */
 static void defer_some(void)
 {

@@ -321,7 +321,11 @@ static void events(void)
     r = open_here();
     evaluate(&r, 0, 0, x), step(&r, 0, h, x, 1, y);
     LAW("a dip within a step is found", look(&r, 0, &h, x, y) == MBS_EVENT && fabs(h - 1 + sqrt(2e-3)) < 1e-13);
-    x[0] = 0.5 - 1e-3, h = 2;
+    modes.guards = 2, level[1] = -100, x[0] = 0.5 - 1e-3, h = 2;
+    r = open_here();
+    evaluate(&r, 0, 0, x), step(&r, 0, h, x, 1, y);
+    LAW("of the first guard too", look(&r, 0, &h, x, y) == MBS_EVENT && fabs(h - 1 + sqrt(2e-3)) < 1e-13);
+    modes.guards = 1, x[0] = 0.5 - 1e-3, h = 2;
     r = open_here();
     evaluate(&r, 0, 0, x), r.is_watching = 1, step(&r, 0, h, x, 1, y);
     LAW("stages note where they are lowest", alike(r.lowest, -0.501) && r.fraction == 0.5);
@@ -595,15 +599,15 @@ static void bounces(void)
 
 static void series(void)
 {
-    static casadi_real kept[2][20], lengths[2], numbers_of[2] = {-1, -2};
-    static const casadi_real outputs[4] = {0.5, 1, 1 + 1e-12, 3};
+    static casadi_real kept[2][24], lengths[2], numbers_of[2] = {-1, -2};
+    static const casadi_real outputs[5] = {0.125, 0.5, 1, 1 + 1e-12, 3};
     const mbs_parameters set = {numbers_of, 1, 1, push};
     mbs_series wanted;
     casadi_int *integers;
     int status[2], k, i;
     prepare_steps(0);
     memset(&wanted, 0, sizeof wanted), memset(kept, 0, sizeof kept);
-    wanted.end = 3, wanted.sets = 1, wanted.set = &set, wanted.outputs = 4, wanted.times = outputs, wanted.near = 1e-9;
+    wanted.end = 3, wanted.sets = 1, wanted.set = &set, wanted.outputs = 5, wanted.times = outputs, wanted.near = 1e-9;
     wanted.chunk = 3, wanted.most = 100, manner.atol = 1;
     for (k = 0; k < 2; ++k)
         lengths[k] = 1.0 / 3, kept[k][0] = 10 + k;
@@ -613,13 +617,13 @@ static void series(void)
     mbs_explicit_series(&plant, &manner, &wanted, 0, 2, kept[0], lengths, times, states, room, integers, status);
     for (k = 0; k < 2; ++k) {
         LAW("each motion of a series has its own status", status[k] == 0);
-        for (i = 0; i < 4; ++i) {
+        for (i = 0; i < 5; ++i) {
             LAW("states are kept at the outputs, by its own numbers",
                 fabs(kept[k][4 * (i + 1)] - (10 + k + 0.5 * numbers_of[k] * outputs[i] * outputs[i])) < 1e-8);
             LAW("velocities too", fabs(kept[k][4 * (i + 1) + 2] - numbers_of[k] * outputs[i]) < 1e-8);
         }
     }
-    LAW("a motion ends exactly", fabs(kept[0][16] - 5.5) < 1e-12);
+    LAW("a motion ends exactly", fabs(kept[0][20] - 5.5) < 1e-12);
     wanted.most = 1, lengths[0] = lengths[1] = 0.01;
     mbs_explicit_series(&plant, &manner, &wanted, 1, 2, kept[0], lengths, times, states, room, integers, status);
     LAW("a motion of too many steps ends", status[0] == 0 && status[1] == MBS_LONG);

@@ -9,11 +9,11 @@ static const kkt_shape plain_stages = {{{3, 5, 2, 2, 0, DENSE}, {2, 4, 1, 1, 0, 
 static const kkt_shape inner_stages = {
     {{6, 8, 6, 2, 5, SPARSE}, {6, 9, 7, 1, 6, APART}, {6, 3, 1, 1, 0, DENSE}}, 12, {0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1,
         2}};
-static const kkt_shape dense_inner = {{{2, 7, 5, 1, 3, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
+static const kkt_shape dense_inner = {{{2, 9, 5, 1, 4, DENSE}, {2, 4, 1, 1, 0, SPARSE}, {0}}, 7, {0, 0, 0, 0, 0, 0, 1}};
 static const kkt_shape full_stages = {{{2, 4, 1, 2, 0, DENSE}, {0}, {0}}, 6, {0}};
 static const kkt_shape no_states = {{{0, 5, 2, 2, 1, DENSE}, {0}, {0}}, 1, {0}};
 static const kkt_shape one_state = {{{1, 5, 2, 1, 1, DENSE}, {1, 4, 1, 1, 0, SPARSE}, {0}}, 6, {0, 0, 0, 0, 0, 1}};
-static const kkt_shape tight_stages = {{{4, 1, 2, 1, 0, DENSE}, {4, 1, 1, 1, 0, DENSE}, {0}}, 2, {0, 1}};
+static const kkt_shape tight_stages = {{{4, 1, 1, 1, 0, DENSE}, {4, 1, 2, 1, 0, DENSE}, {0}}, 2, {0, 1}};
 static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states, &one_state};
 
 /* Let some rows that are not inner ones give, and fix some variables: inner ones too, and first states. */
@@ -55,6 +55,23 @@ static void solve_all(void)
         for (k = 0; k < shape.stages; ++k)
             if ((k + turn) % 2)
                 draw_stage(k);
+    }
+}
+
+/* Inner variables that their equations do not give are found with the others; their rows are rows of these. */
+static void defer(void)
+{
+    mbs_stages_recursion *r = &kkt->recursion;
+    int turn, k;
+    for (turn = 0; turn < 3; ++turn) {
+        vary(turn);
+        for (k = 0; k < shape.stages; ++k) {
+            draw_stage(k);
+            if ((k + turn) % 2 && sizes[k].inner > 2)
+                lose_rank(k, sizes[k].inner - 2);
+        }
+        LAW("what does not give its variables is factorised", mbs_stages_factorise(r, 0) == -1 && r->singular > 0);
+        solve_kkt("by the others");
     }
 }
 
@@ -214,6 +231,10 @@ int main(void)
             respond();
             multiply();
         }
+    open_kkt(&dense_inner, 0);
+    defer();
+    open_kkt(&dense_inner, 1);
+    defer();
     for (i = 0; i < 5; ++i)
         cut_stages(shapes[i]);
     curve();
