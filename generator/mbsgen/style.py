@@ -6,7 +6,7 @@ The palette is Okabe and Ito's (Color Universal Design, 2008), in an order whose
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from pathlib import Path
@@ -103,26 +103,24 @@ def save_plot(figure: Figure, path: Path) -> Path:
 def save_figure(figure: Figure, path: Path, dots: int = DOTS) -> None:
     """Write a picture in the format of the path's suffix; equal pictures have equal bytes."""
     metadata = dict(METADATA.get(path.suffix.lower().lstrip("."), {}))
-    with _laid_out(figure, dots) if path.suffix == ".png" else nullcontext():
+    if path.suffix == ".png":
+        _save_pixels(figure, path, dots, metadata)
+    else:
         figure.savefig(path, dpi=dots, metadata=metadata)
 
 
-@contextmanager
-def _laid_out(figure: Figure, dots: int) -> Iterator[None]:
-    """Lay a figure out for a picture of pixels, which Matplotlib would do by drawing everything twice."""
-    engine, before = figure.get_layout_engine(), figure.dpi
-    if engine is None or not figure.axes:
-        yield
-        return
+def _save_pixels(figure: Figure, path: Path, dots: int, metadata: dict[str, None]) -> None:
+    """Lay a figure out and draw it, once: `Figure.savefig` draws all of it once more for any layout."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas, before = figure.canvas, figure.dpi
+    drawn = FigureCanvasAgg(figure)
     figure.dpi = dots
     try:
-        with suppress(ValueError):  # as Matplotlib does
-            engine.execute(figure)
-        figure.set_layout_engine("none")
-        yield
+        drawn.print_png(path, metadata=metadata)
     finally:
-        figure.set_layout_engine(engine)
         figure.dpi = before
+        figure.set_canvas(canvas)
 
 
 def mix(color: str, other: str, share: float) -> str:

@@ -27,3 +27,21 @@ def test_a_figure_that_is_laid_out_once_has_the_pixels_of_matplotlib(layout: str
     assert (figure.get_layout_engine(), figure.dpi) == (engine, dots)
     styled(draw().savefig)(tmp_path / "twice.png", dpi=DOTS, metadata=dict(METADATA["png"]))
     assert (tmp_path / "once.png").read_bytes() == (tmp_path / "twice.png").read_bytes()
+
+
+def test_a_picture_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.figure import Figure
+
+    drawn, draw = [], Figure.draw
+
+    def count(self: Figure, renderer: object) -> None:
+        drawn.append(self)
+        draw(self, renderer)
+
+    monkeypatch.setattr(Figure, "draw", count)
+    figure = Figure(figsize=(3, 2), layout="constrained")
+    figure.add_subplot()
+    canvas = figure.canvas
+    save_figure(figure, tmp_path / "once.png")
+    assert drawn == [figure]
+    assert figure.canvas is canvas
