@@ -219,6 +219,8 @@ def fold(expression: Expression) -> Expression:
 
 def evaluate(expression: Expression, values: Mapping[str, T], algebra: Algebra[T]) -> T:
     """Compute an expression in a number type. Raises ExpressionError for unknown names and where it has no value."""
+    if isinstance(expression, Number):
+        return algebra.number(expression.value)
     return Program((expression,), algebra).evaluate(values)[0]
 
 

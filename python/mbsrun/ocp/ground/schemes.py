@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -126,8 +127,9 @@ def list_degrees(family: Family) -> range:
     return DEGREES[1:] if family is Family.LOBATTO else DEGREES
 
 
+@cache
 def build(family: Family, degree: int) -> Scheme:
-    """Compute the scheme of a family and a degree from 1 to 9; of Lobatto points, from 2 on."""
+    """Compute the scheme of a family and a degree from 1 to 9, once; of Lobatto points, from 2 on."""
     degrees = list_degrees(family)
     if degree not in degrees:
         raise ValueError(f"degree {degree} is not in {degrees[0]}..{degrees[-1]}")

@@ -303,7 +303,13 @@ def find_inputs(
         whole = np.linalg.svd(kept)[2]  # its last rows are velocities that keep loops closed, and driven joints at rest
         free = whole[:, kept.shape[1] :]
         B, right = free @ B, free @ right
-    return np.asarray((np.linalg.pinv(B) @ right)[..., 0])
+    return np.asarray((np.linalg.pinv(_pick_different(B)) @ right)[..., 0])
+
+
+def _pick_different(B: Array) -> Array:
+    """Return the first of matrices (B, rows, cols) where all are the same, as of joints with a motor each; else all."""
+    bits = np.ascontiguousarray(B).view(np.uint64)
+    return B[:1] if B.size and (bits == bits[:1]).all() else B
 
 
 class _Kinematics:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer
@@ -393,7 +394,7 @@ class Problem:
         """Return the intervals of the horizon."""
         return Grid(self.intervals, self.mesh)
 
-    @property
+    @cached_property
     def added(self) -> Added:
         """Return the names of everything that expressions read beside the model; integrals have none that they can."""
         integrals = (f"@integral {i}" for i in range(len(self.integrals)))
@@ -403,14 +404,14 @@ class Problem:
             unknowns=tuple(unknown.name for unknown in self.unknowns),
         )
 
-    @property
+    @cached_property
     def every_state(self) -> tuple[State, ...]:
         """Return the states beside the mechanism's; integrals are states that begin at 0."""
         integrals = zip(self.added.states[len(self.states) :], self.integrals, strict=True)
         own = (State(name, part.expression, start=(0.0, 0.0), end=part.range) for name, part in integrals)
         return (*self.states, *own)
 
-    @property
+    @cached_property
     def every_component(self) -> tuple[WrenchComponent, ...]:
         """Return the components of open wrenches; contacts add the ones of their forces that the problem leaves out."""
         known = {(part.wrench, part.component) for part in self.wrenches}

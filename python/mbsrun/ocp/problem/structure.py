@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbsrun.ocp.ground.grid import Grid
+from mbsrun.ocp.ground.memory import Memory
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Contact, Course, Form, Loops, Problem, Range, Representation, Symbolic
 from mbsrun.quantities import Added
@@ -80,7 +81,14 @@ class Structure:
 
 
 def structure(problem: Problem) -> Structure:
-    """Return the structure of a problem."""
+    """Return the structure of a problem, found once."""
+    return _STRUCTURES.find(lambda: _find_structure(problem), problem)
+
+
+_STRUCTURES: Memory[Structure] = Memory()
+
+
+def _find_structure(problem: Problem) -> Structure:
     cost, end = problem.cost, problem.end
     states = problem.bounds.q + problem.bounds.qd
     bounded = [i for i, bounds in enumerate(states) if np.isfinite(bounds).any()]

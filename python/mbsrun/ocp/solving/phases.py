@@ -41,7 +41,7 @@ from mbsrun.ocp.guessing.sizes import size_added
 from mbsrun.ocp.guessing.state_guess import complete, guess_largest
 from mbsrun.ocp.methods import METHODS, Assignment, Instance
 from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants, equip_phases
-from mbsrun.ocp.problem.problem import Loops, SolverOptions
+from mbsrun.ocp.problem.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.problem.structure import structure
 from mbsrun.ocp.problem.touching import list_relaxed
 from mbsrun.ocp.solution.phases import OWN_GUESS, Guess, Impulse, LinkValues, PartialGuess, PhasedSolution
@@ -471,9 +471,9 @@ class PhasedSolver:
             cost = terms[first.weights : last.weights]
             numbers = Ended(values[own.phases[k].program.kept], rows, cost, values)
             phase, part = problem.phases[k], self._size if problem.is_single else _measure_part(own, k)
-            named = replace(phase.problem, name=phase.name or problem.name, solver=problem.solver)
+            named = _name_problem(phase.problem, phase.name or problem.name, problem.solver)
             solutions.append(make_solution(named, self.plants.phases[k].manifest, own.phases[k], run, part, numbers))
-        links = [own.split_rows(values)[-1] for values in (g, *own.constraint_bounds(problem))]
+        links = [own.split_rows(x)[-1] for x in (g, *own.constraint_bounds(problem))] if problem.links else []
         return PhasedSolution(
             name=problem.name,
             names=tuple(phase.name for phase in problem.phases),
@@ -527,6 +527,13 @@ def _list_unstaged(own: PhasedTranscription) -> Iterator[tuple[str, str]]:
                 yield f"links[{i}].{key}[{k}].expression", f": {given[k].expression}"
         if np.isin(np.setdiff1d(np.arange(*rows.extent), rows.conditions), own.unstaged).any():
             yield f"links[{i}]", ""
+
+
+def _name_problem(own: Problem, name: str, solver: SolverOptions) -> Problem:
+    """Return a problem with a name and options; the same one where it has them."""
+    if (own.name, own.solver) == (name, solver):
+        return own
+    return replace(own, name=name, solver=solver)
 
 
 def _measure_part(own: PhasedTranscription, k: int) -> Size:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import asdict, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 
 from pydantic import TypeAdapter, ValidationError
@@ -222,7 +222,7 @@ def _adapter() -> TypeAdapter[Problem]:
 
 def _find_wrong_types(problem: Problem) -> Iterator[Line]:
     try:
-        plain = asdict(replace(problem, references=()))  # which may hold many thousand numbers
+        plain = _take_apart(replace(problem, references=()))  # which may hold many thousand numbers
     except TypeError:
         yield ("problem", f"found {abbreviate(type(problem).__name__)}", "give a Problem")
         return
@@ -236,6 +236,19 @@ def _find_wrong_types(problem: Problem) -> Iterator[Line]:
             place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
             kind = type(fault["input"]).__name__
             yield (place, f"found {abbreviate(str(fault['input']))} ({kind})", f"{fault['msg']}")
+
+
+def _take_apart(value: object) -> object:
+    """Return a dataclass as a mapping, at any depth; other values stay the same objects, as copies take long."""
+    if (names := _name_fields(type(value))) is not None:
+        return {name: _take_apart(getattr(value, name)) for name in names}
+    return tuple(map(_take_apart, value)) if isinstance(value, tuple) else value
+
+
+@cache
+def _name_fields(kind: type) -> tuple[str, ...] | None:
+    """Name the fields of a dataclass; None for any other type."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
 def _find_unknown_names(problem: Problem) -> Iterator[Line]:

@@ -94,9 +94,12 @@ class PhasedTranscription:
     def constraint_bounds(self, problem: PhasedProblem) -> tuple[Array, Array]:
         """Bound all rows."""
         own = [part.constraint_bounds(phase.problem) for part, phase in zip(self.phases, problem.phases, strict=True)]
-        for (lower, upper), closed, part in zip(own, self.closed, self.phases, strict=True):
-            rows = np.searchsorted(part.program.kept_rows, closed)
-            lower[rows], upper[rows] = -np.inf, np.inf
+        for k, (closed, part) in enumerate(zip(self.closed, self.phases, strict=True)):
+            if closed.size:
+                lower, upper = (bound.copy() for bound in own[k])
+                rows = np.searchsorted(part.program.kept_rows, closed)
+                lower[rows], upper[rows] = -np.inf, np.inf
+                own[k] = lower, upper
         last = [bound.copy() for bound in self.row_bounds]
         for link_rows, link in zip(self.links, problem.links, strict=True):
             ranges = np.array([condition.range for condition in link.conditions]).reshape(-1, 2).T

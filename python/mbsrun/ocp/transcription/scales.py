@@ -19,6 +19,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.memory import Memory
 from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.transcription.transcription import Transcription
 
@@ -39,11 +40,12 @@ def find_scales(own: Transcription, x: Array, bounds: tuple[Array, Array]) -> Ar
     is_open = ~(np.isfinite(bounds[0]) & np.isfinite(bounds[1]))
     limits[kept[is_open]] = np.inf
     scales = np.ones(size)
-    for group in _list_groups(own):
+    groups, moving = _GROUPS.find(lambda: (list(_list_groups(own)), list(_list_moving(own))), own)
+    for group in groups:
         scales[group] = round_scale(float(guess[group].max()), limits[group])
     # coordinates round where loops or sensors give them; else they are the file's
     rounded = ROUNDED if own.closure is not None or own.structure.sensors else 0.0
-    for groups in _list_moving(own):  # coordinates first: rates of small ones are smaller
+    for groups in moving:  # coordinates first: rates of small ones are smaller
         largest = [float(guess[group].max(initial=0.0)) for group in groups]
         most = min(1.0, max(largest, default=0.0))
         common = most if most > rounded else 0.0
@@ -51,6 +53,9 @@ def find_scales(own: Transcription, x: Array, bounds: tuple[Array, Array]) -> Ar
             scales[group] = round_scale(max(own_largest, common) if common else 0.0, limits[group], USUAL)
         rounded = ROUNDED * (common or 1.0)
     return scales[kept]
+
+
+_GROUPS: Memory[tuple[list[Indices], list[list[Indices]]]] = Memory()
 
 
 def round_scale(largest: float, limits: Array, near: tuple[float, float] = NEAR) -> float:

@@ -33,7 +33,7 @@ parameters: one program serves all problems that differ in those only. Closed lo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -59,6 +59,24 @@ from mbsrun.ocp.transcription.writing.sheet import Sheet, find_components
 from mbsrun.quaternions import Quaternion, find_quaternion, list_quaternions
 
 T = TypeVar("T")
+
+
+class _Latest:
+    """Bounds of the problem that was seen last: a solve reads the bounds of one problem several times."""
+
+    def __init__(self, find: Callable[[Problem], tuple[Array, Array]]) -> None:
+        self._find = find
+        self._known: tuple[Problem, tuple[Array, Array]] | None = None
+
+    def find(self, problem: Problem) -> tuple[Array, Array]:
+        """Return lower and upper bounds, which cannot be written to."""
+        known = self._known
+        if known is None or known[0] is not problem:
+            known = problem, self._find(problem)
+            for bounds in known[1]:
+                bounds.flags.writeable = False
+            self._known = known
+        return known[1]
 
 
 @dataclass(frozen=True)
@@ -88,7 +106,17 @@ class Transcription:
         return np.array([*problem.cost.weights, *values])
 
     def variable_bounds(self, problem: Problem) -> tuple[Array, Array]:
-        """Bound the variables that a solver sees: states at mesh and collocation points, inputs, and the horizon."""
+        """Bound the variables that a solver sees: states at mesh and collocation points, inputs, and the horizon.
+
+        The bounds of the latest problem are kept, and are not to be changed.
+        """
+        return self._variable_bounds.find(problem)
+
+    @cached_property
+    def _variable_bounds(self) -> _Latest:
+        return _Latest(self._bound_variables)
+
+    def _bound_variables(self, problem: Problem) -> tuple[Array, Array]:
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
         states = self._bound_states(problem)
         extras, added = self.layout.extras, np.array([state.bounds for state in problem.every_state]).reshape(-1, 2)
@@ -202,7 +230,17 @@ class Transcription:
         return np.ravel(inputs[:count, ..., extras.free.index(delay.index)])
 
     def constraint_bounds(self, problem: Problem) -> tuple[Array, Array]:
-        """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0."""
+        """Bound the rows that a solver sees: by start, end, ranges of constraints and bounds; all else is 0.
+
+        The bounds of the latest problem are kept, and are not to be changed.
+        """
+        return self._constraint_bounds.find(problem)
+
+    @cached_property
+    def _constraint_bounds(self) -> _Latest:
+        return _Latest(self._bound_rows)
+
+    def _bound_rows(self, problem: Problem) -> tuple[Array, Array]:
         rows, end = self.rows, problem.end
         lower = np.zeros(rows.size)
         lower[rows.start] = problem.start_q + self._pick(problem.start_qd)
