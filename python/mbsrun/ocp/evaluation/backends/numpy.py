@@ -7,6 +7,7 @@ inner equations are solved for, derivatives follow from the whole program's, as 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -25,7 +26,7 @@ from mbsrun.ocp.evaluation.backends.assembly import (
 )
 from mbsrun.ocp.evaluation.backends.evaluations import bind
 from mbsrun.ocp.evaluation.elimination import eliminate
-from mbsrun.ocp.ground.functions import Array, Evaluation, Indices
+from mbsrun.ocp.ground.functions import Array, Evaluation
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.program import Block, Matrix, Program
 from mbsrun.ocp.ground.status import NoNumbersError
@@ -189,6 +190,8 @@ class NumpyProgram:
     def gradient(self, x: Array, p: Array) -> Array:
         """Return the gradient of f."""
         gradient = sum((w * (H @ x) for w, H in zip(p, self.program.H, strict=False)), start=np.zeros(x.size))
+        if not self._costs:
+            return np.asarray(gradient + 0.0)
         weights = p[: len(self.program.H)]
         slopes = self._sum(self._cost_slopes, [v for block in self._costs for v in block.jacobian(x, p)])
         return np.asarray(gradient + weights @ slopes)
@@ -199,7 +202,7 @@ class NumpyProgram:
 
     def jacobian(self, x: Array, p: Array) -> Matrix:
         """Return the Jacobian of g."""
-        values = [self.program.A.tocoo().data, *(v for block in self._blocks for v in block.jacobian(x, p))]
+        values = [self._linear, *(v for block in self._blocks for v in block.jacobian(x, p))]
         return self._sum(self._slopes, values)
 
     def hessian(self, x: Array, p: Array, lam_f: float, lam_g: Array) -> Matrix:
@@ -233,6 +236,11 @@ class NumpyProgram:
         return found
 
     # --- matrices ---
+
+    @cached_property
+    def _linear(self) -> Array:
+        """The entries of A, as its scatter orders them."""
+        return np.asarray(self.program.A.tocoo().data)
 
     @cached_property
     def _slopes(self) -> _Sum:
@@ -277,13 +285,17 @@ class _Sum:
         found = self._assembled
         entries = found.coefficient * np.concatenate([*values, np.zeros(0)])[found.source]
         data = np.bincount(found.nonzero, weights=entries, minlength=found.row.size)
-        return sparse.csc_array((data, found.row, self._columns), shape=self._shape)
+        matrix = copy(self._empty)
+        matrix.data = data
+        return matrix
 
     @cached_property
-    def _columns(self) -> Indices:
-        """Return where each column of the sum begins."""
+    def _empty(self) -> Matrix:
+        """Return the matrix with entries to be filled in: to check indices takes longer than to add values."""
         assert self._assembled is not None, "values were added before"
-        return np.searchsorted(self._assembled.col, np.arange(self._shape[1] + 1))
+        row, col = self._assembled.row, self._assembled.col
+        columns = np.searchsorted(col, np.arange(self._shape[1] + 1))
+        return sparse.csc_array((np.zeros(row.size), row, columns), shape=self._shape)
 
 
 class NumpyCondensed:
