@@ -100,6 +100,15 @@ class Port:
         return numbers.ravel()
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Arguments of many states, as `mbs_many.c` takes them: all that calls of equal shapes and strides share."""
+
+    given: Any
+    found: Any
+    room: int  # bytes
+
+
 @dataclass(frozen=True)
 class Entry:
     """A kernel, bound to its function in a loaded library."""
@@ -112,6 +121,7 @@ class Entry:
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
     free: list[_Desk] = field(default_factory=list)  # taken and put back whole, so that threads do not share one
+    laid: dict[object, list[Layout]] = field(default_factory=dict)  # likewise, of many states by shapes and strides
 
     @cached_property
     def wanted(self) -> dict[str, Port]:

@@ -18,13 +18,14 @@ import numpy as np
 
 from mbsgen import resources
 from mbsgen.manifest import Kernel
-from mbsrun.binding import NULL, Array, Entry, Port, Status, declare, open_library
+from mbsrun.binding import NULL, Array, Entry, Layout, Port, Status, declare, open_library
 from mbsrun.library import Compiler, compile_library
 
 # Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
 # states, and a state for this many bytes of the kernel's source. The batch alone decides: earlier calls must not change
 # last digits.
 FEWEST, BYTES_PER_STATE = 1000, 100
+LAID = 16  # descriptions of arguments that are kept for a kernel, by their shapes and strides
 # Macros of compilers, each with how many doubles fill a register, the most first.
 _WIDTHS = (("__AVX512F__", 8), ("__AVX__", 4), ("__SSE2__", 2), ("__ARM_NEON", 2))
 _DECLARED = """
@@ -107,37 +108,57 @@ def compute(
     Writes the results, shapes (states, *shape), or with `sparse` the nonzeros, (states, nnz): NaN where a state's
     status is not 0. Returns the statuses, shape (states,). The bits do not depend on the number of threads.
     """
-    ffi, kept = loop.ffi, list[Any]()
-    given, found = ffi.new("mbs_given[]", entry.n_in), ffi.new("mbs_found[]", entry.n_out)
-    for port, array in inputs:
-        kept += _point(ffi, given[port.position], port, array)
-    for port in entry.outputs:
-        array = results[port.argument.name]
-        kept += _point_result(ffi, found[port.position], port, array, sparse=sparse)
-    status = _run(loop, entry, several, (given, found), results.values(), states, threads)
+    given = [(port, array.copy() if any(x % _ITEM for x in array.strides) else array) for port, array in inputs]
+    found = [(port, results[port.argument.name]) for port in entry.outputs]
+    key = loop.width, sparse, tuple((port.position, a.shape, a.strides) for port, a in given)
+    try:
+        laid = entry.laid[key].pop()
+    except LookupError:
+        laid = _lay(loop, entry, given, found, sparse=sparse)
+    kept = [*_point(loop.ffi, laid.given, given), *_point(loop.ffi, laid.found, found)]
+    status = _run(loop, entry, several, laid, results.values(), states, threads)
     kept.clear()
+    if len(entry.laid) > LAID:
+        entry.laid.clear()
+    entry.laid.setdefault(key, []).append(laid)
     return status
+
+
+def _lay(
+    loop: Loop,
+    entry: Entry,
+    given: Sequence[tuple[Port, Array]],
+    found: Sequence[tuple[Port, Array]],
+    *,
+    sparse: bool,
+) -> Layout:
+    """Describe inputs and results of these shapes and strides."""
+    ffi = loop.ffi
+    laid = ffi.new("mbs_given[]", entry.n_in), ffi.new("mbs_found[]", entry.n_out)
+    for port, array in given:
+        _describe(ffi, laid[0][port.position], port, array)
+    for port, array in found:
+        _describe_result(ffi, laid[1][port.position], port, array, sparse=sparse)
+    return Layout(*laid, loop.get("mbs_room_of_many")(entry.n_in, laid[0], entry.n_out, laid[1]))
 
 
 def _run(
     loop: Loop,
     entry: Entry,
     several: Several | None,
-    described: tuple[Any, Any],
+    laid: Layout,
     results: Iterable[Array],
     states: int,
     threads: int = 1,
 ) -> Status:
     """Call a kernel on described inputs and results, and mark what failed."""
-    ffi, (given, found) = loop.ffi, described
-    status = np.zeros(states, dtype=np.int32)
-    arguments = (entry.n_in, given, entry.n_out, found)
-    size = loop.get("mbs_room_of_many")(*arguments)
+    ffi, status = loop.ffi, np.zeros(states, dtype=np.int32)
+    arguments = (entry.n_in, laid.given, entry.n_out, laid.found)
     one, wide = (ffi.cast("void *", f) for f in (entry.function, several.function if several else NULL))
     told = ffi.from_buffer("int[]", status.data)
 
     def work(part: range) -> int:
-        room = ffi.new("char[]", size)
+        room = ffi.new("char[]", laid.room)
         return int(loop.get("mbs_compute_many")(one, wide, states, part.start, part.stop, *arguments, room, told))
 
     if sum(share(work, range(states), loop.width, threads)):
@@ -180,7 +201,8 @@ def compute_nonzeros(
     for port, rows in zip(outputs, results, strict=True):
         size = rows.shape[1]
         found[port.position] = (ffi.cast("double *", rows.ctypes.data), size, 1, size, size, NULL)
-    return _run(loop, entry, several, (given, found), results, states), results
+    room = loop.get("mbs_room_of_many")(entry.n_in, given, entry.n_out, found)
+    return _run(loop, entry, several, Layout(given, found, room), results, states), results
 
 
 def find_room(loop: Loop, entry: Entry, inputs: Sequence[Port], outputs: Sequence[Port]) -> int:
@@ -197,32 +219,37 @@ def end_name(width: int) -> str:
     return f"_at_{width}" if width > 1 else ""
 
 
-def _point(ffi: cffi.FFI, given: Any, port: Port, array: Array) -> list[Any]:
-    """Describe an input for `mbs_many.c`; return what must outlive the call."""
+def _point(ffi: cffi.FFI, laid: Any, arrays: Sequence[tuple[Port, Array]]) -> list[Any]:
+    """Let described arguments begin where arrays do; return what must outlive the call."""
+    kept = []
+    for port, array in arrays:
+        if array.size:
+            first = _point_to(ffi, array)
+            laid[port.position].first = first
+            kept.append(first)
+    return kept
+
+
+def _describe(ffi: cffi.FFI, given: Any, port: Port, array: Array) -> None:
+    """Describe an input for `mbs_many.c`."""
     if not array.size:
-        return []
-    if any(stride % _ITEM for stride in array.strides):
-        array = array.copy()
+        return
     has_batch = array.ndim > len(port.shape)
     strides = tuple(stride // _ITEM for stride in array.strides)
-    given.first = _point_to(ffi, array)
     given.step = strides[0] if has_batch and array.shape[0] > 1 else 0
     given.nonzeros = port.argument.nnz
     places = port.find_places(strides[has_batch:])
-    given.places = NULL if places is None else ffi.from_buffer("long long[]", places.data)
-    return [array, places]
+    given.places = NULL if places is None else ffi.from_buffer("long long[]", places.data)  # which the port keeps
 
 
-def _point_result(ffi: cffi.FFI, found: Any, port: Port, array: Array, *, sparse: bool) -> list[Any]:
+def _describe_result(ffi: cffi.FFI, found: Any, port: Port, array: Array, *, sparse: bool) -> None:
     """Describe a result likewise."""
     if not array.size:
-        return []
+        return
     entries = None if sparse else port.entries
-    found.first = _point_to(ffi, array)
     found.step = found.numbers = array[0].size
     found.apart, found.nonzeros = 1, port.argument.nnz
     found.entries = NULL if entries is None else ffi.from_buffer("long long[]", entries.data)
-    return [entries]
 
 
 def _point_to(ffi: cffi.FFI, array: Array) -> Any:

@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.closure import Closure, find_closure
+from mbsrun.ocp.ground.grid import Grid
 from mbsrun.ocp.ground.plant import Plant
-from mbsrun.ocp.ground.schemes import Scheme
+from mbsrun.ocp.ground.schemes import Family, Scheme, build
 from mbsrun.ocp.ground.trajectory import NONE, Trajectory, resample
 from mbsrun.ocp.problem.contacts import list_held
 from mbsrun.ocp.problem.driving import Guide, choose_rows, follow, give_nothing
@@ -143,34 +145,61 @@ def interpolate(problem: Problem, scheme: Scheme, q: Array, plant: Plant | None 
     if problem.has_quaternions and plant is None:
         raise ValueError("the rates of quaternions are not their velocities: give the plant, which knows both")
     T, start, speed = problem.horizon, np.array(problem.start_q), np.array(problem.start_qd)
-    curves = (_LINE, _NOTHING) if problem.guess.motion == "line" else (_WAY, _RUN_OUT)
+    traced = _trace(problem.guess.motion == "line", T, problem.grid, scheme.family, scheme.degree)
     changes = speed if plant is None else find_rates(plant, start, speed)
     turning = () if plant is None else list_quaternions(plant.manifest)
 
-    def read(t: Array, order: int) -> Array:
-        s = (t / T)[..., None]
+    def read(curves: _Curves, order: int) -> Array:
         w, r = (curve[order] for curve in curves)
-        return np.asarray((start if order == 0 else 0.0) + (w(s) * (q - start) + r(s) * changes * T) / T**order)
+        return np.asarray((start if order == 0 else 0.0) + (w * (q - start) + r * changes * T) / T**order)
 
-    def move(t: Array) -> tuple[Array, Array, Array]:
+    def move(curves: _Curves) -> tuple[Array, Array, Array]:
         """Return q, qd and qdd; without quaternions, these are q and its derivatives."""
-        motion = read(t, 0), read(t, 1), read(t, 2)
+        motion = read(curves, 0), read(curves, 1), read(curves, 2)
         if plant is None or not turning:
             return motion
-        s = (t / T)[..., None]
-        w, r = (np.stack([p(s) / T**k for k, p in enumerate(curve)]) for curve in curves)
+        w, r = (np.stack([values / T**k for k, values in enumerate(curve)]) for curve in curves)
         for x in turning:
             way, run_out = find_turn(start[x.entries], q[x.entries]), T * speed[x.spins]
             for part, turned in zip(motion, turn(start[x.entries], way, w, run_out, r), strict=True):
                 part[..., x.entries] = turned
         return motion[0], *find_velocities(plant, *motion)
 
-    t, point_t = problem.grid.times(T, scheme.points)
     u = np.zeros((problem.intervals, len(problem.bounds.u)))
-    motion = Trajectory(t, *move(t)[:2], u, point_t, *move(point_t))
+    motion = Trajectory(traced.t, *move(traced.at_mesh)[:2], u, traced.point_t, *move(traced.at_points))
     motion = motion if plant is None else follow(motion, problem, plant.manifest)
     closure = None if plant is None else find_closure(plant)
     return motion if closure is None else close_motion(motion, closure)
+
+
+_Curves = tuple[list[Array], list[Array]]  # of the way and of the run-out: values and derivatives, (..., 1) each
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """The curves of guesses on a grid."""
+
+    t: Array
+    point_t: Array
+    at_mesh: _Curves
+    at_points: _Curves
+
+
+@lru_cache(maxsize=32)
+def _trace(is_line: bool, T: float, grid: Grid, family: Family, degree: int) -> _Traced:
+    """Evaluate the curves of guesses on a grid of a horizon T, once for all problems that share it."""
+    t, point_t = grid.times(T, build(family, degree).points)
+    curves = (_LINE, _NOTHING) if is_line else (_WAY, _RUN_OUT)
+
+    def read(times: Array) -> _Curves:
+        s = (times / T)[..., None]
+        way, run_out = ([np.asarray(p(s)) for p in curve] for curve in curves)
+        return way, run_out
+
+    traced = _Traced(t, point_t, read(t), read(point_t))
+    for values in (t, point_t, *(x for part in (traced.at_mesh, traced.at_points) for curve in part for x in curve)):
+        values.flags.writeable = False
+    return traced
 
 
 def close_motion(motion: Trajectory, closure: Closure) -> Trajectory:
