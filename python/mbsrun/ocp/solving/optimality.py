@@ -61,7 +61,7 @@ class Slopes:
 
     def multiply(self, y: Array) -> Array:
         """Return J'y."""
-        return np.bincount(self.column, weights=self.data * y[self.row], minlength=self.shape[1])
+        return np.asarray(np.bincount(self.column, self.data * y[self.row], self.shape[1]), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Point:
     sides: float  # limits of variables and rows; of limits beyond the region, the part D / distance
 
     @cached_property
-    def J(self) -> Matrix:  # noqa: N802  # as in the equations
+    def J(self) -> Matrix:
         """Return the Jacobian as a matrix."""
         return self.slopes.matrix
 

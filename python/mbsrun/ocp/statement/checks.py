@@ -245,10 +245,14 @@ def _take_apart(value: object) -> object:
     return tuple(map(_take_apart, value)) if isinstance(value, tuple) else value
 
 
-@cache
 def _name_fields(kind: type) -> tuple[str, ...] | None:
     """Name the fields of a dataclass; None for any other type."""
-    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
+    if kind not in _FIELDS:
+        _FIELDS[kind] = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
+    return _FIELDS[kind]
+
+
+_FIELDS: dict[type, tuple[str, ...] | None] = {}  # each found once
 
 
 def _find_unknown_names(problem: Problem) -> Iterator[Line]:
