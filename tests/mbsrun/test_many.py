@@ -222,3 +222,23 @@ def test_lanes_are_chosen_by_the_caller(pendulum: Kernels, monkeypatch: pytest.M
     assert asked[0] == 1
     assert asked[1] > 1
     assert_equal(found, few)
+
+
+def test_arguments_of_equal_shapes_are_described_once(pendulum: Kernels) -> None:
+    """Calls find the description of an earlier one; arrays of other strides or numbers have their own."""
+    entry = pendulum.bind("impl")
+    entry.laid.clear()
+    inputs = draw(entry.kernel, 5, 2)
+    first = pendulum("impl", **inputs)
+    others = {name: np.asfortranarray(2 * x) for name, x in inputs.items()}
+    for given in (inputs, others, {name: x[:3] for name, x in inputs.items()}):
+        expected, _ = compute_one_by_one(pendulum, "impl", given)
+        entry.laid.clear()
+        for _ in range(2):
+            found = pendulum("impl", **given)
+            assert all(np.allclose(found[name], x, rtol=ROUNDING, atol=0) for name, x in expected.items())
+        assert [len(kept) for kept in entry.laid.values()] == [1]
+    assert all(np.array_equal(pendulum("impl", **inputs)[name], x) for name, x in first.items())
+    for states in range(1, 4 * many.LAID):
+        pendulum("impl", **draw(entry.kernel, states))
+    assert len(entry.laid) <= many.LAID + 1

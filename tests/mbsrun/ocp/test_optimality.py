@@ -41,6 +41,16 @@ FREE = (-np.inf, np.inf)
 LEAST = 12 / (1 - 1 / 64)  # the cost of the push by 8 constant inputs
 
 
+def test_products_with_slopes_have_the_bits_of_the_matrix() -> None:
+    """Entries are summed column by column, in the order of their rows, as SciPy does."""
+    rng = np.random.default_rng(3)
+    J = Matrix(sparse.random_array((40, 30), density=0.2, rng=rng, format="csc"))
+    point = linearise(np.zeros(30), np.zeros(40), np.zeros(30), J, (np.zeros(30), np.ones(30)), (-np.ones(40),) * 2)
+    y = rng.normal(size=point.slopes.shape[0])
+    assert point.J.shape[0] == point.slopes.shape[0] > 30
+    assert np.array_equal(point.slopes.multiply(y), y @ point.J)
+
+
 def at(
     x: Sequence[float],
     c: Sequence[float],
