@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.statement import checks
 from mbsrun.ocp.statement.checks import ProblemError, check_problem
+from mbsrun.ocp.statement.statement import state_problem
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import double_integrator
 
@@ -35,6 +37,8 @@ def test_equal_objects_are_not_the_same() -> None:
     assert [memory.find(lambda k=k: k, *pair) for k, pair in enumerate(((first, second), (second, first)))] == [0, 1]
     assert memory.find(lambda: 2, first, second) == 0
     assert memory.find(lambda: 3, first) == 3
+    assert memory.knows(first, second)
+    assert not memory.knows(second)
 
 
 def test_a_result_lives_as_long_as_its_first_object() -> None:
@@ -98,3 +102,18 @@ def test_inputs_of_states_with_one_effect_are_the_bits_of_each_alone() -> None:
     found = find_inputs(plant, q, qd, qdd)
     alone = [find_inputs(plant, q[k : k + 1], qd[k : k + 1], qdd[k : k + 1]) for k in range(7)]
     assert np.array_equal(found, np.concatenate(alone))
+
+
+def test_types_of_a_problem_that_a_file_states_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A changed copy is another problem, whose types are."""
+    plant = double_integrator()
+    data = {"horizon": 1, "cost": {}, "start": {"pose": {}}, "end": {"pose": [1], "velocity": "zero"}}
+    seen = []
+    find = checks._find_wrong_types
+    monkeypatch.setattr(checks, "_find_wrong_types", lambda problem: [seen.append(problem), *find(problem)][1:])
+    problem = state_problem(data, "push", plant, Path())
+    check_problem(problem, plant.manifest)
+    assert seen == []
+    with pytest.raises(ProblemError, match="intervals"):
+        check_problem(replace(problem, intervals=2.5), plant.manifest)
+    assert len(seen) == 1

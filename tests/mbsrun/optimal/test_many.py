@@ -12,6 +12,7 @@ import pytest
 
 import mbsrun
 from mbsrun.ocp.cases import cases
+from mbsrun.ocp.evaluation.stages import binding
 from mbsrun.ocp.solving.phases import PhasedSolver
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.control import OptimalControl
@@ -77,6 +78,19 @@ def test_one_program_serves_all_cases(swing: OptimalControl, monkeypatch: pytest
     monkeypatch.setattr(PhasedSolver, "__init__", count)
     swing.solve_many({"end.pose.cart": [0.9, 1.1], "bounds.inputs": [[-15, 15], [-25, 25]]}, check=False)
     assert len(made) == 1
+
+
+def test_c_calls_no_python_unless_somebody_watches(swing: OptimalControl, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread in C would wait for the others otherwise; a limit of time needs a clock, which is Python's."""
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(binding, "_Observer", refuse)
+    assert swing.solve_many({"end.pose.cart": [0.9]}, check=False).is_solved.all()
+    timed = swing.with_solver("mbs", options={"max_wall_time": 60.0})
+    with pytest.raises(AssertionError):
+        timed.solve(check=False)
 
 
 def test_a_case_without_a_solution_harms_no_other(swing: OptimalControl, alone: list[Solved]) -> None:

@@ -15,6 +15,11 @@ class Memory(Generic[T]):
     def __init__(self) -> None:
         self._known: dict[tuple[int, ...], tuple[tuple[weakref.ref[object], ...], T]] = {}
 
+    def knows(self, *objects: object) -> bool:
+        """Return whether there is a result for some objects."""
+        references, _ = self._known.get(tuple(map(id, objects)), ((), None))
+        return bool(references) and all(own() is other for own, other in zip(references, objects, strict=True))
+
     def find(self, find: Callable[[], T], *objects: object) -> T:
         """Return the result for some objects; find it where it is not known. An exception is not remembered."""
         key = tuple(map(id, objects))

@@ -79,6 +79,7 @@ class PhasedSolver:
         Where answers are not judged, the word of the method counts, as of one sample of a loop.
         """
         self._is_judged = is_judged
+        self._choice: tuple[tuple[SolverOptions, float], SolverOptions] | None = None
         check_phases(problem, plants)
         self.plants = equip_phases(problem, plants)
         _check_states(problem, self.plants)
@@ -287,6 +288,12 @@ class PhasedSolver:
 
         Raises ProblemError where the given method takes stages alone, or has one thread where several are asked for.
         """
+        asked = problem.solver, problem.weight
+        if self._choice is None or self._choice[0] != asked:  # all else that it depends on belongs to the structure
+            self._choice = asked, self._choose_method(problem)
+        return self._choice[1]
+
+    def _choose_method(self, problem: PhasedProblem) -> SolverOptions:
         unstaged = self.transcription.unstaged
         options = choose_method(problem, self.plants, is_staged=not unstaged.size)
         if unstaged.size and not METHODS[methods.choose(options)].calls_casadi:

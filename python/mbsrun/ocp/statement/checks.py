@@ -83,8 +83,17 @@ def check_problem(problem: Problem, manifest: Manifest, *, is_phase: bool = Fals
 _RIGHT: Mapping[bool, Memory[None]] = {False: Memory(), True: Memory()}
 
 
+_TYPED: Memory[None] = Memory()
+
+
+def trust_types(problem: Problem) -> None:
+    """Take the types in a problem for right, as the sections of a file determine them; its meaning is still checked."""
+    _TYPED.find(lambda: None, problem)
+
+
 def _check(problem: Problem, manifest: Manifest, *, is_phase: bool) -> None:
-    findings = list(_find_wrong_types(problem)) or list(_find_unknown_names(problem))
+    findings = [] if _TYPED.knows(problem) else list(_find_wrong_types(problem))
+    findings = findings or list(_find_unknown_names(problem))
     findings = findings or [*_find_wrong_values(problem), *_find_strangers(problem, manifest)]
     findings = [found for found in findings if not (is_phase and found in (_FREE_OF_COST, _UNCONTROLLED))]
     if not findings:

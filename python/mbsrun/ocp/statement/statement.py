@@ -75,6 +75,7 @@ from mbsrun.ocp.statement.checks import (
     find_phase_conflicts,
     find_unknown_conflicts,
     list_open_inputs,
+    trust_types,
 )
 from mbsrun.ocp.statement.muscles import add_muscles, list_equilibria, list_metabolic_rates
 from mbsrun.ocp.statement.orienting import list_conditions, point, turn_by, turn_to
@@ -346,6 +347,7 @@ class _Reading(PartReading):
             *find_unknown_conflicts(problem, self.manifest),
         ):
             self.fault(conflict.place, conflict.finding, conflict.remedy)
+        trust_types(problem)
         return problem
 
     def read_start(

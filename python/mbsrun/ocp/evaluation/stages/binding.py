@@ -343,6 +343,7 @@ class Solver:
         self._threads = threads
         self.tables, self.ffi, self.lib = tables, tables.ffi, tables.lib
         self._made: tuple[bytes, Workspace] | None = None
+        self._options: tuple[Settings, Any] | None = None
 
     def solve(self, start: Array, numbers: Numbers, settings: Settings, watch: Watch | None = None) -> Outcome:
         """Solve from the program's variables; an exception in `watch` ends the solve, and is raised again."""
@@ -350,18 +351,17 @@ class Solver:
         evaluator = memory.evaluator
         evaluator.parameters[: numbers.parameters.size] = numbers.parameters
         memory.w[:] = fill(evaluator, start)
-        observer = _Observer(self.ffi, watch)
-        problem = memory.problem
-        problem.watch, problem.clock = observer.watch, observer.clock
-        if watch is None:
-            problem.watch = self.ffi.NULL
-        options = self.ffi.new("mbs_stages_options *", self.lib.mbs_stages_default_options())
-        for name, value in settings.values.items():
-            setattr(options, name, int(value) if isinstance(getattr(options, name), int) else value)
+        options = self._write_options(settings)
         options.max_wall_time = settings.seconds or (0.0 if watch is None else _NEVER)
+        # without a watch or a limit of time, C calls no Python, for which a thread would wait
+        observer = _Observer(self.ffi, watch) if options.max_wall_time else None
+        problem, nothing = memory.problem, self.ffi.NULL
+        problem.watch = nothing if watch is None or observer is None else observer.watch
+        problem.clock = nothing if observer is None else observer.clock
         with memory.team.at_work():
             result = self.lib.mbs_stages_solve(memory.solver, options)
-        observer.end()
+        if observer is not None:
+            observer.end()
         status = self.ffi.typeof("mbs_stages_status").elements[result.status]
         clashes = tuple(
             Clash(clash.stage, int(clash.kind), clash.row)
@@ -370,6 +370,15 @@ class Solver:
         seconds, stage = memory.team.seconds, result.stage
         z = memory.above - memory.below
         return Outcome(memory.w.copy(), status, stage, result.iterations, *seconds, clashes, memory.y.copy(), z)
+
+    def _write_options(self, settings: Settings) -> Any:
+        """Return the options in C's structure, which is written once for the same settings."""
+        if self._options is None or self._options[0] is not settings:
+            options = self.ffi.new("mbs_stages_options *", self.lib.mbs_stages_default_options())
+            for name, value in settings.values.items():
+                setattr(options, name, int(value) if isinstance(getattr(options, name), int) else value)
+            self._options = settings, options
+        return self._options[1]
 
     def _prepare(self, numbers: Numbers) -> Workspace:
         """Set the bounds; make the solver where other ones are equal than before."""
