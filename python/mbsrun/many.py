@@ -220,7 +220,7 @@ def end_name(width: int) -> str:
 
 
 def _point(ffi: cffi.FFI, laid: Any, arrays: Sequence[tuple[Port, Array]]) -> list[Any]:
-    """Let described arguments begin where arrays do; return what must outlive the call."""
+    """Point described arguments at the first numbers of arrays; return what must outlive the call."""
     kept = []
     for port, array in arrays:
         if array.size:
