@@ -42,12 +42,13 @@ from mbsrun.ocp.evaluation.stages.tables import KernelFunction, StageProgram
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.functions import Array, Formula, KernelResult
 from mbsrun.ocp.ground.program import Program
-from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.ground.trajectory import Trajectory, hold_numbers
 from mbsrun.ocp.guessing.guess import Pose, adapt, make_guess
 from mbsrun.ocp.guessing.sizes import size_added
 from mbsrun.ocp.guessing.state_guess import complete
 from mbsrun.ocp.problem.design import equip
 from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.problem.rewriting import hold_unknowns
 from mbsrun.ocp.solution.solution import Failure
 from mbsrun.ocp.solving.fixing import fix_numbers
 from mbsrun.ocp.solving.preparation import settle
@@ -97,7 +98,11 @@ def make(
     fixed = fix_numbers(problem, plant, guess)
     if isinstance(fixed, Failure):
         raise UnsolvedError(f"the unknown numbers of the mechanism are not found: {fixed.finding}; {fixed.remedy}")
-    problem, plant, guess = fixed.problem, fixed.plant, fixed.guess
+    problem, plant, guess = hold_unknowns(fixed.problem), fixed.plant, fixed.guess  # stages share no numbers
+    if guess is not None:
+        unknowns = fixed.problem.unknowns
+        is_known = guess.unknowns.size == len(unknowns)
+        guess = hold_numbers(guess, guess.unknowns if is_known else np.array([x.guess for x in unknowns]))
     scheme = schemes.build(problem.family, problem.degree)
     start = make_guess(problem, plant, scheme) if guess is None else adapt(guess, problem, scheme)
     if isinstance(start, Pose):
@@ -127,12 +132,17 @@ def make(
         scales=scales,
         guess=placed,
         plan=placed,
-        prediction=() if problem.states or problem.forces or problem.controls else choose_prediction(kernels, tables),
+        prediction=() if chooses_more(problem) else choose_prediction(kernels, tables),
     )
     used = read_kernels(place, kernels.manifest, list_kernels(design), design.kernel_symbols)
     copied = merge(read_solver(), used)
     with tempfile.TemporaryDirectory() as building:
         return _finish(design, copied, Path(building), emulated)
+
+
+def chooses_more(problem: Problem) -> bool:
+    """Return whether the motion of a problem depends on more than the mechanism and its inputs."""
+    return bool(problem.states or problem.forces) or any(not x.is_auxiliary for x in problem.controls)
 
 
 def _finish(design: Design, copied: Mapping[str, str], place: Path, emulated: bool) -> Made:

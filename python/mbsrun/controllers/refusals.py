@@ -12,7 +12,6 @@ from mbsgen.manifest import Manifest
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.problem.rewriting import INPUT
-from mbsrun.ocp.solving.fixing import list_numbers
 from mbsrun.quantities import SIGNAL
 
 EVERY = "*"  # in a place: each key of a mapping, each entry of a list
@@ -53,16 +52,6 @@ def _list_lifted(problem: Problem) -> list[str]:
 
 def _bounds_rates_of_controls(problem: Problem) -> bool:
     return any(math.isfinite(limit) for control in problem.controls for limit in control.rates)
-
-
-def _has_slacks(problem: Problem) -> bool:
-    return any(part.softens for part in problem.controls) or any(part.softens for part in problem.unknowns)
-
-
-def _has_unknowns(problem: Problem, manifest: Manifest) -> bool:
-    """Return whether numbers stay unknown, beside the ones of the mechanism, which are found once."""
-    found = list_numbers(problem, manifest)
-    return any(not (part.softens or part.largest or part.name in found) for part in problem.unknowns)
 
 
 _RULES = (
@@ -121,18 +110,6 @@ _RULES = (
         _bounds_rates_of_controls,
     ),
     _rule(
-        ("constraints", EVERY, "soft"),
-        "a slack is an unknown beside inputs and controls, and a controller has none",
-        "leave soft out, and price the excess under cost.running, as softplus(x, width)**2",
-        _has_slacks,
-    ),
-    _rule(
-        ("cost", "largest"),
-        "the largest value along a plan is an unknown of the problem, and a controller has none",
-        "leave largest out, and price a power of the expression under cost.running",
-        lambda problem: any(part.largest for part in problem.unknowns),
-    ),
-    _rule(
         ("functions",),
         "a controller is C, and the problem has expressions of CasADi",
         "write them as text",
@@ -144,10 +121,6 @@ _RULES = (
 def find_refusals(problem: Problem, manifest: Manifest) -> list[Refusal]:
     """List all parts of a problem that a controller cannot have."""
     found = [rule.refusal for rule in _RULES if rule.is_broken(problem)]
-    if _has_unknowns(problem, manifest):
-        finding = "a controller chooses inputs alone, and the problem has unknowns that are no parameters of the model"
-        remedy = "solve it by `mbsrun solve`, and write the values found into the constants"
-        found.append(Refusal(("unknowns",), finding, remedy))
     return [*found, *_find_open_wrenches(problem, manifest)]
 
 

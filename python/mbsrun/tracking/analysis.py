@@ -127,7 +127,8 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
     """Return the margins of bounds and of constraints along the path, and the constraints that have none here.
 
     The time t of a constraint counts from the start of a plan, so that it is 0 along the motion. A constraint that
-    reads accelerations has no margin. Leeways of the trial allow more than is tolerated otherwise.
+    reads accelerations, or a number that each plan chooses, has no margin. Leeways of the trial allow more than is
+    tolerated otherwise.
     """
     manifest, margins, left = plant.manifest, [], []
     coordinates = [c.name for c in manifest.coordinates]
@@ -145,10 +146,11 @@ def find_margins(found: Track, problem: Problem, plant: Mechanism) -> tuple[list
         )
         for name, key, column, limits in zip(known, keys, values.T, ranges, strict=True)
     ]
+    planned = {x.name for x in problem.unknowns}
     for constraint in problem.constraints:
-        if constraint.at != "path":
-            continue
         expression = parse(constraint.expression)
+        if constraint.at != "path" or planned & names(expression):
+            continue
         if any(x.kind == "qdd" for name, x in list_quantities(manifest).items() if name in names(expression)):
             left.append(constraint.expression)
             continue

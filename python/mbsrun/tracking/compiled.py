@@ -70,6 +70,7 @@ class CompiledController:
             controller.options.mu_target = stepping.barrier * manifest.scale * abs(manifest.cost)
         self._constants = _place_constants(manifest.data)
         self._chosen, self._inputs = list_chosen(problem), len(problem.bounds.u) + len(problem.controls)
+        self._held = count_held(manifest, problem)
         self._begun, self._time = 0.0, 0.0  # of the plan, and of the sample
         self._has_plan = False
         self._violation = 0.0
@@ -105,7 +106,7 @@ class CompiledController:
         before, stepping = clock.process_time(), self._stepping
         if stepping is None or not self._has_plan:
             return self._solve(q, qd, before)
-        state = np.concatenate((q, qd[self._velocities], self._states))
+        state = np.concatenate((q, qd[self._velocities], self._states, np.zeros(self._held)))
         if self._is_lost or not self._violation <= stepping.rescue:
             return self._rescue(state, before)
         inputs, step = self._controller.feedback(state)
@@ -152,7 +153,7 @@ class CompiledController:
         data = self._controller.data
         data["start_q"][:], data["start_qd"][:] = q, qd[self._velocities]
         if START_STATES in data:
-            data[START_STATES][:] = self._states
+            data[START_STATES][: self._states.size] = self._states
         result = self._controller.solve(warm=self._has_plan)
         seconds = clock.process_time() - before
         self._has_plan = self._has_plan or result.is_solved
@@ -165,7 +166,7 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
     found = []
     sizes = len(manifest.states), len(manifest.inputs), manifest.intervals
     measured = len(problem.start_q) + len(_list_velocities(manifest, problem)) + len(problem.states)
-    expected = measured, len(list_chosen(problem)), problem.intervals
+    expected = measured + count_held(manifest, problem), len(list_chosen(problem)), problem.intervals
     if sizes != expected:
         words = "states, inputs and intervals"
         found.append(f"{manifest.prefix} is of another problem: {_list(sizes)} {words}, and not {_list(expected)}")
@@ -176,6 +177,12 @@ def list_misfits(manifest: Manifest, problem: Problem, constants: Iterable[str] 
         f"{manifest.prefix} has no constant {name}, which the loop updates" for name in constants if name not in known
     ]
     return found
+
+
+def count_held(manifest: Manifest, problem: Problem) -> int:
+    """Count the last states of a controller that are unknown numbers of its problem: nothing measures them."""
+    unknown = {x.name for x in problem.unknowns}
+    return sum(state.name in unknown for state in manifest.states)
 
 
 def _list_velocities(manifest: Manifest, problem: Problem) -> list[int]:

@@ -71,21 +71,12 @@ def refuse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 SECTIONS = {
     "controls: {brake: {range: [0, 1], rate: {range: [-1, 1]}}}": f"{END} controls.brake.rate: a controller remembers",
     "controls: {brake: {range: [0, 1], delay: 0.125}}": f"{END} controls.brake.delay: a controller remembers",
-    "constraints: [{expression: q_cart, range: [0, 1]}, {expression: qd_cart, range: [0, 1], soft: 10}]": (
-        f"{END} constraints[1].soft: a slack is an unknown"
-    ),
-    "constraints: [{expression: q_cart, range: [0, 1], at: end, soft: 10}]": f"{END} constraints[0].soft: a slack is",
-    "unknowns: {place: {range: [0, 1], guess: 0.5}}": f"{END} unknowns: a controller chooses inputs alone",
     "inputs: linear": f"{END} inputs: a controller holds its inputs from sample to sample",
     "inputs: polynomial": f"{END} inputs: a controller holds its inputs from sample to sample",
     "inputs: {delay: 0.125, history: free}": f"{END} inputs.history: a controller remembers the inputs that it gave",
 }
 CHANGES = {
     "intervals: 8": ("intervals: [0.1, 0.4, 0.5]", "task.ocp.yaml:3: intervals: a controller moves its plan ahead"),
-    "  inputs: 1": (
-        "  inputs: 1\n  largest: [{expression: q_cart, weight: 1}]",
-        "task.ocp.yaml:8: cost.largest: the largest value along a plan is an unknown",
-    ),
 }
 
 
@@ -130,8 +121,8 @@ def test_rates_of_periods_that_are_free_are_refused(refuse: Refuse) -> None:
 def test_all_parts_are_refused_at_once(refuse: Refuse) -> None:
     changed = PROBLEM.replace("intervals: 8", "intervals: [0.1, 0.9]")
     changed += "controls: {brake: {rate: {range: [-1, 1]}}}\n"
-    told = refuse(f"{changed}unknowns: {{place: {{range: [0, 1], guess: 0}}}}\n", MODEL).splitlines()
-    places = ("task.ocp.yaml:3: intervals:", f"{END} controls.brake.rate:", f"task.ocp.yaml:{LINES + 2}: unknowns:")
+    told = refuse(f"{changed}contacts: [{{sensor: hand, axes: x, normal: null}}]\n", OPEN).splitlines()
+    places = ("task.ocp.yaml:3: intervals:", f"{END} controls.brake.rate:", f"task.ocp.yaml:{LINES + 2}: contacts:")
     assert [line.startswith(place) for line, place in zip(told, places, strict=True)] == [True] * 3
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from mbsrun.ocp.ground.trajectory import Trajectory, average_inputs, lagrange, move_ahead, resample
+from mbsrun.ocp.ground.trajectory import Trajectory, average_inputs, hold_numbers, lagrange, move_ahead, resample
 
 Array = NDArray[np.float64]
 NODES = {"radau": (0.4, 1.0), "lobatto": (0.0, 0.5, 1.0)}
@@ -166,3 +166,13 @@ def test_a_motion_shows_its_sizes_and_fills_what_it_leaves_out() -> None:
     assert (own.slopes.shape, own.unknowns.shape) == ((3, 0), (0,))
     bare = make(NODES["radau"], states=np.zeros(0), point_states=np.zeros(0), controls=np.zeros(0))
     assert (bare.states.shape, bare.point_states.shape, bare.controls.shape) == ((4, 0), (3, 2, 0), (3, 0))
+
+
+def test_numbers_that_hold_still_are_the_last_states_everywhere() -> None:
+    own = make(NODES["radau"], unknowns=np.array([5.0, 6.0]))
+    held = hold_numbers(own, own.unknowns)
+    assert held.unknowns.size == 0
+    for name in ("states", "point_states"):
+        before, after = getattr(own, name), getattr(held, name)
+        assert (after[..., :-2] == before).all()
+        assert (after[..., -2:] == [5.0, 6.0]).all()

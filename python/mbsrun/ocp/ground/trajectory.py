@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -157,6 +157,22 @@ def move_ahead(
         states=mesh.states(trajectory.states, trajectory.point_states),
         point_states=points.states(trajectory.states, trajectory.point_states),
         unknowns=trajectory.unknowns,
+    )
+
+
+def hold_numbers(trajectory: Trajectory, numbers: NDArray[np.float64]) -> Trajectory:
+    """Return a motion in which some numbers (p,) are its last states, which hold still, and no number is unknown."""
+
+    def widen(states: NDArray[np.float64], leading: tuple[int, ...]) -> NDArray[np.float64]:
+        held = np.broadcast_to(numbers, (*leading, numbers.size))
+        return np.concatenate((states.reshape(*leading, -1), held), axis=-1)
+
+    return replace(
+        trajectory,
+        states=widen(trajectory.states, trajectory.t.shape),
+        point_states=widen(trajectory.point_states, trajectory.point_t.shape),
+        slopes=NONE.copy(),
+        unknowns=np.zeros(0),
     )
 
 

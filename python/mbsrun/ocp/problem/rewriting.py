@@ -8,6 +8,8 @@ The largest value of g along the path is an unknown p, with a price:
 
     g <= p,  -p <= g where |g| is meant,    cost += weight p
 
+A number may be a state that holds still, s' = 0, where a solver or a controller has no place for numbers.
+
 An input that is continuous is a state whose rate is a control: u' = r. Constant r make it linear over each interval;
 r that are polynomials of degree d - 1 through the collocation points make it one of degree d.
 """
@@ -74,6 +76,12 @@ def price_largest(problem: Problem, expression: str, weight: float, name: str, *
         constraints=(*problem.constraints, *sides),
         cost=cost,
     )
+
+
+def hold_unknowns(problem: Problem) -> Problem:
+    """Return a problem whose unknown numbers are its last states, which hold still and begin anywhere."""
+    held = tuple(State(x.name, "0", x.bounds, guess=x.guess) for x in problem.unknowns)
+    return replace(problem, states=(*problem.states, *held), unknowns=())
 
 
 @dataclass(frozen=True)
