@@ -316,9 +316,10 @@ static void lose_rank(int k, int rank)
     const mbs_stages_size *z = &sizes[k];
     int i, j;
     for (i = rank; i < z->inner; ++i)
-        for (j = z->nx; j < z->nx + z->inner; ++j)
-            entries[k][0][i * MOST + j] = (rank > 0 ? entries[k][0][j] : 0) - (rank > 1 ? entries[k][0][MOST +
-                j] : 0) * (real)i;
+        for (j = z->nx; j < z->nx + z->inner; ++j) {
+            const real first = entries[k][0][j], second = entries[k][0][MOST + j];
+            entries[k][0][i * MOST + j] = rank < 1 ? 0 : rank < 2 ? first : first - second * (real)i;
+        }
     write_stage(k);
 }
 

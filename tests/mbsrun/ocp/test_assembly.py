@@ -154,7 +154,8 @@ def test_scatters_are_summed_in_one_pattern(rng: np.random.Generator) -> None:
     order = found.col * shape[0] + found.row
     assert (np.diff(order) > 0).all()
     assert not found.is_permutation
-    assert assemble(shape, [], []).row.size == 0
+    none = assemble(shape, [], [])
+    assert [part.size for part in (none.row, none.col, none.nonzero, none.coefficient, none.source)] == [0] * 5
 
 
 def test_a_sum_without_meetings_is_a_permutation() -> None:
