@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
@@ -18,7 +19,7 @@ from mbsrun.ocp.solving.phases import solve_phases
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.phases import read_phased_problem
 from mbsrun.ocp.statement.statement import read_problem
-from mbsrun.ocp.transcription.scales import round_scale
+from mbsrun.ocp.transcription.scales import FLAT, STEEP, USUAL, find_terms, round_scale, scale_cost
 
 LANDER = """
 horizon: {guess: 4, range: [1, 10]}
@@ -49,6 +50,47 @@ cost: {running: [{expression: thrust/unit}]}
 def test_a_scale_is_a_power_of_two_near_the_size(largest: float, limits: list[float], scale: float) -> None:
     """So that dividing by it rounds nothing."""
     assert round_scale(largest, np.array(limits)) == scale
+
+
+@pytest.mark.parametrize(
+    ("limits", "scale"),
+    [
+        ([1e4, 1e6, 0.0, np.inf], 2.0**20),  # the largest bound that there is, of the ones above 0
+        ([0.0, 0.0], 1.0),
+        ([], 1.0),
+        ([10.0], 1.0),  # sizes from a tenth to ten need no scale
+        ([0.1], 1.0),
+        ([10.5], 2.0**3),
+        ([0.095], 2.0**-3),
+    ],
+)
+def test_bounds_are_sizes_where_nothing_is_guessed(limits: list[float], scale: float) -> None:
+    assert round_scale(0.0, np.array(limits)) == scale
+
+
+def test_a_mechanism_needs_scales_beyond_a_thousand() -> None:
+    for size in (1e-3, 1e3):
+        assert round_scale(size, np.array([np.inf]), USUAL) == 1.0
+        assert round_scale(size, np.array([np.inf])) != 1.0
+    assert round_scale(1.01e3, np.array([np.inf]), USUAL) == 2.0**10
+    assert round_scale(np.inf, np.array([np.inf])) == 1.0
+
+
+def test_a_cost_that_is_steep_or_flat_is_scaled_by_a_power_of_two() -> None:
+    """A steep one to the largest usual slope, a flat one to 1; nothing is known of a cost without slopes."""
+    for slope in (0.0, FLAT, 1.0, STEEP):
+        assert scale_cost(slope) == 1.0
+    for slope in (1.5 * STEEP, 3e7):
+        assert 2**-0.5 <= slope * scale_cost(slope) / STEEP <= 2**0.5
+        assert np.log2(scale_cost(slope)) % 1 == 0
+    for slope in (0.7 * FLAT, 3e-9):
+        assert 2**-0.5 <= slope * scale_cost(slope) <= 2**0.5
+
+
+def test_the_largest_term_of_a_row_is_of_scaled_variables(rng: np.random.Generator) -> None:
+    J = sparse.random_array((6, 4), density=0.5, rng=rng, data_sampler=rng.standard_normal).tocsc()
+    scales = np.array([1.0, 8.0, 0.25, 2.0])
+    assert np.array_equal(find_terms(J, scales), np.abs(J.toarray() * scales).max(axis=1))
 
 
 @pytest.mark.parametrize("method", ["mbs", "ipopt"])
