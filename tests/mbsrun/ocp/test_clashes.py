@@ -1,4 +1,4 @@
-"""What a failed search says: the worst violation first, its limits, and what it stands against; each by hand."""
+"""Descriptions of a failed search: the worst violation first, its limits, and the ends that it stands against."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from mbsrun.ocp.ground.program import Program
-from mbsrun.ocp.transcription.clashes import ACTIVE, VIOLATED, Found, Names, describe, describe_point, see_solver
+from mbsrun.ocp.transcription.clashes import Found, Names, describe, describe_point, see_solver
 
 NAMES = Names(
     {0: "the bounds of x", 1: "the bounds of v", 3: "the input"},
@@ -36,7 +36,8 @@ def rows(*values: float) -> np.ndarray[Any, np.dtype[np.float64]]:
 def test_nothing_violated_says_nothing() -> None:
     assert describe_point(make(), NAMES) == ""
     assert describe_point(make(x=rows(5, 0, 0, 0)), NAMES) == ""  # at a limit, and nothing else
-    assert describe_point(make(g=rows(0, 0.9 * VIOLATED, 0, 0, 0)), NAMES) == ""
+    assert describe_point(make(g=rows(0, 0.9e-6, 0, 0, 0)), NAMES) == ""
+    assert describe_point(make(g=rows(0, 1.1e-6, 0, 0, 0)), NAMES) == "end: x"
 
 
 def test_the_worst_violation_comes_first() -> None:
@@ -45,9 +46,9 @@ def test_the_worst_violation_comes_first() -> None:
     assert text.startswith("start: x, friction, end: x")
     text = describe_point(make(g=rows(0, 0.25, 0, 0, 0), x=rows(-5.5, 0, 9, 0)), NAMES)  # variable 2 has no name
     assert text.startswith("the bounds of x, end: x")
-    text = describe_point(make(g=rows(0, 0.25, 0, 0, 0), x=rows(5 + 0.5 * ACTIVE, 0, 0, 0)), NAMES)
+    text = describe_point(make(g=rows(0, 0.25, 0, 0, 0), x=rows(5 + 0.5e-4, 0, 0, 0)), NAMES)
     assert text == "end: x; at their limits: the bounds of x"
-    text = describe_point(make(g=rows(0, 0.25, 0, 0, 0), x=rows(5 + 2 * ACTIVE, 0, 0, 0)), NAMES)
+    text = describe_point(make(g=rows(0, 0.25, 0, 0, 0), x=rows(5 + 2e-4, 0, 0, 0)), NAMES)
     assert text.startswith("end: x, the bounds of x")
 
 
@@ -67,9 +68,9 @@ def test_conditions_of_the_end_are_what_others_stand_against() -> None:
 
 def test_limits_that_bind_are_listed() -> None:
     """Ranges alone: equal bounds are given values, which are no limits; near counts beside 1, or beside the value."""
-    text = describe_point(make(g=rows(3, 0, 0, 0, 1 - 0.9 * ACTIVE), x=rows(0, -5, 0, 4.9)), NAMES)
+    text = describe_point(make(g=rows(3, 0, 0, 0, 1 - 0.9e-4), x=rows(0, -5, 0, 4.9)), NAMES)
     assert text == "friction, against end: x; at their limits: the bounds of v, constraint a"
-    far = make(g=rows(3, 0, 0, 0, 1 - 2.2 * ACTIVE), x=rows(0, 5 - 5 * ACTIVE, 0, 5 - 7 * ACTIVE))
+    far = make(g=rows(3, 0, 0, 0, 1 - 2.2e-4), x=rows(0, 5 - 5e-4, 0, 5 - 7e-4))
     assert describe_point(far, NAMES) == "friction, against end: x; at their limits: the bounds of v"
     held = make(g=rows(3, 0, 0, 0, 0), bounds=(np.zeros(4), np.zeros(4)))
     assert describe_point(held, NAMES) == "friction, against end: x"

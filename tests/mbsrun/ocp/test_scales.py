@@ -55,7 +55,7 @@ def test_a_scale_is_a_power_of_two_near_the_size(largest: float, limits: list[fl
 @pytest.mark.parametrize(
     ("limits", "scale"),
     [
-        ([1e4, 1e6, 0.0, np.inf], 2.0**20),  # the largest bound that there is, of the ones above 0
+        ([1e4, 1e6, 0.0, np.inf], 2.0**20),  # the largest finite bound, of the ones above 0
         ([0.0, 0.0], 1.0),
         ([], 1.0),
         ([10.0], 1.0),  # sizes from a tenth to ten need no scale
@@ -77,7 +77,7 @@ def test_a_mechanism_needs_scales_beyond_a_thousand() -> None:
 
 
 def test_a_cost_that_is_steep_or_flat_is_scaled_by_a_power_of_two() -> None:
-    """A steep one to the largest usual slope, a flat one to 1; nothing is known of a cost without slopes."""
+    """A steep one to the largest usual slope, a flat one to 1; a cost without slopes stays."""
     for slope in (0.0, FLAT, 1.0, STEEP):
         assert scale_cost(slope) == 1.0
     for slope in (1.5 * STEEP, 3e7):
