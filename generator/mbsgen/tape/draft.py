@@ -15,6 +15,7 @@ from bisect import bisect_left, insort
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
+from math import inf
 from typing import Any, TypeVar
 
 from mpmath import mpf
@@ -24,18 +25,21 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import PAPER
 from mbsgen.tape.references import OWN, Arithmetic
 from mbsgen.tape.replay import count_varying, find_constants, replay_guards
-from mbsgen.tape.types import EVEN, ODD, Op, Operation, Tape
+from mbsgen.tape.types import EVEN, FUNCTIONS, ODD, Op, Operation, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, choose_turned
 
 ROOM = 44  # bits between the numbers of neighbours
 PART = 8  # of the room that is left, a new value takes one
+OPERANDS = 2  # at most
 
 Write = Callable[[Arithmetic, Callable[[int], Ref], int], Ref]  # writes a value anew, given how values are referred to
 _SUMS = frozenset({Op.ADD, Op.SUB})
-_SIGNED = ODD | EVEN | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # operations on values as they are stored, with either sign
+_ASKING = frozenset(FUNCTIONS) - ODD - EVEN  # functions that need their operands' signs; others take values as stored
 
 # what `_follow` replaces
-_FOLLOWED = ("operations", "users", "_roots", "_root_uses", "_counts", "_order", "_kept", "_varying", "_labels")
+_FOLLOWED = (
+    *("operations", "users", "_roots", "_root_uses", "_counts", "_order", "_kept", "_varying", "_labels", "_asking"),
+)
 
 T = TypeVar("T")
 
@@ -58,22 +62,21 @@ class Draft(Arithmetic):
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         super().__init__(number=False)
         self.tape = tape
-        self.operations: dict[int, Operation] = {}  # as they are stored; 0 is no operand
+        self.operations: dict[int, Operation] = {}  # as they are stored; 0 is no operand, -n is n with another sign
         self.users: dict[int, dict[int, int]] = {}  # of each value, and how often they use it
-        self.is_constant: dict[int, bool] = {}
+        self.is_constant: dict[int, bool] = {0: True}
         self._nodes: dict[int, Key | mpf | None] = {}
         self._bases: dict[int, int] = {}
         self._counts: dict[int, int] = {}  # of uses by operations, outputs and guards
-        follows = not _has_turned(tape)
-        room = ROOM if follows else 0  # small numbers take less time
-        self._floor = tape.first_literal << room  # literals come behind it
+        self._asking: dict[int, None] = {}  # functions that need their operands with their signs
+        self._floor = tape.first_literal << ROOM  # literals come behind it
         self._next_literal = self._floor + 1
-        self._is_settled: bool | None = None if follows else False
+        self._is_settled: bool | None = None
         self._journal: list[tuple[dict[Any, Any], Any, Any]] = []  # what a change replaced
-        self._numbers = [*self._number_leaves(room)]
+        self._numbers = [*self._number_leaves()]
         fixed = find_constants(tape, constant)
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            number = (value + 1) << room
+            number = (value + 1) << ROOM
             self._numbers.append(number)
             self.operations[number] = op, self._numbers[a], self._numbers[b] if b >= 0 else 0
         for number, is_fixed in zip(self._numbers, fixed, strict=True):
@@ -94,9 +97,9 @@ class Draft(Arithmetic):
         self.is_changed = False
         self._varying = count_varying(tape, constant)
 
-    def _number_leaves(self, room: int) -> Iterator[int]:
+    def _number_leaves(self) -> Iterator[int]:
         for value in range(self.tape.first_literal):
-            number = (value + 1) << room
+            number = (value + 1) << ROOM
             self._nodes[number], self._bases[number] = None, number
             yield number
         for x in self.tape.literals:
@@ -112,8 +115,11 @@ class Draft(Arithmetic):
         for number, value in turned.items():
             roots = self._root_uses.pop(number, set())
             self._root_uses[value] = self._root_uses.get(value, set()) | roots
-            self._counts[value] += len(roots) - 1
-            self.users[value] = {user: n for user, n in self.users[value].items() if user != number}
+            self._counts[value] += self._counts.pop(number, 0) - 1
+            users = {user: n for user, n in self.users[value].items() if user != number}
+            for user, n in self.users.pop(number, {}).items():
+                users[user] = users.get(user, 0) + n
+            self.users[value] = users
 
     def _is_pivot(self, k: int) -> bool:
         return k >= self._first_test and not (k - self._first_test) % 2
@@ -143,12 +149,13 @@ class Draft(Arithmetic):
 
     def count_uses(self, number: int) -> int:
         """Count the uses of a stored value by operations, a change of its sign among them, outputs and guards."""
-        roots = self._root_uses.get(number, ())
-        if not roots:
-            return self._counts.get(number, 0)
-        kept = number * self._kept[number]
-        turned = [k for k in roots if k in self._signed and self._roots[k] != kept]
-        return self._counts[number] - len(turned) + bool(turned)
+        turned = sum(
+            self.operations[user].count(-number) for user in self.users.get(number, ()) if user in self._asking
+        )
+        if roots := self._root_uses.get(number, ()):
+            kept = number * self._kept[number]
+            turned += sum(k in self._signed and self._roots[k] != kept for k in roots)
+        return self._counts.get(number, 0) - turned + bool(turned)
 
     def is_inner(self, number: int) -> bool:
         """Return whether a value is a sum that is written only as part of another sum."""
@@ -201,11 +208,12 @@ class Draft(Arithmetic):
 
     def _carry_labels(self) -> list[tuple[Ref, str]]:
         """List the labels that a builder takes from this tape, by values with their signs, in the order of the tape."""
-        places = {self._roots[k]: k for k in sorted(self._signed, reverse=True)}
-        stored = {ref: text for ref, text in self._labels.items() if ref == self._kept[abs(ref)] * abs(ref)}
-        turned = sorted((places[ref], ref) for ref in self._labels if ref not in stored)
-        kept = [(ref, stored[ref]) for ref in sorted(stored, key=abs) if not self.is_inner(abs(ref))]
-        return kept + [(ref, self._labels[ref]) for _, ref in turned]
+        asked: list[tuple[tuple[float, int], Ref]] = [((inf, k), self._roots[k]) for k in self._signed]
+        asked += [((number, k), ref) for number in self._asking for k, ref in enumerate(self._list_operands(number))]
+        places = {ref: place for place, ref in sorted(asked, reverse=True)}  # a sign is changed before its first use
+        places |= {x * kept: (x, OPERANDS) for x, kept in self._kept.items()}
+        ordered = sorted(self._labels, key=places.__getitem__)
+        return [(ref, self._labels[ref]) for ref in ordered if not self.is_inner(abs(ref))]
 
     def _name_again(self, carried: Iterable[tuple[Ref, str]]) -> dict[int, str]:
         """Label nodes by the values that a change leaves or writes anew."""
@@ -236,7 +244,7 @@ class Draft(Arithmetic):
         """Keep a change."""
         self._journal.clear()
         dead, born = self._dead, self._born - self._dead
-        wanted = {self._roots[k] for k in self._signed}
+        wanted = self._find_asked()
         labels = {x: text for x, text in self._named.items() if x not in dead and (self._kept[x] > 0 or x in wanted)}
         self._labels, self._carried, self._turned = labels, None, self._now_turned
         for number in born:
@@ -280,6 +288,10 @@ class Draft(Arithmetic):
             return ref
         return number if self._bases[abs(number)] == 0 else self._kept[number] * number
 
+    def _refer_signed(self, operand: int) -> Ref:
+        """Refer to an operand as it is stored."""
+        return self.refer(operand) if operand > 0 else -self.refer(-operand) if operand else 0
+
     def _spread(self, chosen: Collection[int], write: Write) -> None:
         """Write the chosen values anew, and then, in order, the values whose operands became others."""
         self._waiting: list[int] = []
@@ -298,7 +310,7 @@ class Draft(Arithmetic):
             else:
                 self._slot = number
                 op, a, b = self.operations[number]
-                ref = self.operate(op, self.refer(a), self.refer(b) if b else 0)
+                ref = self.operate(op, self._refer_signed(a), self._refer_signed(b))
             if not ref or self._bases[abs(ref)] == 0:
                 raise _FurtherError
             folds = number in self._made and self._bases[number] != number  # products with it gather its literal
@@ -396,10 +408,7 @@ class Draft(Arithmetic):
                     self._move_root(k, number, abs(ref))
                     moved.append(number)
         for number in again:
-            _, a, b = self._old[number]
-            self._leave(abs(a), number)
-            if b:
-                self._leave(abs(b), number)
+            self._leave_operands(number, self._old[number])
         for number in moved:
             self._leave(number, 0)
 
@@ -408,10 +417,9 @@ class Draft(Arithmetic):
         self._set(self._root_uses, other, self._root_uses.get(other, set()) | {k})
 
     def _take_operands(self, number: int, key: Key) -> None:
-        _, a, b = key
-        self._take(abs(a), number)
-        if b:
-            self._take(abs(b), number)
+        for x in key[1:]:
+            if x:
+                self._take(abs(x), number)
 
     def _take(self, number: int, user: int) -> None:
         """Count a use by an operation, or, with user 0, by an output."""
@@ -444,9 +452,12 @@ class Draft(Arithmetic):
         if not count and isinstance(key, tuple):
             self._dead.add(number)
             self._varying -= key[0] in PAPER and not self.is_constant[number]
-            self._leave(abs(key[1]), number)
-            if key[2]:
-                self._leave(abs(key[2]), number)
+            self._leave_operands(number, key)
+
+    def _leave_operands(self, number: int, key: Key) -> None:
+        for x in key[1:]:
+            if x:
+                self._leave(abs(x), number)
 
     # -- the signs with which they are stored -------------------------------------------------------------------------
 
@@ -478,6 +489,7 @@ class Draft(Arithmetic):
         self._now_turned = self._find_turned()
         first = self._born | (self._old.keys() & self._made) | (self._now_turned ^ self._turned)
         waiting = [x for x in first - self._dead if x in self._nodes]
+        self._list_asking(waiting)
         heapify(waiting)
         queued = set(waiting)
         while waiting:
@@ -493,6 +505,15 @@ class Draft(Arithmetic):
                     if user not in queued:
                         queued.add(user)
                         heappush(waiting, user)
+
+    def _list_asking(self, written: Iterable[int]) -> None:
+        """List the functions that need their operands with their signs, after a change that wrote some values."""
+        for number in self._dead & self._asking.keys():
+            self._delete(self._asking, number)
+        for number in written:
+            key = self._nodes[number]
+            if isinstance(key, tuple) and key[0] in _ASKING and number not in self._asking:
+                self._set(self._asking, number, None)
 
     def _choose_sign(self, number: int) -> tuple[Operation, int]:
         """Return the operation that is stored for a node, and the sign of its result; see `Writer`."""
@@ -515,18 +536,33 @@ class Draft(Arithmetic):
             if one < 0:
                 return (Op.SUB, b, a), sign
             return (Op.ADD if other > 0 else Op.SUB, a, b), sign
-        if op not in _SIGNED or self._bases[abs(a)] == 0:
-            raise _FurtherError
+        if op in _ASKING:
+            return (op, self._turn_to_stored(a), self._turn_to_stored(b)), 1
         return (op, a, b), self._kept[a] if op in ODD else 1
+
+    def _turn_to_stored(self, ref: Ref) -> int:
+        return ref if not ref or self._bases[abs(ref)] == 0 else ref * self._kept[abs(ref)]
+
+    def _find_asked(self) -> set[Ref]:
+        """Find the values that are used with their signs, by outputs, guards and functions."""
+        found = {self._roots[k] for k in self._signed}
+        for number in self._asking:
+            found.update(self._list_operands(number))
+        found.discard(0)
+        return found
+
+    def _list_operands(self, number: int) -> tuple[Ref, Ref]:
+        key = self._nodes[number]
+        assert isinstance(key, tuple)
+        return key[1:]
 
     def _count_signs(self) -> int:
         """Count the operations that change a sign."""
-        found = {ref for k, ref in self._roots.items() if k in self._signed and ref}
         return sum(
             self._bases[abs(ref)] != 0
             and (ref > 0) is not (self._kept[abs(ref)] > 0)
             and not self.is_constant[abs(ref)]
-            for ref in found
+            for ref in self._find_asked()
         )
 
     # -- the beginning and the end ------------------------------------------------------------------------------------
@@ -542,7 +578,7 @@ class Draft(Arithmetic):
             self._slot = self._here = number
             self._made_here = []
             ref = refs[number] = self.operate(op, refs[a], refs[b])
-            if op is not Op.NEG and abs(ref) != number:
+            if abs(ref) != (a if op is Op.NEG else number):
                 break
         else:
             before = {name: self.__dict__[name] for name in _FOLLOWED}
@@ -565,7 +601,9 @@ class Draft(Arithmetic):
         self._order = [*self.operations]
         self._kept = self._kept | {number: 1 if refs[number] > 0 else -1 for number in self.operations}
         self._leave_turned(turned)
-        self._turned = self._find_turned()
+        self._asking = {x: None for x, (op, _, _) in self.operations.items() if op in _ASKING}
+        self._turned = self._now_turned = self._find_turned()
+        self.operations |= {x: self._choose_sign(x)[0] for x in self._asking}
         self._varying -= self._count_signs()
 
     def _repeats_tests(self) -> bool:
@@ -632,12 +670,6 @@ class Draft(Arithmetic):
 
 
 _MISSING: Any = object()
-
-
-def _has_turned(tape: Tape) -> bool:
-    """Return whether a function that has no sign to give away is applied to a value whose sign is changed."""
-    turned = {value for value, (op, _, _) in enumerate(tape.operations, tape.first_operation) if op is Op.NEG}
-    return any(op not in _SIGNED and op is not Op.NEG and not turned.isdisjoint((a, b)) for op, a, b in tape.operations)
 
 
 def _turn_to(places: Mapping[int, int], ref: Ref) -> Ref:

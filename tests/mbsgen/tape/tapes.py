@@ -67,6 +67,35 @@ def random_brackets(seed: int) -> Tape:
     return builder.build("brackets")
 
 
+def random_signs(seed: int) -> Tape:
+    """Write sums that share brackets, and functions of both signs of them, also of labelled and guarded values."""
+    rng, builder = np.random.default_rng(seed), Builder()
+    x, p = builder.vector("x", 5), builder.vector(Port("p", Role.PARAMETER), 2)
+    values = [*x, *p, *(builder.number(k) for k in (2.0, -3.0, 0.25))]
+
+    def draw() -> Scalar:
+        value = values[int(rng.integers(len(values)))]
+        return value if rng.integers(2) else -value
+
+    def apply(a: Scalar) -> Scalar:
+        op = (Op.SQRT, Op.EXP, Op.ATAN2, Op.TANH)[int(rng.integers(4))]
+        pair = (a, (draw(), -a, builder.zero)[int(rng.integers(3))])
+        return builder.apply(op, *(pair[:1] if op is not Op.ATAN2 else pair if rng.integers(2) else pair[::-1]))
+
+    brackets, shown = [(draw(), draw()) for _ in range(4)], list[Scalar]()
+    for _ in range(int(rng.integers(8, 24))):
+        (first, second), factor = brackets[int(rng.integers(4))], draw() * draw()
+        total = factor * first + draw() * draw() + factor * second
+        if not total.is_literal:
+            values += [apply(total if rng.integers(2) else -total), total][: int(rng.integers(3))]
+            shown += [total, values[-1]][: int(rng.integers(3))]
+    builder.label(shown, [f"n{k}" for k in range(len(shown))])
+    builder.label([-y for y in shown], [f"m{k}" for k in range(len(shown))])
+    builder.guard(shown[-1] * shown[-1] + x[0] * x[0], -shown[-1] * x[1], 1.0, 1)
+    builder.output_dense("y", [[y if rng.integers(2) else -y] for y in shown[:-1]])
+    return builder.build("signs")
+
+
 def assert_same(tape: Tape, shared: Tape) -> None:
     size = tape.inputs[0].sparsity.nnz
     given = {"x": [DIGITS.literal(float(x)) for x in np.random.default_rng(1).uniform(-1, 1, size)]}
