@@ -357,10 +357,9 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
         return tape
     if reductions.factor:
         tape = take_brackets(tape, FIXED)
-    share, order = reductions.share, reductions.order
-    ways = [{"share": share, "hand_on": x} for x in (False, share)[: 1 + share]]
-    found = min((rewrite(tape, FIXED, order=order, **way) for way in ways), key=count_own)
-    fewest = min([tape, *(rewrite(tape, FIXED, order=False, **way) for way in ways if order)], key=count_own)
+    ways = rewrite(tape, FIXED, share=reductions.share, order=reductions.order)
+    found = min((way.ordered for way in ways), key=count_own)
+    fewest = min([tape, *(way.plain for way in ways if reductions.order)], key=count_own)
     return found if count_own(found)[0] <= WORTH * count_own(fewest)[0] else fewest
 
 

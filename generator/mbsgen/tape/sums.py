@@ -13,6 +13,8 @@ terms. So the term that is ready last is added last, where this ends the sum ear
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from copy import copy
+from dataclasses import dataclass
 from functools import partial, reduce
 from heapq import heapify, heappop, heappush
 from itertools import combinations
@@ -34,20 +36,29 @@ _Term = tuple[int, int]  # a value and its sign; of a product, always 1
 _Pair = tuple[int, int, int]  # two values in order, and the product of their signs
 
 
+@dataclass(frozen=True)
+class Rewritten:
+    """A tape with its sums and products written anew: terms as they stand, and as they are ready."""
+
+    plain: Tape
+    ordered: Tape
+
+
 def rewrite(
-    tape: Tape, constant: Set[Role] = frozenset(), *, share: bool = True, order: bool = True, hand_on: bool = False
-) -> Tape:
+    tape: Tape, constant: Set[Role] = frozenset(), *, share: bool = True, order: bool = True
+) -> tuple[Rewritten, ...]:
     """Write sums and products anew; inputs of the roles `constant` count as constants.
 
-    share: compute common parts once. hand_on: move constants into products with constants before. order: combine terms
-    as they are ready, where this ends a sum or product earlier.
+    share: compute common parts once. A second tape then moves constants into products with constants before, where
+    there are any. order: combine terms as they are ready, where this ends a sum or product earlier.
     """
-    sums = _Sums(tape, constant)
+    ways = [_Sums(tape, constant)]
     if share:
-        sums.share(hand_on=hand_on)
-    if order:
-        sums.order()
-    return sums.write()
+        handed_on = ways[0].hand_on_constants()
+        ways += [handed_on] if handed_on else []
+        for sums in ways:
+            sums.share()
+    return tuple(sums.write_ways(order=order) for sums in ways)
 
 
 def find_inner(tape: Tape, is_constant: Sequence[bool], kinds: Mapping[Op, Op]) -> set[int]:
@@ -91,16 +102,27 @@ class _Sums:
 
     # -- sharing ------------------------------------------------------------------------------------------------
 
-    def share(self, *, hand_on: bool) -> None:
+    def hand_on_constants(self) -> _Sums | None:
+        """Return these sums with constants moved, and shared together; None where there are none such."""
+        other = copy(self)
+        other.handed_on = True
+        other.wholes = {kind: {v: [*terms] for v, terms in wholes.items()} for kind, wholes in self.wholes.items()}
+        other.is_constant, other.pairs = [*self.is_constant], {}
+        has_several = any(
+            sum(self.is_constant[x] for x, _ in terms) > 1
+            for wholes in self.wholes.values()
+            for terms in wholes.values()
+        )
+        return other if other._move_constants() or has_several else None
+
+    def share(self) -> None:
         """Replace shared pairs by values."""
-        self.handed_on = hand_on
-        if hand_on:
-            self._hand_on_constants()
         for kind, wholes in self.wholes.items():
             self._pair_up(kind, {value: terms for value, terms in wholes.items() if len(terms) <= LONGEST})
 
-    def _hand_on_constants(self) -> None:
+    def _move_constants(self) -> bool:
         """Move the constant of a product into the products that use it, where all of these have constants too."""
+        has_moved = False
         products = self.wholes[Op.MUL]
         holders: dict[int, list[int]] = {}
         for value, factors in products.items():
@@ -117,6 +139,8 @@ class _Sums:
                     place = products[holder].index((value, 1))
                     products[holder][place : place + 1] = [*fixed, *(rest if len(rest) == 1 else [(value, 1)])]
                 factors[:] = rest if len(rest) > 1 else factors
+                has_moved = True
+        return has_moved
 
     def _pair_up(self, kind: Op, wholes: dict[int, list[_Term]]) -> None:
         holders: dict[_Pair, set[int]] = {}
@@ -167,9 +191,9 @@ class _Sums:
 
     # -- order --------------------------------------------------------------------------------------------------
 
-    def order(self) -> None:
+    def _order(self) -> bool:
         """Sort the terms of each sum and product by the clock at which they are ready, where this ends it earlier."""
-        tape = self.tape
+        tape, has_sorted = self.tape, False
         ready = dict.fromkeys(range(tape.first_operation), 0)
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
             terms = self._find_terms(value, op)
@@ -181,8 +205,9 @@ class _Sums:
             by_time = sorted(terms, key=lambda term: clocks[term[0]])
             found, before = (_end([clocks[x] for x, _ in some], step) for some in (by_time, terms))
             if found < before:
-                terms[:] = by_time
+                terms[:], has_sorted = by_time, True
             ready[value] = min(found, before)
+        return has_sorted
 
     def _find_clock(self, ready: dict[int, int], value: int) -> int:
         """Return the clock at which a value is ready; values of pairs are added to those known."""
@@ -198,7 +223,12 @@ class _Sums:
         kind = _KINDS.get(op)
         return self.wholes[kind].get(value) if kind else None
 
-    def write(self) -> Tape:
+    def write_ways(self, *, order: bool) -> Rewritten:
+        """Write the tape with terms as they stand, and, if asked for, as they are ready."""
+        plain = self._write()
+        return Rewritten(plain, self._write() if order and self._order() else plain)
+
+    def _write(self) -> Tape:
         """Write the tape with its sums and products as they are now."""
         tape, builder = self.tape, Builder()
         refs = dict(enumerate(x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))))

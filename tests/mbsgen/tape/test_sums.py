@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence, Set
 
 import numpy as np
 import pytest
@@ -15,10 +14,17 @@ from mbsgen.tape.ports import Port
 from mbsgen.tape.replay import find_constants
 from mbsgen.tape.sums import rewrite
 from mbsgen.tape.types import Tape
-from tests.mbsgen.tape.tapes import assert_same, random_tape, write
+from tests.mbsgen.tape.tapes import assert_same, random_brackets, random_tape, write
 
-share, order = partial(rewrite, order=False), partial(rewrite, share=False)
 PARAMETERS = Port("p", Role.PARAMETER)
+
+
+def share(tape: Tape, constant: Set[Role] = frozenset()) -> Tape:
+    return rewrite(tape, constant, order=False)[0].plain
+
+
+def order(tape: Tape) -> Tape:
+    return rewrite(tape, share=False)[0].ordered
 
 
 @pytest.mark.parametrize(
@@ -45,9 +51,17 @@ def test_common_parts_are_computed_once(
 def test_any_tape_keeps_its_values(seed: int) -> None:
     """In 50 digits, as the order of sums changes; and the same tape is written again."""
     tape = random_tape(seed)
-    for found in (share(tape), order(tape), rewrite(tape)):
+    for found in (share(tape), order(tape), *(x.ordered for x in rewrite(tape))):
         assert_same(tape, found)
     assert rewrite(tape) == rewrite(tape)
+
+
+def test_a_tape_is_written_once_where_nothing_is_handed_on_or_waits() -> None:
+    """Without constants there is one way; terms that are ready at once keep their order. Constants give two ways."""
+    (way,) = rewrite(write(3, lambda x: [x[0] + x[1] + x[2], x[0] * x[1] * x[2]]))
+    assert way.ordered is way.plain
+    assert len(rewrite(random_brackets(1), {Role.PARAMETER})) == 2
+    assert len(rewrite(random_brackets(1), {Role.PARAMETER}, share=False)) == 1
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -82,7 +96,7 @@ def test_a_constant_goes_into_products_with_constants() -> None:
         scaled = p * x
         results = [r * scaled, scaled * builder.number(3.0), *([scaled + y] if needed else [])]
         builder.output_dense("z", [[z] for z in results])
-        tape = share(builder.build("constants"), {Role.PARAMETER}, hand_on=True)
+        tape = rewrite(builder.build("constants"), {Role.PARAMETER}, order=False)[-1].plain
         fixed = find_constants(tape, {Role.PARAMETER})[tape.first_operation :]
         assert fixed.count(False) == varying
 
