@@ -51,12 +51,17 @@ class Plans:
     @cached_property
     def residual(self) -> Plan:
         """IMPL."""
-        return self._search(lambda shared, plan: residual(shared.begin(plan), shared.state.qd, shared.state.qdd))
+        with self._begin() as trials:
+            return self._search(
+                trials, lambda shared, plan: residual(shared.begin(plan), shared.state.qd, shared.state.qdd)
+            )
 
     @cached_property
     def bias(self) -> Plan:
         """c of SEMI and EXP1: the residual at qdd = 0."""
-        return self._search(lambda shared, plan: shared.write_bias(plan, absolute=False), self.residual)
+        start = self.residual
+        with self._begin() as trials:
+            return self._search(trials, lambda shared, plan: shared.write_bias(plan, absolute=False), start)
 
     @cached_property
     def mass_matrix(self) -> Plan:
@@ -65,9 +70,11 @@ class Plans:
         def write(shared: PlanTrials, plan: Plan) -> Sequence[Scalar]:
             return [*joint_matrix(shared.begin(plan)).values(), *shared.bias(self.bias, absolute=False)]
 
-        plan = self._search(write, self.bias, rates=False)
-        others = [replace(plan, by_angles=True)] if self._reductions.absolute else []
-        return self._refine(write, plan, *others)
+        start = self.bias
+        with self._begin() as trials:
+            plan = self._search(trials, write, start, rates=False)
+            others = [replace(plan, by_angles=True)] if self._reductions.absolute else []
+            return self._refine(trials, write, plan, *others)
 
     @cached_property
     def elimination(self) -> Plan:
@@ -81,7 +88,9 @@ class Plans:
 
         if self._size > ELIMINATED:
             return self.mass_matrix
-        return self._refine(write, self._search(write, self.mass_matrix, rates=False))
+        start = self.mass_matrix
+        with self._begin() as trials:
+            return self._refine(trials, write, self._search(trials, write, start, rates=False))
 
     @cached_property
     def articulated(self) -> Plan:
@@ -98,12 +107,14 @@ class Plans:
             found = restraint(plan)
             return replace(found, at_rest=rest) if found else None
 
-        plan = self._search(write, self.residual, restrain=restrain)
-        others = (replace(plan, together=depth, by_motions=True) for depth in self._list_together())
+        start = self.residual
         flags = ["shift_first", "first_resists", "by_motions", "turns_apart", "by_squares"] + [
             "in_series"
         ] * self._reductions.series
-        best = self._refine(write, plan, *others, flags=flags)
+        with self._begin() as trials:
+            plan = self._search(trials, write, start, restrain=restrain)
+            others = (replace(plan, together=depth, by_motions=True) for depth in self._list_together())
+            best = self._refine(trials, write, plan, *others, flags=flags)
         if self._size > ELIMINATED:
             return best
         finished = [best] + [replace(best, at_rest=False)] * rest
@@ -130,8 +141,12 @@ class Plans:
             if depth not in within and all(s.opens_group or s.number not in continued for s in beyond):
                 yield depth
 
+    def _begin(self) -> PlanTrials:
+        return PlanTrials(self._tree, self._reductions)
+
     def _refine(
         self,
+        shared: PlanTrials,
         write: Callable[[PlanTrials, Plan], Sequence[Scalar]],
         plan: Plan,
         *others: Plan,
@@ -143,20 +158,19 @@ class Plans:
         """
         if self._reductions.trials == 1 or self._size > ELIMINATED:
             return plan
-        with PlanTrials(self._tree, self._reductions) as shared:
 
-            @cache
-            def cost(plan: Plan) -> int:
-                return shared.cost(write(shared, plan))
+        @cache
+        def cost(plan: Plan) -> int:
+            return shared.cost(write(shared, plan))
 
-            tried = [plan, *others]
-            if self._reductions.meet:
-                fewest = min(map(cost, tried))
-                tried = [meet(shared.segments, cost, x) for x in tried if cost(x) <= NEAR * fewest]
-            best = min(tried, key=cost)
-            for flag in flags:
-                best = min(best, best.flip(flag), key=cost)
-            return best
+        tried = [plan, *others]
+        if self._reductions.meet:
+            fewest = min(map(cost, tried))
+            tried = [meet(shared.segments, cost, x) for x in tried if cost(x) <= NEAR * fewest]
+        best = min(tried, key=cost)
+        for flag in flags:
+            best = min(best, best.flip(flag), key=cost)
+        return best
 
     def _finish(self, write: Callable[[PlanTrials, Plan], Sequence[Scalar]], plan: Plan) -> tuple[int, int]:
         """Count the operations that a plan takes after its sums are written: what they share may decide."""
@@ -175,14 +189,16 @@ class Plans:
 
         if self._size > ELIMINATED:
             return self.mass_matrix.carried_down
-        plan = self._refine(write, self._search(write, self.mass_matrix.carried_down), flags=())
-        if self._reductions.trials == 1:
-            return plan
-        with PlanTrials(self._tree, self._reductions) as shared:
-            return flip_each(shared.segments, lambda plan: shared.cost(write(shared, plan)), plan, "by_moments")
+        start = self.mass_matrix.carried_down
+        with self._begin() as trials:
+            plan = self._refine(trials, write, self._search(trials, write, start), flags=())
+            if self._reductions.trials == 1:
+                return plan
+            return flip_each(trials.segments, lambda plan: trials.cost(write(trials, plan)), plan, "by_moments")
 
     def _search(
         self,
+        shared: PlanTrials,
         write: Callable[[PlanTrials, Plan], Sequence[Scalar]],
         *start: Plan,
         restrain: Restraint = leave,
@@ -190,19 +206,18 @@ class Plans:
     ) -> Plan:
         wanted = self._reductions.trials
         trials = _trials(self._size) if wanted is None else wanted
-        with PlanTrials(self._tree, self._reductions) as shared:
-            if self._reductions.lump_runtime and self._reductions.regroup:
-                restrain = _allow(self._tree, self._reductions, shared.segments, restrain)
+        if self._reductions.lump_runtime and self._reductions.regroup:
+            restrain = _allow(self._tree, self._reductions, shared.segments, restrain)
 
-            def cost(plan: Plan) -> int | None:
-                try:
-                    return shared.cost(write(shared, plan))
-                except NoSuchPlanError:
-                    return None
+        def cost(plan: Plan) -> int | None:
+            try:
+                return shared.cost(write(shared, plan))
+            except NoSuchPlanError:
+                return None
 
-            found = search(shared.segments, cost, self._reductions, trials, start, restrain)
-            spins = rates and trials > 1 and self._size <= ELIMINATED
-            return spin(shared.segments, cost, found, self._reductions) if spins else found
+        found = search(shared.segments, cost, self._reductions, trials, start, restrain)
+        spins = rates and trials > 1 and self._size <= ELIMINATED
+        return spin(shared.segments, cost, found, self._reductions) if spins else found
 
 
 def align_numbers(tree: Tree, reductions: Reductions) -> tuple[Chain, tuple[Segment, ...]]:
