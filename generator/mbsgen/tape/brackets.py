@@ -108,24 +108,33 @@ class _Brackets:
 
     def _update(self, changes: Changes) -> None:
         """List what changed."""
-        stale, sums = set(changes.written), set(changes.recounted | changes.written)
-        waiting = [*changes.written]
-        while waiting:  # products have the factors of their factors
-            value = waiting.pop()
-            self.factors.pop(value, None)
-            for user in self.draft.users.get(value, ()):
-                if self.draft.operations[user][0] is Op.MUL and user not in stale:
-                    stale.add(user)
-                    waiting.append(user)
-        sums |= stale
-        for value in sorted(stale | changes.recounted):
+        stale = self._find_stale(changes)
+        changed = sorted(stale | changes.recounted)
+        for value in changed:
             self._list_product(value)
-        found: set[int] = set()
-        for value in sums:
-            found.add(value)
-            found.update(self._find_whole(x) for x in (value, *self.draft.users.get(value, ())))
+        found = {value for value in changed if value in self.sums}
+        for value in changed:
+            op = self.draft.operations.get(value, (None,))[0]
+            if op in _SUMS:  # it may have become a part of another one, or be one no more
+                found.add(self._find_whole(value))
+            if op in _SUMS or (op is Op.MUL and value in stale):
+                found.update(self._find_whole(x) for x in self.draft.users.get(value, ()))
         for value in sorted(found):
             self._list_sum(value)
+
+    def _find_stale(self, changes: Changes) -> set[int]:
+        """Find the values that changed, and the products that have factors of these: other values are one factor."""
+        operations, users = self.draft.operations, self.draft.users
+        stale = set(changes.written)
+        waiting = [x for x in stale if x in operations and operations[x][0] is Op.MUL]
+        while waiting:
+            for user in users.get(waiting.pop(), ()):
+                if operations[user][0] is Op.MUL and user not in stale:
+                    stale.add(user)
+                    waiting.append(user)
+        for value in stale:
+            self.factors.pop(value, None)
+        return stale
 
     def _find_whole(self, value: int) -> int:
         """Find the sum that a value is a part of."""

@@ -149,9 +149,8 @@ class Draft(Arithmetic):
 
     def count_uses(self, number: int) -> int:
         """Count the uses of a stored value by operations, a change of its sign among them, outputs and guards."""
-        turned = sum(
-            self.operations[user].count(-number) for user in self.users.get(number, ()) if user in self._asking
-        )
+        asking = self.users.get(number, {}).keys() & self._asking.keys()
+        turned = sum(self.operations[user].count(-number) for user in asking) if asking else 0
         if roots := self._root_uses.get(number, ()):
             kept = number * self._kept[number]
             turned += sum(k in self._signed and self._roots[k] != kept for k in roots)
@@ -160,7 +159,7 @@ class Draft(Arithmetic):
     def is_inner(self, number: int) -> bool:
         """Return whether a value is a sum that is written only as part of another sum."""
         found = self.operations.get(number)
-        if found is None or found[0] not in _SUMS or self.is_constant[number] or self.count_uses(number) != 1:
+        if found is None or found[0] not in _SUMS or self.is_constant[number] or self._counts.get(number) != 1:
             return False
         user = next(iter(self.users.get(number, ())), 0)
         return bool(user) and self.operations[user][0] in _SUMS
@@ -208,10 +207,12 @@ class Draft(Arithmetic):
 
     def _carry_labels(self) -> list[tuple[Ref, str]]:
         """List the labels that a builder takes from this tape, by values with their signs, in the order of the tape."""
+        if not self._labels:
+            return []
         asked: list[tuple[tuple[float, int], Ref]] = [((inf, k), self._roots[k]) for k in self._signed]
         asked += [((number, k), ref) for number in self._asking for k, ref in enumerate(self._list_operands(number))]
         places = {ref: place for place, ref in sorted(asked, reverse=True)}  # a sign is changed before its first use
-        places |= {x * kept: (x, OPERANDS) for x, kept in self._kept.items()}
+        places |= {ref: (abs(ref), OPERANDS) for ref in self._labels if ref == self._kept[abs(ref)] * abs(ref)}
         ordered = sorted(self._labels, key=places.__getitem__)
         return [(ref, self._labels[ref]) for ref in ordered if not self.is_inner(abs(ref))]
 
@@ -273,7 +274,8 @@ class Draft(Arithmetic):
             del self._order[place]
 
     def _set(self, kept: dict[Any, T], key: object, value: T) -> None:
-        self._journal.append((kept, key, kept.get(key, _MISSING)))
+        if self._is_settled:  # there is no way back from the beginning
+            self._journal.append((kept, key, kept.get(key, _MISSING)))
         kept[key] = value
 
     def _delete(self, kept: dict[Any, Any], key: object) -> None:
@@ -584,10 +586,8 @@ class Draft(Arithmetic):
             before = {name: self.__dict__[name] for name in _FOLLOWED}
             self._follow(refs)
             if self._write_whole() == replace(self.tape, labels={}) and not self._repeats_tests():
-                self._journal.clear()
                 return True
             self.__dict__.update(before)
-        self._journal.clear()
         return False
 
     def _follow(self, refs: Mapping[int, Ref]) -> None:

@@ -215,8 +215,8 @@ def choose_turned(
             return True
         return False
 
-    for ref in sorted(wanted, reverse=True):
-        if ref < 0 and -ref not in wanted:
+    for ref in sorted((ref for ref in wanted if ref < 0), reverse=True):
+        if -ref not in wanted:
             turn(-ref)
     return turned
 
