@@ -184,6 +184,10 @@ def names(expression: Expression) -> frozenset[str]:
     return frozenset().union(*map(names, list_operands(expression)))
 
 
+def _has_names(expression: Expression) -> bool:
+    return isinstance(expression, Name) or any(map(_has_names, list_operands(expression)))
+
+
 def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expression:
     """Put expressions in place of names."""
     match expression:
@@ -202,7 +206,7 @@ def substitute(expression: Expression, values: Mapping[str, Expression]) -> Expr
 
 def fold(expression: Expression) -> Expression:
     """Compute the parts of an expression that have no names, in doubles. Raises ExpressionError without a value."""
-    if not names(expression):
+    if not _has_names(expression):
         value = evaluate(expression, {}, FLOATS)
         return Negation(Number(-value)) if value < 0 else Number(value)
     match expression:
