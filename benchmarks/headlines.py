@@ -57,6 +57,15 @@ def write_times(ratio: float) -> str:
     return f"{float(f'{ratio:.2g}'):g}"
 
 
+def compare_iterations(ratio: float) -> str:
+    """Write who takes more iterations, from the ratio of our iterations to IPOPT's."""
+    if ratio <= 0:
+        raise PageError(f"{ratio} is no ratio of iterations")
+    if ratio > 1:
+        return f"it takes {write_times(ratio)} times as many iterations as IPOPT"
+    return f"IPOPT takes {write_times(1 / ratio)} times as many iterations"
+
+
 def find_row(rows: Sequence[Row], column: str, beginning: str) -> Row:
     """Return the row whose cell begins with a text."""
     for row in rows:
@@ -120,17 +129,20 @@ def describe_methods(text: str) -> str:
     """Describe the method by stages beside IPOPT."""
     whole = find_row(next(iter(read_tables(text).values())), "group", "all")
     ours, theirs = whole["solved"].split(", ")
-    solved = f"solves {ours} tasks of {whole['tasks']}, IPOPT {theirs}"
-    return f"The method by stages {solved}, in {whole['mean ratio']} times its iterations ([figures](methods.md))."
+    more = compare_iterations(read_number(whole["mean ratio"]))
+    return (
+        f"The method by stages solves {ours} of {whole['tasks']} tasks, IPOPT {theirs}; {more} ([figures](methods.md))."
+    )
 
 
 def describe_ends(text: str) -> str:
     """Describe random problems that end on their limits."""
     whole = find_row(next(iter(read_tables(text).values())), "kind", "all")
     ours, theirs = whole["solved"].split(", ")
+    more = compare_iterations(read_number(whole["mean ratio"]))
     return (
-        f"Of {whole['problems']} random problems that end on their limits it solves {ours}, IPOPT {theirs}, in "
-        f"{whole['mean ratio']} times its iterations ([figures](ends.md))."
+        f"Of {whole['problems']} random problems that end on their limits it solves {ours}, IPOPT {theirs}; {more} "
+        "([figures](ends.md))."
     )
 
 
@@ -140,8 +152,8 @@ def describe_classics(text: str) -> str:
     digits = _search(r"- (\d+) optima agree with all printed digits", text)
     ratio = write_times(float(_search(r"each at its best: ([\d.]*\d)", text)))
     return (
-        f"Of {problems} published problems, {digits} end at all printed digits, in the mean {ratio} times faster than "
-        "by plain CasADi on the same grid ([figures](classics.md))."
+        f"The optima of {digits} of {problems} published problems agree with all printed digits. In the mean they are "
+        f"found {ratio} times faster than by plain CasADi on the same grid ([figures](classics.md))."
     )
 
 
