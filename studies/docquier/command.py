@@ -100,38 +100,45 @@ Exit codes
 @click.option(
     "--sample", type=click.IntRange(1), help="Solve for about this number of targets, spread over all; e.g. 33."
 )
-@click.option("--protocol", "protocols", type=click.Choice(["paper", "robust"]), multiple=True)
-@click.option("--question", "asked", type=click.Choice(QUESTIONS), multiple=True)
+@click.option("--protocol", "protocols", type=click.Choice(["paper", "robust"]), multiple=True, help="See above.")
+@click.option("--question", "asked", type=click.Choice(QUESTIONS), multiple=True, help="See above.")
 @click.option(
     "--system", "systems", type=click.Path(path_type=Path), multiple=True, help="The problem file of another system."
 )
-@click.option("--cost", "costs", type=(float, float), multiple=True, metavar="K1 K2", help="1 0 and 1 1e5.")
+@click.option(
+    "--cost",
+    "costs",
+    type=(float, float),
+    multiple=True,
+    metavar="K1 K2",
+    help="Weights of inputs and of their rates; by default 1 0 and 1 1e5.",
+)
 @click.option(
     "--representation",
     "names",
     type=click.Choice([r.value for r in Representation], case_sensitive=False),
     multiple=True,
-    help="By default all six.",
+    help="A form of the equations of motion; by default all six.",
 )
-@click.option("--radius", type=float, default=0.63, help="Of the cylinder [m]; 0.63.")
+@click.option("--radius", type=float, default=0.63, help="The radius of the cylinder [m]; by default 0.63.")
 @click.option(
     "--azimuths",
     type=(float, float, click.IntRange(1, 1000)),
     default=(-math.pi / 2, math.pi / 2, 21),
     metavar="FROM TO COUNT",
-    help="A quarter turn to either side, 21.",
+    help="The azimuths of targets [rad]; by default 21, a quarter turn to either side.",
 )
 @click.option(
     "--heights",
     type=(float, float, click.IntRange(1, 1000)),
     default=(-0.1, 0.1, 11),
     metavar="FROM TO COUNT",
-    help="-0.1 0.1 11.",
+    help="The heights of targets [m]; by default -0.1 0.1 11.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(0),
-    help="Processes; with Dask one per core, without it this one alone, as with 0.",
+    help="The number of processes; by default one for each core with Dask, else this one alone, as with 0.",
 )
 @click.option("--scheduler", metavar="tcp://…", help="An existing Dask cluster, instead of processes on this machine.")
 @click.option(
@@ -139,7 +146,8 @@ Exit codes
     "linear",
     type=click.Choice(LINEAR_SOLVERS),
     default=MUMPS,
-    help="Of IPOPT, for all parts except the robust protocol; mumps. With mbs a solve takes a third of the time.",
+    help="The linear solver of IPOPT, for all parts except the robust protocol; by default mumps. Solves with mbs are "
+    "three times faster.",
 )
 @click.option(
     "--minutes",
@@ -153,7 +161,7 @@ Exit codes
     "drawn",
     type=click.Choice(["svg", "png", "pdf"]),
     default="svg",
-    help="Of the pictures in data/; by default svg. Pages show SVG where this is pdf.",
+    help="The format of the pictures in data/; by default svg. Pages show SVG where this is pdf.",
 )
 @click.option("--export", "form", type=click.Choice(["csv", "parquet"]), help="Also write all attempts as one table.")
 @click.option(

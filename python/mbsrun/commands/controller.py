@@ -54,8 +54,8 @@ Exit codes
 @click.option(
     "--prefix",
     metavar="NAME",
-    help="Let names in C begin with NAME; by default, the problem's name. Controllers of one name need it to share a C "
-    "file.",
+    help="Let names in C begin with NAME; by default, the problem's name. Two controllers of one "
+    "name need it to be called from one C file.",
 )
 @click.option(
     "--emulate",

@@ -23,7 +23,7 @@ CUDA_HELP = """Compile the kernels of MODEL for a GPU, which this machine need n
 \b
   mbsrun cuda models/arm_pendulum.yaml --functions impl,exp1 --derivatives 1
 
-The table shows, for each thread, registers (255 at most), the stack, and the bytes that registers have no room for.
+The table shows, for each thread, registers (255 at most), the stack, and the bytes that do not fit into registers.
 With -o, a file NAME.sm_90.float64.cubin holds the machine code of each kernel, for programs that load it by CUDA's
 driver.
 

@@ -32,8 +32,8 @@ Joints move by Fourier series that begin and end at rest, within the limits, max
   mbsrun excite models/recorded/two_link.yaml --unknown inertia,damping,friction -o build/exciting
   mbsrun animate models/recorded/two_link.yaml build/exciting/motion.csv -o build/exciting.html
 
-The criterion is of the information matrix of the base parameters (see mbsrun identify): D, the determinant; E, the
-least eigenvalue; A, the trace of the inverse. Several starts are tried, and the best is moved towards the limits.
+The criterion measures the information matrix of the base parameters (see mbsrun identify): D by the determinant, E by
+the least eigenvalue, A by the trace of the inverse. Several starts are tried, and the best is moved towards the limits.
 
 \b
 The output folder gets
@@ -51,7 +51,7 @@ Exit codes
 @click.command("excite", cls=ModelCommand, help=HELP)
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "out", type=click.Path(file_okay=False, path_type=Path), help="The folder to write to.")
-@click.option("--unknown", "unknown", multiple=True, metavar="KINDS", help="Unknown numbers, as of mbsrun identify.")
+@click.option("--unknown", "unknown", multiple=True, metavar="KINDS", help="Unknown numbers, as in mbsrun identify.")
 @click.option("--body", "bodies", multiple=True, metavar="NAME", help="A body of unknown inertia; by default all.")
 @click.option("--joint", "joints", multiple=True, metavar="NAME", help="A joint of unknown numbers; by default all.")
 @click.option(
@@ -89,7 +89,9 @@ Exit codes
     metavar="V",
     help="The speed that smooths dry friction [rad/s]; by default 0.02.",
 )
-@click.option("--output-step", "step", type=NumberType(), default=MODEST.step, metavar="H", help="Between rows [s].")
+@click.option(
+    "--output-step", "step", type=NumberType(), default=MODEST.step, metavar="H", help="The time between rows [s]."
+)
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A parameter of the model.")
 @choose_format
 @accept_robots

@@ -111,7 +111,7 @@ Exit codes
     "--gap", type=NumberType(), default=Treatment.gap, metavar="T", help="The longest gap to bridge [s]; 0.1."
 )
 @click.option("--from", "start", type=NumberType(), metavar="T", help="The first time of each recording [s].")
-@click.option("--until", "end", type=NumberType(), metavar="T", help="The last one [s].")
+@click.option("--until", "end", type=NumberType(), metavar="T", help="The last time [s].")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A parameter of the model.")
 @choose_format
 @accept_robots

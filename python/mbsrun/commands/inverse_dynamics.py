@@ -37,13 +37,13 @@ samples before:
   mbsrun inverse-dynamics models/recorded/arm.yaml build/swing.fit/motion.csv --noise 2e-3
 
 Recorded forces act as wrenches that the model leaves open (force: input, moment: input). Columns that mbsrun simulate
-wrote are found by their names; others are named by the beginnings of theirs, which x, y, z end:
+wrote are found by their names. For others, --wrench gives the beginnings of their names, which end in x, y and z:
 
 \b
   --forces grf.mot --wrench foot=ground_force_v,ground_force_p,ground_torque_
 
-are the force, the point where it acts, and a free moment, along the axes of the base. With a point, the model needs a
-sensor of the wrench's name at its position.
+These are the force, the point where it acts, and a free moment, along the axes of the base. With a point, the model
+needs a sensor of the wrench's name at its position.
 
 --without-muscles computes the forces that muscles and other actuators give together, as OpenSim's tool does; no
 activations are read. Else the recording has the column of each signal.

@@ -30,7 +30,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 _TIMES = (
     click.option("--from", "start", type=NumberType(), metavar="T", help="The first time of the recording [s]."),
-    click.option("--until", "end", type=NumberType(), metavar="T", help="The last one [s]."),
+    click.option("--until", "end", type=NumberType(), metavar="T", help="The last time [s]."),
     click.option("--parameter", "parameters", multiple=True, metavar="NAME=NUMBER", help="A run-time parameter."),
 )
 

@@ -187,8 +187,8 @@ SECTIONS = {
     "--by",
     multiple=True,
     metavar="NUMBER",
-    help="Differentiate cost and motion by a number of the problem, by its place in the file, such as cost.inputs or "
-    "start.pose.cart; all: by every one. Several are given by further --by.",
+    help="Differentiate cost and motion by a number of the problem, which its place in the file names, such as "
+    "cost.inputs or start.pose.cart; all: by every one. May be given several times.",
 )
 @more_columns
 @choose_format

@@ -110,7 +110,9 @@ SECTIONS = {
 @click.option("--duration", metavar="T", help="The length of the motion [s].")
 @click.option("--rate", metavar="HZ", help="The number of samples a second.")
 @click.option("--delay", type=int, metavar="N", help="Periods from a measurement to its inputs; by default 0.")
-@click.option("--predict/--no-predict", default=None, help="Plan from the state after the delay, or from the measured.")
+@click.option(
+    "--predict/--no-predict", default=None, help="Plan from the state after the delay, or from the measured one."
+)
 @click.option(
     "--fallback",
     type=click.Choice([x.value for x in Fallback]),

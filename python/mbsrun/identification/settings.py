@@ -26,7 +26,7 @@ KINDS: Mapping[str, str] = {
     ARMATURE: "inertia of the rotor behind each joint",
     DAMPING: "viscous friction of each joint",
     FRICTION: "dry friction of each joint, torque tanh(qd/speed)",
-    STRIBECK: "what dry friction has more at rest, and the speed at which it is gone: more exp(-(qd/fall)^2)",
+    STRIBECK: "the excess of dry friction at rest, and the speed at which it fades: more exp(-(qd/fall)^2)",
     OFFSET: "constant error of each measured torque or current",
     MOTOR: "torque for each unit of current",
     ENCODER: "constant error of each measured coordinate",
