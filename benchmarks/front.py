@@ -44,7 +44,9 @@ def _read_kernels(text: str) -> Iterator[Bar]:
     found = re.search(r"by stages [\d.]+ \(([\d.]+)\)", find_row(rows, "", "optimal")["Jacobian of the residual"])
     if found is None:
         raise PageError("no solve by stages")
-    yield Bar("Optimal motion of the paper's arm", "compiled CasADi with IPOPT", float(found[1]), float(found[1]), "ocp.md")
+    yield Bar(
+        "Optimal motion of the paper's arm", "compiled CasADi with IPOPT", float(found[1]), float(found[1]), "ocp.md"
+    )
 
 
 def _read_loops(text: str) -> Iterator[Bar]:
@@ -137,5 +139,5 @@ def draw_front(bars: Sequence[Bar], path: Path) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_color(QUIET)
     axes.set_xlabel("times faster (dark: in every case measured; light: in the best one)")
-    axes.set_title("How many times faster than other programs, by kind of work", loc="left")
+    axes.set_title("Times faster than other programs, by kind of work", loc="left")
     save_figure(figure, path)
