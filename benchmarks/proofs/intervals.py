@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,13 +12,17 @@ from flint import arb
 
 
 def _raise(x: Any, y: Any) -> Any:
-    """Return a power; whole ones of negative numbers are numbers, too."""
-    return x ** int(y.unique_fmpz()) if y.is_exact() and y.is_integer() else x**y
+    """Return a power; a whole one is a product, since the power of a ball around 0 is no number in Arb."""
+    if not (y.is_exact() and y.is_integer()):
+        return x**y
+    whole = int(y.unique_fmpz())
+    product = math.prod([x] * abs(whole), start=arb(1))
+    return product if whole >= 0 else 1 / product
 
 
 _UNARY: Mapping[int, Callable[[Any], Any]] = {
     ca.OP_NEG: lambda x: -x,
-    ca.OP_SQ: lambda x: x**2,
+    ca.OP_SQ: lambda x: x * x,
     ca.OP_TWICE: lambda x: 2 * x,
     ca.OP_INV: lambda x: 1 / x,
     ca.OP_ASSIGN: lambda x: x,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.proofs.proof import Nonlinear, Point
+from benchmarks.proofs.rest import balance, drop_limits, find_rest
 from mbsgen.manifest import Kernel, Manifest
 from mbsrun.measuring.candidates import load_equations, trace
 from mbsrun.measuring.mechanisms import Subject
@@ -93,13 +94,16 @@ def load_traced(path: Path) -> Plant:
 def state(problem: Problem, plant: Plant) -> Nonlinear:
     """Write a problem's program in symbols."""
     solver = Solver(problem, plant)
-    functions, transcription = solver.program.casadi, solver.transcription
+    transcription, data = solver.transcription, solver.program.data
+    balanced = replace(data, A=balance(data.A, transcription.layout))
+    rest = find_rest(problem, balanced, transcription.layout)
+    functions = (solver.program if rest is None else replace(solver.program, data=balanced)).casadi
     p, scale = transcription.parameters(problem), 1 / max(map(abs, problem.cost.weights))
-    symbols = ca.SX.sym("x", functions.variables)
-    objective = ca.Function("f", [symbols], [scale * functions.objective.expand()(symbols, p)])
-    constraint = ca.Function("g", [symbols], [functions.constraint.expand()(symbols, p)])
+    symbols = ca.MX.sym("x", functions.variables)
+    objective = ca.Function("f", [symbols], [scale * functions.objective(symbols, p)])
+    constraint = ca.Function("g", [symbols], [functions.constraint(symbols, p)])
     bounds = (*transcription.variable_bounds(problem), *transcription.constraint_bounds(problem))
-    return drop_implied(Nonlinear(objective, constraint, *bounds))
+    return drop_limits(drop_implied(Nonlinear(objective, constraint, *bounds)), rest)
 
 
 def find_start(problem: Problem, plant: Plant) -> Array:
@@ -118,7 +122,7 @@ def read(path: Path) -> tuple[Problem, Plant]:
 def drop_implied(program: Nonlinear) -> Nonlinear:
     """Take the bounds from x_j where a row says x_i = x_j, and x_i has the same bounds."""
     x = ca.SX.sym("x", len(program.lower))
-    jacobian = ca.jacobian(program.constraint(x), x).T
+    jacobian = ca.jacobian(program.constraint.expand()(x), x).T
     starts, places = jacobian.sparsity().colind(), jacobian.sparsity().row()
     values: list[Any] = jacobian.nonzeros()
     lower, upper = program.lower.copy(), program.upper.copy()
@@ -133,7 +137,7 @@ def drop_implied(program: Nonlinear) -> Nonlinear:
 
 def find_point(program: Nonlinear, start: Array) -> Point:
     """Return a point near the optimum with its multipliers, by IPOPT; what holds it has the larger multiplier."""
-    x = ca.SX.sym("x", len(start))
+    x = ca.MX.sym("x", len(start))
     nlp = {"x": x, "f": program.objective(x), "g": program.constraint(x)}
     options: dict[str, Any] = {"ipopt": EXACT, "print_time": False}
     solver = ca.nlpsol("exact", "ipopt", nlp, options)

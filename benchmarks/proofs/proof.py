@@ -14,12 +14,19 @@ same products of absolute values, n the number of terms. On Z, multipliers of he
 numbers stay off their bounds: strict complementarity. With A the held rows, H + w A'A positive definite for all z in Z
 gives d'Hd > 0 where A d = 0: z* is a strict local minimum. This is proved by L D L' with D > 0 that differs from
 H + w A'A - s I, in a norm, by less than s.
+
+Where rounding hides this, another way is tried. F' is regular on Z, so it has as many positive eigenvalues everywhere;
+that H is positive where A d = 0 follows on Z from one matrix in Z. `steps` shows it for the middle of F'(Z).
+
+Rows of one meaning have no unique multipliers, and F' is singular. One case of it is dropped before, see `rest`: limits
+in a last interval at rest. With x = (w, v), w the states of the interval, all v have one w on Z, since the derivative
+by w of its equations r is regular there; it is the state at the end. So limits of w hold where limits of the end do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -29,18 +36,24 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from benchmarks.proofs.intervals import Instructions
+from benchmarks.proofs.steps import ROOM, UNIT, Array, Matrix, bound_curvature, find_steps
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Matrix = sparse.csc_array
 
-UNIT = 2.0**-53
 BITS = 90
 LEAST, LARGEST = 1e-13, 1e-8  # radius
 LOT = 64  # rows of the inverse at once
-ROOM = 1 + 1e-9  # covers roundings of sums of norms
 WEIGHTS = (1e4, 1e6, 1e2, 1.0, 1e8)  # w
 SHIFTS = tuple(10.0**-k for k in range(2, 13))  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Numbers of a last interval at rest, which equal others at the end, and the rows that give them."""
+
+    variables: Indices
+    ends: Indices
+    rows: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +66,7 @@ class Nonlinear:
     upper: Array
     g_lower: Array
     g_upper: Array
+    rest: Rest | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +102,7 @@ class Proof:
     contraction: float  # the norm of I - C F'(Z)
     least_multiplier: float  # of held bounds
     least_distance: float  # of other numbers, from their bounds
-    curvature: float  # a lower bound of the eigenvalues of H + w A'A, whose diagonal is scaled to nearly 1
+    curvature: float  # a lower bound of eigenvalues of H + w A'A, scaled to a diagonal of nearly 1, or see `steps`
     reason: str = ""
 
 
@@ -99,7 +113,7 @@ class System:
         """Differentiate the Lagrangian in CasADi's symbols. Raises UnknownOperationError."""
         self.program = program
         x, lam = ca.SX.sym("x", len(program.lower)), ca.SX.sym("lam", len(program.g_lower))
-        f, g = program.objective(x), program.constraint(x)
+        f, g = program.objective.expand()(x), program.constraint.expand()(x)
         hessian, gradient = ca.hessian(f + ca.dot(lam, g), x)
         first = ca.Function("first", [x, lam], [ca.densify(gradient), ca.densify(g)])
         self.second = ca.Function("second", [x, lam], [ca.tril(hessian), ca.jacobian(g, x)])
@@ -191,22 +205,54 @@ def _prove(system: System, point: Point) -> Proof:
     (H, A), (H_radius, A_radius) = _evaluate_matrix(system, point, radius)
     matrix, radii = _border(H, A), _border(H_radius, A_radius)
     contraction, moved, slack = 0.0, 0.0, _bound_rounding(matrix)
+    steps, leaked = find_steps(H, A), 0.0
     for lot, C in _list_rows(factors, size):
         product, absolute = np.abs(C @ matrix - _unit(lot, size)), np.abs(C)
         rest = product * (1 + UNIT) + absolute @ (radii + slack * abs(matrix))
         contraction = max(contraction, ROOM * float(((rest @ scale) / scale[lot]).max()))
         shift = np.abs(C @ residual[0]) + absolute @ (residual[1] + (size + 4) * UNIT * np.abs(residual[0]))
         moved = max(moved, ROOM * float((shift / scale[lot]).max()))
+        if steps is not None:
+            leaked = max(leaked, ROOM * float((absolute[:, H.shape[0] :] @ steps.leak / scale[lot]).max()))
     if not moved + contraction * radius < radius:
         reason = f"Krawczyk's test fails: a step of {moved:.1e} and a contraction of {contraction:.1e} at {radius:.0e}"
         return Proof(radius, contraction, 0.0, 0.0, 0.0, reason)
+    if not _is_regular(system, point, A, A_radius):
+        return Proof(radius, contraction, 0.0, 0.0, 0.0, "the rest in the last interval was not proved")
     signs, distance = _check_sides(system, point, radius)
     if signs <= 0 or distance <= 0:
         reason = f"no strict complementarity: multipliers from {signs:.1e}, distances from {distance:.1e}"
         return Proof(radius, contraction, signs, distance, 0.0, reason)
     curvature = _bound_curvature(H, A, H_radius, A_radius)
+    if not curvature and steps is not None:
+        curvature = bound_curvature(H, steps, leaked / (1 - contraction) * ROOM * scale[: len(steps.Z)])
     reason = "" if curvature > 0 else "the second-order condition was not proved"
     return Proof(radius, contraction, signs, distance, curvature, reason)
+
+
+def _is_regular(system: System, point: Point, A: Matrix, A_radius: Matrix) -> bool:
+    """Return whether the numbers of a last interval at rest are given uniquely on the box, by |I - C r'| < 1."""
+    rest = system.program.rest
+    if rest is None:
+        return True
+    rows, columns = np.searchsorted(point.kept, rest.rows), np.searchsorted(point.free, rest.variables)
+    middle, radii = (part.tocsr()[rows][:, columns].toarray() for part in (A, A_radius))
+    try:
+        C = np.linalg.inv(middle)
+    except np.linalg.LinAlgError:
+        return False
+    slack = (len(C) + 4) * UNIT
+    gap = np.abs(C @ middle - np.eye(len(C))) + np.abs(C) @ (radii + slack * np.abs(middle))
+    return bool(ROOM * gap.sum(axis=1).max() < 1)
+
+
+def level(program: Nonlinear, point: Point) -> Point:
+    """Set the numbers of a last interval at rest to their ends exactly."""
+    if program.rest is None:
+        return point
+    x = point.x.copy()
+    x[program.rest.variables] = x[program.rest.ends]
+    return replace(point, x=x)
 
 
 def _bound_rounding(matrix: Matrix) -> float:
@@ -218,7 +264,7 @@ def enclose_cost(system: System, point: Point, radius: float) -> tuple[float, fl
     """Return the least and the largest cost within a ball."""
     before, ctx.prec = ctx.prec, BITS
     try:
-        ((cost,),) = Instructions.of(system.program.objective).evaluate(_box(point, radius)[:1])
+        ((cost,),) = Instructions.of(system.program.objective.expand()).evaluate(_box(point, radius)[:1])
         return float(cost.lower()), float(cost.upper())
     finally:
         ctx.prec = before
@@ -266,10 +312,10 @@ def _border(H: Matrix, A: Matrix) -> Matrix:
 
 
 def _list_rows(factors: object, size: int) -> Iterator[tuple[Indices, Array]]:
-    """List rows of the approximate inverse, some at a time."""
+    """List rows of the approximate inverse of a symmetric matrix, which are its columns, some at a time."""
     for begin in range(0, size, LOT):
         lot = np.arange(begin, min(begin + LOT, size))
-        yield lot, factors.solve(_unit(lot, size).T, trans="T").T  # type: ignore[attr-defined]
+        yield lot, factors.solve(_unit(lot, size).T).T  # type: ignore[attr-defined]
 
 
 def _unit(lot: Indices, size: int) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +12,10 @@ from flint import arb
 from benchmarks.proofs.__main__ import POINTS, PROBLEMS, Row, check_row, write_page
 from benchmarks.proofs.intervals import Instructions, UnknownOperationError
 from benchmarks.proofs.programs import drop_implied, find_point
-from benchmarks.proofs.proof import Nonlinear, Point, Proof, System, enclose_cost, prove, settle
+from benchmarks.proofs.proof import Nonlinear, Point, Proof, Rest, System, enclose_cost, level, prove, settle
+from benchmarks.proofs.rest import balance, drop_limits, find_rest
+from benchmarks.proofs.steps import Matrix, bound_curvature, find_steps
+from mbsrun.ocp.solving.solve import Solver
 
 X = ca.SX.sym("x", 3)
 NONE = np.full(3, np.inf)
@@ -64,6 +69,65 @@ def test_balls_hold_the_values_and_kinks_are_refused() -> None:
         assert all(ball.contains(arb(value)) for ball, value in zip(balls, values.tolist(), strict=True))
     with pytest.raises(UnknownOperationError):
         Instructions.of(ca.Function("f", [X], [ca.fabs(X[0])]))
+
+
+def test_whole_powers_of_balls_around_zero_are_numbers() -> None:
+    """Arb's own power of such a ball is none."""
+    function = ca.Function("f", [X], [ca.vertcat(X[0] ** 2, X[1] ** 3, X[2] ** -2)])
+    squared, cubed, inverse = Instructions.of(function).evaluate([[arb(0, 1e-3), arb(0, 1e-3), arb(2, 1e-3)]])[0]
+    for ball, value in ((squared, 1e-6), (cubed, -1e-9), (inverse, 0.25)):
+        assert ball.is_finite()
+        assert ball.contains(arb(value))
+
+
+def test_curvature_of_permitted_steps_is_bounded_from_below() -> None:
+    """d'Hd = 2 x^2 + 3 y^2 - z^2 with z = x / 2: the least for |d| = 1 is 1.75 / 1.25, in the direction of x and z."""
+    H, A = Matrix(np.diag([2.0, 3.0, -1.0])), Matrix(np.array([[0.5, 0.0, -1.0]]))
+    steps = find_steps(H, A)
+    assert steps is not None
+    exact = 1.75 / 1.25
+    assert exact / 3 < bound_curvature(H, steps, np.full(3, 1e-12)) <= exact
+    assert bound_curvature(H, steps, np.full(3, 1.0)) == 0
+    assert find_steps(Matrix(np.diag([2.0, 3.0, -9.0])), A) is None
+
+
+def test_a_minimum_whose_hessian_is_hidden_by_rounding_is_proved() -> None:
+    """Of 1e-9 y^2 on 1e6 (x + z) = 1e12 y, in units in which H + w A'A has no digits of H."""
+    free = [-np.inf] * 3
+    program = state(1e-9 * X[1] ** 2 + ca.sumsqr(X[::2]), 1e6 * (X[0] + X[2] - 1e6 * X[1]), free)
+    point = Point(np.zeros(3), np.zeros(1), np.zeros(3, dtype=np.int8), np.ones(1, dtype=np.int8))
+    assert prove(System(program), point).reason == ""
+
+
+@pytest.mark.parametrize(("row", "reason"), [(X[0] - X[1], ""), (X[2] - X[1], "the rest in the last interval")])
+def test_a_rest_is_proved_where_its_rows_give_it(row: ca.SX, reason: str) -> None:
+    """x is the same number as y by the row x = y, and by no other."""
+    numbers = (np.array([k]) for k in (0, 1, 0))
+    program = replace(state(ca.sumsqr(X), row, [-np.inf] * 3), rest=Rest(*numbers))
+    point = level(program, Point(np.array([1e-14, 0.0, 0.0]), np.zeros(1), np.zeros(3, np.int8), np.ones(1, np.int8)))
+    assert point.x[0] == 0
+    assert prove(System(program), point).reason.startswith(reason)
+
+
+def test_limits_in_a_last_interval_at_rest_are_dropped() -> None:
+    """The arm's coordinates are bounded at its end, and not at other nodes of the last interval."""
+    problem, plant = PROBLEMS["arm_lower_corner_smooth"].read()
+    solver = Solver(problem, plant)
+    data, layout = solver.program.data, solver.transcription.layout
+    assert find_rest(problem, data, layout) is None  # a constant has a derivative of some 1e-15
+    balanced = replace(data, A=balance(data.A, layout))
+    assert abs(balanced.A - data.A).max() < 1e-14
+    rest = find_rest(problem, balanced, layout)
+    assert rest is not None
+    assert len(rest.rows) == len(rest.variables) == 12 + 12 + 3 * 18
+    moving = replace(problem, end=replace(problem.end, acceleration_zero=False))
+    assert find_rest(moving, balanced, layout) is None
+    bounds = solver.transcription.variable_bounds(problem)
+    none = ca.Function("none", [ca.SX.sym("x")], [0])
+    upper = drop_limits(Nonlinear(none, none, *bounds, np.zeros(0), np.zeros(0)), rest).upper
+    assert np.isinf(upper[layout.points[-1, :-1, 5]]).all()
+    assert np.isfinite(upper[layout.points[-1, -1, 5]])
+    assert np.isfinite(upper[layout.points[-2, :-1, 5]]).all()
 
 
 def test_a_bound_that_an_equation_implies_is_dropped() -> None:
