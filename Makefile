@@ -5,6 +5,8 @@ VENV ?= .venv
 WORKERS ?= 2
 BIN = $(VENV)/bin
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
+# A file's tests go to one worker, which makes what they share once; files that take the longest are begun first.
+BY_FILE = --dist loadfile --no-loadscope-reorder
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
@@ -26,11 +28,11 @@ quick: $(VENV)/installed-dev
 
 # Before a change goes in: style, types, and all tests but the ones that take long. Ten minutes on two cores.
 test: lint
-	$(PYTEST) -m "not rest" --dist loadfile
+	$(PYTEST) -m "not rest" $(BY_FILE)
 
 # What `make test` leaves out: documents and the site, toolchains, studies, the longest tests. tests/durations.py lists it.
 rest: $(VENV)/installed-dev
-	$(PYTEST) -m rest --dist worksteal
+	$(PYTEST) -m rest $(BY_FILE)
 
 check: test rest
 
@@ -38,9 +40,9 @@ check: test rest
 durations: $(VENV)/installed-dev
 	rm -f build/durations.jsonl build/durations.quick.jsonl
 	@mkdir -p build
-	$(PYTEST) --dist loadfile --measure build/durations.jsonl || test $$? -eq 1
+	$(PYTEST) $(BY_FILE) --measure build/durations.jsonl || test $$? -eq 1
 	$(BIN)/python -m tests.durations build/durations.jsonl
-	$(PYTEST) -m quick --dist loadfile --measure build/durations.quick.jsonl || test $$? -eq 1
+	$(PYTEST) -m quick $(BY_FILE) --measure build/durations.quick.jsonl || test $$? -eq 1
 	$(BIN)/python -m tests.durations build/durations.quick.jsonl
 
 # Runs every command on every kind of model: a quarter of an hour. `make rest` takes a sixth of the kinds.

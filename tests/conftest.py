@@ -21,9 +21,6 @@ pytest_plugins = ("pytester",)
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
 
-LONG = ("tests/test_documentation.py", "tests/test_website.py", "tests/test_golden.py", "tests/mbsrun/test_cli.py")
-
-
 def pytest_sessionstart() -> None:
     """Search for cycles of objects rarely: most tests make tapes, which have none."""
     gc.set_threshold(100_000, 50, 50)
@@ -52,15 +49,16 @@ def _known() -> dict[str, float]:
     return durations.read_durations()
 
 
-@pytest.hookimpl(tryfirst=True)  # before tests are chosen by marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by how long they take, and begin with the modules whose tests take the longest.
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, None, None]:
+    """Mark tests by how long they take, before they are chosen by marks; begin with the files that take the longest.
 
     So no process is left alone with them at the end.
     """
     for item in items:
         item.add_marker(durations.mark(item.nodeid, _known()))
-    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+    yield
+    items[:] = durations.put_long_files_first(items, _known())
 
 
 @pytest.fixture(scope="session")

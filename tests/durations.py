@@ -72,6 +72,16 @@ def name_function(nodeid: str) -> str:
     return nodeid.partition("[")[0]
 
 
+def put_long_files_first(items: Iterable[pytest.Item], durations: Mapping[str, float]) -> list[pytest.Item]:
+    """Sort tests by the time of their file, as far as they are among these; tests of a file keep their order."""
+    files: dict[str, dict[str, list[pytest.Item]]] = defaultdict(lambda: defaultdict(list))
+    for item in items:
+        function = name_function(item.nodeid)
+        files[function.partition("::")[0]][function].append(item)
+    longest = sorted(files.values(), key=lambda functions: -sum(durations.get(x, 0.0) for x in functions))
+    return [item for functions in longest for same in functions.values() for item in same]
+
+
 def read_durations(file: Path = FILE) -> dict[str, float]:
     """Read the list: seconds by function."""
     rows = (line.split("\t") for line in file.read_text("utf-8").splitlines())

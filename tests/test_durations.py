@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -44,6 +46,15 @@ def test_a_function_has_the_time_of_its_cases_and_of_what_it_shares(tmp_path: Pa
     assert found == {"t.py::test_a": 6.5, "t.py::test_b": 4.25, "t.py::test_c": 0.125}
     durations.write_durations(found, tmp_path / "list.tsv")
     assert durations.read_durations(tmp_path / "list.tsv") == {"t.py::test_a": 6.5, "t.py::test_b": 4.2}
+
+
+def test_files_that_take_long_are_begun_first() -> None:
+    """By the tests that are chosen: the longest one of a file may be left out. Tests of a file keep their order."""
+    names = ["b.py::test_slow", "b.py::test_new[1]", "c.py::test_new", "a.py::test_slow[1]", "a.py::test_slow[2]"]
+    items = [cast("pytest.Item", SimpleNamespace(nodeid=name)) for name in names]
+    known = {"b.py::test_slow": 2.0, "b.py::test_endless": 9.0, "a.py::test_slow": 3.0}
+    found = [item.nodeid for item in durations.put_long_files_first(items, known)]
+    assert found == ["a.py::test_slow[1]", "a.py::test_slow[2]", *names[:3]]
 
 
 def test_times_are_measured(pytester: pytest.Pytester) -> None:
