@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -76,13 +77,15 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def compile_folder(place: Path, folder: str, out: Path, *flags: str) -> list[Path]:
-    """Compile each C file of a folder to an object, programs among them."""
+@cache
+def compile_folder(place: Path, folder: str, *flags: str) -> tuple[Path, ...]:
+    """Compile each C file of a folder to an object, programs among them; once for all tests."""
+    out = place / "".join(("objects_of_", folder, *flags))
     out.mkdir()
     sources = sorted((place / folder).glob("*.c"))
     done = subprocess.run([*CC, *flags, "-c", *sources], cwd=out, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return [out / f"{source.stem}.o" for source in sources]
+    return tuple(out / f"{source.stem}.o" for source in sources)
 
 
 def link(place: Path, out: Path, units: Sequence[str], parts: Sequence[Path]) -> subprocess.CompletedProcess[str]:
@@ -102,7 +105,7 @@ def expect(mass: float) -> float:
 
 def test_all_files_of_two_controllers_make_one_program(place: Path, tmp_path: Path) -> None:
     """Kernels of one model, the solver, examples and checks are in both folders."""
-    objects = [*compile_folder(place, "a", tmp_path / "a"), *compile_folder(place, "c", tmp_path / "c")]
+    objects = [*compile_folder(place, "a"), *compile_folder(place, "c")]
     done = link(place, tmp_path, ("light", "other"), objects)
     assert done.returncode == 0, done.stderr
     assert read_numbers(tmp_path / "program") == pytest.approx([expect(LIGHT), expect(HEAVY)], rel=1e-6)
@@ -110,7 +113,7 @@ def test_all_files_of_two_controllers_make_one_program(place: Path, tmp_path: Pa
 
 def test_objects_of_one_name_clash_or_keep_their_numbers(place: Path, tmp_path: Path) -> None:
     """Programs that see each folder by its header compute with its own numbers, even where the names are the same."""
-    objects = [*compile_folder(place, "a", tmp_path / "a"), *compile_folder(place, "b", tmp_path / "b")]
+    objects = [*compile_folder(place, "a"), *compile_folder(place, "b")]
     done = link(place, tmp_path, ("light", "heavy"), objects)
     assert done.returncode == 0, done.stderr
     assert read_numbers(tmp_path / "program") == pytest.approx([expect(LIGHT), expect(HEAVY)], rel=1e-6)
@@ -121,7 +124,7 @@ def test_libraries_of_one_name_keep_their_numbers(place: Path, tmp_path: Path, k
     """Linkers take the first definition of a symbol that they find, the solver's too."""
     libraries = []
     for folder in "ab":
-        objects = compile_folder(place, folder, tmp_path / folder, "-fPIC")
+        objects = compile_folder(place, folder, "-fPIC")
         libraries.append(tmp_path / f"lib{folder}.{'a' if kind == 'static' else 'so'}")
         command = ("ar", "rc") if kind == "static" else ("cc", "-shared", "-o")
         assert run(*command, libraries[-1], *objects, cwd=tmp_path).returncode == 0
@@ -137,7 +140,7 @@ def test_a_controller_in_both_precisions_makes_one_program(place: Path, tmp_path
     for function, flags in (("heavy", ()), ("light", ("-DMBS_STAGES_FLOAT",))):
         unit = tmp_path / f"{function}.c"
         unit.write_text(UNIT.format(folder="b", prefix="reach", function=function))
-        objects = compile_folder(place, "b", tmp_path / function, *flags)
+        objects = compile_folder(place, "b", *flags)
         units.append(tmp_path / f"{function}.o")
         libraries.append(tmp_path / f"lib{function}.a")
         assert run("ar", "rc", libraries[-1], *objects, cwd=tmp_path).returncode == 0
@@ -177,7 +180,7 @@ def test_another_version_of_the_solver_stops_the_compiler(place: Path, tmp_path:
 
 def test_every_symbol_has_the_tag(place: Path, tmp_path: Path) -> None:
     """No definition has a name that another folder may have, `main` of the programs aside."""
-    objects = compile_folder(place, "a", tmp_path / "a")
+    objects = compile_folder(place, "a")
     listed = run("nm", "--defined-only", *objects, cwd=tmp_path).stdout.splitlines()
     symbols = {parts[2] for line in listed if len(parts := line.split()) == 3 and parts[1] in "TDBRVC"}
     own = read(place / "a").symbols
