@@ -9,7 +9,7 @@ PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 BY_FILE = --dist loadfile --no-loadscope-reorder
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
+.PHONY: demo docs track quick test rest check forget table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -34,7 +34,12 @@ test: lint
 rest: $(VENV)/installed-dev
 	$(PYTEST) -m rest $(BY_FILE)
 
-check: test rest
+# The rest finds what the tests before have generated and compiled, in a cache that begins empty.
+check: export MBS_TESTS_CACHE = $(CURDIR)/build/tests_cache
+check: forget test rest
+
+forget:
+	rm -rf build/tests_cache
 
 # Measures what each test takes, and renews the list of the slower ones: an hour on a quiet machine.
 durations: $(VENV)/installed-dev

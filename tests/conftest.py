@@ -86,13 +86,15 @@ def cache(run_folder: Path) -> Iterator[Path]:
     """Keep what is generated and compiled apart from the user's, for all processes of the run, with plain flags.
 
     Zig keeps its C libraries, which take it half a minute to compile, in the user's cache. Planted faults name one
-    cache for many runs.
+    cache for many runs, and `make check` one for both of its runs.
     """
     place = Path(os.environ.get("MBS_TESTS_CACHE") or run_folder / "cache")
+    place.mkdir(parents=True, exist_ok=True)
     zig = os.environ.get("ZIG_GLOBAL_CACHE_DIR") or str(Path.home() / ".cache" / "zig")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ZIG_GLOBAL_CACHE_DIR", zig)
         patch.setenv("XDG_CACHE_HOME", str(place))
+        patch.setenv("MBS_TESTS_CACHE", str(place))  # the solver's objects are kept there
         patch.delenv("CFLAGS", raising=False)
         yield place / "mbsgen"
 

@@ -62,7 +62,7 @@ def sources() -> list[Path]:
 
 
 def compile_solver(place: Path, *flags: str) -> Path:
-    """Compile the solver, and quadratic.c, to objects and a library; with planted faults, only the changed object."""
+    """Compile the solver, and quadratic.c, to objects and a library; each object once for all workers of a run."""
     command = [*find_compiler(os.environ).command, *STRICT, "-O2", "-fPIC", *flags]
     headers = b"".join(path.read_bytes() for path in sorted(sources()[0].parent.glob("*.h")))
     for file in (*sources(), Path(__file__).parent / "quadratic.c"):
@@ -73,8 +73,9 @@ def compile_solver(place: Path, *flags: str) -> Path:
             continue
         subprocess.run([*command, f"-I{sources()[0].parent}", "-c", str(file)], check=True, cwd=place)
         if kept.parent != place:
-            shutil.copyfile(made, place / kept.name)
-            (place / kept.name).replace(kept)  # whole, or not there
+            copied = kept.with_name(f"{os.getpid()}-{kept.name}")
+            shutil.copyfile(made, copied)
+            copied.replace(kept)  # whole, or not there
     library = place / "libstages.so"
     objects = map(str, sorted(place.glob("*.o")))
     subprocess.run([*command, "-shared", *objects, "-lm", "-o", str(library)], check=True)

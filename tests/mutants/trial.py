@@ -73,7 +73,8 @@ class Trial:
         paths = os.pathsep.join(str(self.tree / name) for name in ("generator", "python"))
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", f"--ignore={GOLDEN}"]
         own = {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1", **({KEPT: str(kept)} if kept else {})}
-        environment = {**os.environ, **own, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # no test needs a plugin
+        others = {name: x for name, x in os.environ.items() if name != KEPT}  # a fault may spoil the cache of this run
+        environment = {**others, **own, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # no test needs a plugin
         seconds = _limit(tests)
         try:
             run = subprocess.run(
