@@ -19,6 +19,7 @@ from mbsgen.importing import Choices, import_model
 from mbsgen.model.writer import write_model
 from mbsrun import load
 from mbsrun.metabolics import Metabolism, name_numbers, write_rate
+from mbsrun.models import Extent
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solution.table import measure
 from mbsrun.ocp.solving.solve import solve
@@ -31,6 +32,7 @@ from tests.shipped import FOLDER
 
 Array = NDArray[np.float64]
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_metabolics.json"
+PLAIN = Extent(derivatives=0)
 NEAR = 1e-8  # over the largest rate: OpenSim solves for velocities to 1e-10 of the strength, of 900 W s/m
 
 
@@ -49,7 +51,7 @@ def find_misses(folder: Path, states: list[dict[str, Any]], expected: list[dict[
     """Return the largest difference of each muscle and kind, over the largest rate, where fibres do not push."""
     model = import_model(save(folder, write_file()), Choices()).model
     (folder / "cart.yaml").write_text(write_model(model), "utf-8")
-    appearance = load(folder / "cart.yaml").manifest.appearance
+    appearance = load(folder / "cart.yaml", extent=PLAIN).manifest.appearance
     assert appearance is not None
     q, qd = (np.array([x[key] for x in states]) for key in ("q", "qd"))
     misses = np.zeros((len(MUSCLES), 2))
@@ -92,7 +94,7 @@ def test_rates_are_results_of_a_motion(tmp_path: Path) -> None:
     states = draw_driven(len(reference))
     model = import_model(save(tmp_path, write_file()), Choices()).model
     (tmp_path / "cart.yaml").write_text(write_model(model), "utf-8")
-    cart = load(tmp_path / "cart.yaml")
+    cart = load(tmp_path / "cart.yaml", extent=PLAIN)
     added = Added(
         states=ELASTIC, controls=(*(f"{x}_excitation" for x in MUSCLES), *(f"{x}_tendon_rate" for x in ELASTIC))
     )
@@ -124,7 +126,7 @@ def test_rates_of_elastic_tendons_need_their_motion(tmp_path: Path) -> None:
     """Where fibres damp and the motion has no rate of the tendon, the muscle has no value, and neither has the sum."""
     model = import_model(save(tmp_path, write_file()), Choices()).model
     (tmp_path / "cart.yaml").write_text(write_model(model), "utf-8")
-    cart = load(tmp_path / "cart.yaml")
+    cart = load(tmp_path / "cart.yaml", extent=PLAIN)
     parts = {"q": np.array([[0.3]]), "qd": np.array([[0.0]]), "w": np.full((1, len(cart.manifest.signals)), 0.3)}
     numbers = Numbers(cart, list_quantities(cart.manifest, Added()), parts)
     rates = {name: float(numbers[f"metabolic_{name}"][0]) for name in MUSCLES}
