@@ -22,6 +22,7 @@ from mbsgen.model.reader import read_model
 from mbsgen.model.smooth import bezier
 from mbsgen.model.writer import write_model
 from mbsrun import load
+from mbsrun.external import load_on_demand
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
@@ -132,7 +133,7 @@ def test_a_mass_hangs_on_a_muscle_of_millard(tmp_path: Path) -> None:
     new = f"damping: 0.1, passive: 0.7, {old}, curves: {{type: millard}}"
     (tmp_path / "hanging.yaml").write_text(text.replace(old, new), "utf-8")
     (tmp_path / "hanging.ocp.yaml").write_text((FOLDER / "moco" / "hanging.ocp.yaml").read_text("utf-8"), "utf-8")
-    found = solve(*read_problem(tmp_path / "hanging.ocp.yaml", load))
+    found = solve(*read_problem(tmp_path / "hanging.ocp.yaml", load_on_demand))
     assert isinstance(found, Solution), found
     assert found.violation.constraints < 1e-6
 

@@ -18,6 +18,7 @@ from mbsgen.expressions import Name, Program
 from mbsgen.importing import Choices, import_model
 from mbsgen.model.writer import write_model
 from mbsrun import load
+from mbsrun.external import load_on_demand
 from mbsrun.metabolics import Metabolism, name_numbers, write_rate
 from mbsrun.models import Extent
 from mbsrun.ocp.solution.solution import Solution
@@ -137,7 +138,7 @@ def test_rates_of_elastic_tendons_need_their_motion(tmp_path: Path) -> None:
 
 def check_results(file: Path, found: Solution, weight: float) -> None:
     """The cost of a muscle is its weight times the integral of its rate, whatever numbers the problem gives."""
-    numbers = measure(found, read_problem(file, load)[1])
+    numbers = measure(found, read_problem(file, load_on_demand)[1])
     terms = {key: x for key, x in found.cost.terms if key.startswith("metabolics ")}
     assert len(terms) == 2
     for key, term in terms.items():
@@ -158,7 +159,7 @@ def test_a_motion_costs_its_metabolic_rate(more: str, tmp_path: Path) -> None:
         muscles = f"muscles: {{rise: 0.04, fall: 0.04, start: 0.05, metabolics: {{{weight}}}}}"
         text = f"{head}{muscles}\n{rest}cost: {{inputs: 0}}\n"
         (tmp_path / "lift.ocp.yaml").write_text(text, "utf-8")
-        found = solve(*read_problem(tmp_path / "lift.ocp.yaml", load))
+        found = solve(*read_problem(tmp_path / "lift.ocp.yaml", load_on_demand))
         assert isinstance(found, Solution), found
         terms = dict(found.cost.terms)
         check_results(tmp_path / "lift.ocp.yaml", found, float(weight.split(",")[0].split(": ")[1]))

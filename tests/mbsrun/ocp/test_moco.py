@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbsrun import load
+from mbsrun.external import load_on_demand
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
@@ -53,7 +53,7 @@ def compiler(requires: Callable[[str], str]) -> None:
 
 
 def found(path: Path) -> Solution:
-    outcome = solve(*read_problem(path, load))
+    outcome = solve(*read_problem(path, load_on_demand))
     assert isinstance(outcome, Solution), outcome
     return outcome
 
