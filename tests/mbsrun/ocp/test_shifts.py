@@ -11,7 +11,7 @@ import pytest
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.grid import Grid
 from mbsrun.ocp.problem.problem import SAME_TIME, Delay
-from mbsrun.ocp.transcription.delays import Half, Shift, _read, find_misfits, find_shifts
+from mbsrun.ocp.transcription.delays import Half, Placed, Shift, _read, find_misfits, find_shifts
 
 COORDINATES = [SimpleNamespace(name=name) for name in ("x", "y", "z")]
 MANIFEST: Any = SimpleNamespace(coordinates=COORDINATES, actuated=(2, 0))  # inputs: z, then x
@@ -117,3 +117,25 @@ def test_polynomials_are_read_by_as_many_points() -> None:
     assert np.array_equal(_read(first.problem, second.problem, (0.0, 2.0, 2.0)), np.eye(3))
     assert np.array_equal(_read(first.problem, second.problem, (1e-12, 2.0, 2.0)), np.eye(3))  # rounding apart
     assert np.array_equal(_read(make().problem, second.problem, (0.0, 1.0, 2.0)), np.ones((1, 1)))
+
+
+def test_variables_of_a_phase_begin_at_its_offset() -> None:
+    """Values of an interval are one constant, or one for each point; inputs that expressions give have none."""
+    half = make(forces=(SimpleNamespace(input=0),))
+    extras = SimpleNamespace(
+        free=(1,),  # of z and x, by x alone
+        controls=np.array([[20, 30], [21, 31]]),
+        point_controls=np.array([[[40, 50], [41, 51]], [[42, 52], [43, 53]]]),
+        states=np.array([[60], [61], [62]]),
+    )
+    inputs, points = np.array([[10], [11]]), np.array([[[70], [71]], [[72], [73]]])
+    layout: Any = SimpleNamespace(extras=extras, inputs=inputs, point_inputs=points)
+    own: Any = SimpleNamespace(layout=layout)
+    placed = Placed(half, own, 100)
+    assert placed.find_values(SHIFT).tolist() == [[110], [111]]
+    assert placed.find_values(Shift("control", "aim", "", 0, 1, True)).tolist() == [[130], [131]]
+    assert placed.find_values(Shift("state", "steer", "slope", 0, 1, True)).tolist() == [[120], [121]]
+    assert [placed.find_state(Shift("state", "steer", "slope", 0, 1, True), k) for k in range(3)] == [160, 161, 162]
+    varying = Placed(make(forces=(SimpleNamespace(input=0),), inputs="polynomial"), own, 100)
+    assert varying.find_values(SHIFT).tolist() == [[170, 171], [172, 173]]
+    assert varying.find_values(Shift("control", "aim", "", 0, 1, True)).tolist() == [[150, 151], [152, 153]]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from mbsgen.style import PALETTE
 from mbsrun.recordings import pictures
-from mbsrun.recordings.pictures import NAMED, Panel, plot_panels
+from mbsrun.recordings.pictures import Panel, plot_panels
 
 TIMES = np.array([0.0, 0.5, 1.0])
 
@@ -49,12 +49,14 @@ def test_panels_with_lines_stand_above_each_other(drawn: list[tuple[Figure, Path
     legend = upper.get_legend()
     assert legend is not None
     assert not legend.get_frame_on()
+    corner = upper.transAxes.inverted().transform(legend.get_bbox_to_anchor().p0)
+    assert corner == pytest.approx([1.0, 1.0])  # beside the panel
     assert upper.xaxis.get_gridlines()[0].get_alpha() == 0.3
 
 
 def test_legends_name_a_dozen_lines(drawn: list[tuple[Figure, Path]]) -> None:
     """More lines repeat colours, and have no legend."""
-    for count in (NAMED, NAMED + 1):
+    for count in (12, 13):
         plot_panels(TIMES, [Panel("x", {str(k): k * TIMES for k in range(count)}, {})], "t", Path("p"))
     few, many = (figure.axes[0] for figure, _ in drawn)
     assert few.get_legend() is not None
