@@ -10,7 +10,7 @@ import pytest
 
 from mbsrun.ocp.problem.problem import Delay
 from mbsrun.tracking.added import Line, hold_inputs, is_interval, is_whole, list_chosen, list_lines
-from mbsrun.tracking.compiled import _list_velocities, find_wrong_rate, list_misfits, remembers
+from mbsrun.tracking.compiled import _list_velocities, count_held, find_wrong_rate, list_misfits, remembers
 from mbsrun.tracking.record import _finite
 
 
@@ -27,6 +27,7 @@ def make(**changes: Any) -> Any:
         "start_q": (0.0,) * 3,
         "start_qd": (0.0,) * 3,
         "states": (),
+        "unknowns": (),
     }
     return SimpleNamespace(**(usual | changes))
 
@@ -96,6 +97,11 @@ def test_a_controller_that_remembers_inputs_needs_whole_intervals() -> None:
         assert found[1] == "give a rate of 10 Hz"
 
 
+def name_all(names: str) -> tuple[Any, ...]:
+    """Make things that have names."""
+    return tuple(SimpleNamespace(name=name) for name in names)
+
+
 def describe(**changes: Any) -> Any:
     """Describe a controller of the problem above: seven states with an added one, five inputs, eight intervals."""
     names = {"start_q": "xyz", "start_qd": "xyz", "constants": ("m", "k")}
@@ -103,7 +109,7 @@ def describe(**changes: Any) -> Any:
         SimpleNamespace(name=name, entries=[SimpleNamespace(name=x) for x in entries])
         for name, entries in (names | changes.pop("data", {})).items()
     ]
-    usual = {"states": ("s",) * 7, "inputs": ("u",) * 5, "intervals": 8, "horizon": 2.0, "prefix": "puck"}
+    usual = {"states": name_all("abcdefg"), "inputs": ("u",) * 5, "intervals": 8, "horizon": 2.0, "prefix": "puck"}
     return SimpleNamespace(**(usual | changes), data=tuple(data))
 
 
@@ -114,7 +120,7 @@ def test_a_controller_of_another_problem_does_not_fit() -> None:
     assert list_misfits(describe(), PROBLEM) == []
     assert list_misfits(describe(), PROBLEM, ["k", "m"]) == []
     for change, sizes in (
-        ({"states": ("s",) * 6}, "6, 5, 8"),
+        ({"states": name_all("abcdef")}, "6, 5, 8"),
         ({"inputs": ("u",) * 4}, "7, 4, 8"),
         ({"intervals": 9}, "7, 5, 9"),
     ):
@@ -124,6 +130,15 @@ def test_a_controller_of_another_problem_does_not_fit() -> None:
     assert finding == "puck chooses its horizon, and a loop needs intervals of a fixed length"
     (finding,) = list_misfits(describe(), PROBLEM, ["m", "c"])
     assert finding == "puck has no constant c, which the loop updates"
+
+
+def test_unknown_numbers_that_are_held_are_not_measured() -> None:
+    """They are states of the controller behind the others."""
+    held = make(states=PROBLEM.states, unknowns=name_all("gx"))
+    assert [count_held(describe(), problem) for problem in (PROBLEM, held)] == [0, 1]
+    (finding,) = list_misfits(describe(), held)
+    assert finding.endswith("and not 8, 5, 8")
+    assert list_misfits(describe(states=name_all("abcdefhg")), held) == []
 
 
 def test_independent_velocities_are_read_alone() -> None:
