@@ -6,21 +6,27 @@ description of the arguments is compared with the manifest before anything is ca
 
 from __future__ import annotations
 
+import ast
 import ctypes
+import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
 
-import cffi
+import _cffi_backend
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
 from mbsgen.manifest import Argument, Kernel
 from mbsgen.roles import Role
-from mbsrun.library import CompileError
+from mbsrun.cache import COMPILED, DECLARED, find_or_make
+from mbsrun.library import SHARED, CompileError
+
+if TYPE_CHECKING:
+    import cffi
 
 Array = NDArray[np.float64]
 Status = NDArray[np.int32]
@@ -32,7 +38,7 @@ typedef const char *mbs_name(long long i);
 typedef const long long *mbs_sparsity(long long i);
 """
 _POINTERS, _STEPS = "double *[]", "long long[]"
-NULL = cffi.FFI().NULL
+NULL: Any = _cffi_backend.FFI("mbs").NULL
 
 
 class ArgumentError(MbsError):
@@ -251,10 +257,45 @@ def bind(library: Path, kernel: Kernel) -> Entry:
 
 @lru_cache(maxsize=1024)
 def declare(text: str) -> cffi.FFI:
-    """Read declarations, once: that takes as long as thousands of calls."""
+    """Return the interface of C declarations; the cache keeps what cffi reads, which takes longer than a short solve.
+
+    Raises CacheError.
+    """
+    name = hashlib.sha256(f"{_cffi_backend.__version__} {text}".encode()).hexdigest()[:40]
+
+    def make(building: Path) -> Path:
+        made = building / "declared"
+        made.write_text(repr(_read_declarations(text, building / "module.py")), encoding="utf-8")
+        return made
+
+    kept = find_or_make(PurePath(COMPILED, SHARED, f"declared-{name}{DECLARED}"), make)
+    parts: Any = ast.literal_eval(kept.read_text(encoding="utf-8"))
+    ffi: Any = _cffi_backend.FFI("mbs", **parts)
+    return ffi  # type: ignore[no-any-return]
+
+
+def _read_declarations(text: str, module: Path) -> dict[str, Any]:
+    """Let cffi read declarations; return the literal arguments of its interface, as in a module that it writes."""
+    import cffi  # here and below: they load a parser of C
+    from cffi import recompiler
+
     ffi = cffi.FFI()
     ffi.cdef(text)
-    return ffi
+    recompiler.make_py_source(ffi, "mbs", str(module))
+    (call,) = (node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
+    return {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
+
+
+def find_function(library: Path, name: str) -> int | None:
+    """Return the address of a function in a library; None where it has none. Raises CompileError."""
+    try:
+        loaded = ctypes.CDLL(str(library))
+    except OSError as error:
+        raise _refuse(library, error) from None
+    try:
+        return ctypes.cast(loaded[name], ctypes.c_void_p).value
+    except AttributeError:
+        return None
 
 
 def open_library(ffi: cffi.FFI, library: Path) -> Any:

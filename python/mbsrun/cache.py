@@ -1,7 +1,8 @@
 """The user's cache: files that are made once and found again, by names made from their content.
 
     models/<hash>/                  folders that mbsgen generated from model files
-    compiled/<model>/<name>-<hash>  objects, libraries and call graphs; in compiled/mbs, objects for every model
+    compiled/<model>/<name>-<hash>  objects, libraries and call graphs; in compiled/mbs, objects for every model, and
+                                    declarations of C as cffi reads them
     <entry>.sha256                  the hash of an entry's content, checked at each use
     building-*/                     entries in the making, or left by a killed process
 
@@ -39,7 +40,7 @@ if sys.platform != "win32":
     import pwd
 
 MODELS, COMPILED, BUILDING = "models", "compiled", "building-"
-HASH = ".sha256"
+HASH, DECLARED = ".sha256", ".cdef"
 ABANDONED = 86400.0  # s; older unfinished entries were left by a killed process
 ROOM = 16_000_000  # bytes; with less free space, a failure to compile may be a full disk
 _LOCK = ".lock"
@@ -100,6 +101,7 @@ def list_entries(cache: Path) -> tuple[Entry, ...]:
     kinds: dict[str, Kind] = {
         ".o": "object",
         ".ci": "object",
+        DECLARED: "object",
         ".so": "library",
         ".wasm": "library",
         ".cubin": "library",

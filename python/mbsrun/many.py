@@ -11,15 +11,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import cffi
 import numpy as np
 
 from mbsgen import resources
 from mbsgen.manifest import Kernel
-from mbsrun.binding import NULL, Array, Entry, Layout, Port, Status, declare, open_library
+from mbsrun.binding import NULL, Array, Entry, Layout, Port, Status, declare, find_function, open_library
 from mbsrun.library import Compiler, compile_library
+
+if TYPE_CHECKING:
+    import cffi
 
 # Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
 # states, and a state for this many bytes of the kernel's source. The batch alone decides: earlier calls must not change
@@ -57,9 +59,8 @@ class Loop:
 class Several:
     """A kernel that computes several states at once."""
 
-    ffi: cffi.FFI
-    library: Any  # which holds it
-    function: Any
+    library: Path  # which holds it
+    function: int  # its address
 
 
 def find_width(compiler: Compiler) -> int:
@@ -80,11 +81,8 @@ def load_several(library: Path, kernel: Kernel, width: int) -> Several | None:
 
     Raises CompileError.
     """
-    symbol = kernel.symbol + end_name(width)
-    ffi = declare(f"int {symbol}(const void **arg, void **res, long long *iw, void *w, int mem);")
-    loaded = open_library(ffi, library)
-    function = getattr(loaded, symbol, None)
-    return None if function is None else Several(ffi, loaded, function)
+    address = find_function(library, kernel.symbol + end_name(width))
+    return None if address is None else Several(library, address)
 
 
 def for_states(compiler: Compiler, width: int) -> Compiler:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cffi
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,6 +23,9 @@ from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
 from mbsrun.simulation.integration.tableaus import FIXED, Tableau
+
+if TYPE_CHECKING:
+    import cffi
 
 _DECLARED = """
 typedef struct {{ const double *first; long long step, pace, stage_pace, numbers, place, rates_place; }} mbs_course;

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import cffi
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel, Manifest
-from mbsrun.binding import Entry
+from mbsrun.binding import Entry, declare
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
+
+if TYPE_CHECKING:
+    import cffi
 
 Array = NDArray[np.float64]
 
@@ -112,7 +114,6 @@ def load_functions(declarations: str, *sources: str) -> tuple[Any, Any]:
 
 @once_per_compiler
 def _load(declarations: str, sources: tuple[str, ...]) -> tuple[cffi.FFI, Any]:
-    ffi = cffi.FFI()
-    ffi.cdef(declarations)
+    ffi = declare(declarations)
     library = compile_library(resources.folder("csrc"), "mbs_simulate", sources, find_compiler(os.environ))
     return ffi, ffi.dlopen(str(library))

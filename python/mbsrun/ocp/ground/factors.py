@@ -6,14 +6,17 @@ NumPy's batches call LAPACK for each system, which takes three times as long for
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cffi
 import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen import resources
+from mbsrun.binding import declare
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
+
+if TYPE_CHECKING:
+    import cffi
 
 Array = NDArray[np.float64]
 
@@ -56,7 +59,5 @@ class Factors:
 
 @once_per_compiler
 def _load() -> tuple[cffi.FFI, Any]:
-    ffi = cffi.FFI()
-    ffi.cdef(_CDEF)
-    sources = resources.folder("csrc")
+    ffi, sources = declare(_CDEF), resources.folder("csrc")
     return ffi, ffi.dlopen(str(compile_library(sources, "mbs_dense", ["mbs_dense.c"], find_compiler(os.environ))))

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import cffi
 import numpy as np
 
 from mbsgen import resources
 from mbsgen.errors import MbsError
-from mbsrun.binding import Entry, bind
+from mbsrun.binding import Entry, bind, find_function
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler
 from mbsrun.ocp.evaluation.stages import formulas
@@ -204,12 +203,7 @@ class Tables:
         library = compile_library(
             resources.folder("csrc"), "mbs_formulas", files, find_compiler(os.environ), given=files
         )
-        ffi = cffi.FFI()
-        for name in texts:
-            ffi.cdef(f"int {name}(const double **arg, double **res, long long *iw, double *w, int mem);")
-        lib = self._keep(ffi.dlopen(str(library)))
-        self._keep(ffi)
-        return {name: int(ffi.cast("intptr_t", ffi.addressof(lib, name))) for name in texts}
+        return {name: find_function(library, name) or 0 for name in texts}
 
 
 def is_compiled(plant: Plant, name: str) -> bool:

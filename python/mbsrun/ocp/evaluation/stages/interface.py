@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cffi
-
 from mbsgen import resources
+from mbsrun.binding import declare
 from mbsrun.library import CompileError, compile_library, find_compiler, once_per_compiler
 
 _TIMED = "mbs_timed_program.c"
@@ -32,10 +31,9 @@ def read_declarations(text: str) -> str:
 def load() -> tuple[Any, Any]:
     """Compile and load the solver and the evaluator. Raises CompileError."""
     folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing")]
-    ffi = cffi.FFI()
     headers = ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h")
-    for path in (*map(Path.joinpath, folders, headers), _find_threads() / "mbs_threads.h"):
-        ffi.cdef(read_declarations(path.read_text(encoding="utf-8")))
+    paths = (*map(Path.joinpath, folders, headers), _find_threads() / "mbs_threads.h")
+    ffi = declare("\n".join(read_declarations(path.read_text(encoding="utf-8")) for path in paths))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
     compiler = find_compiler(os.environ)
     library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:], rows=names)
