@@ -474,6 +474,8 @@ class MusclesSection(Section):
 class ProblemSection(Section):
     """A problem file."""
 
+    # Sections that are left out are constructed: a call would build their validators now, and again in this section's.
+
     model: Annotated[str, AfterValidator(_check_model)] | None = Field(default=None, examples=["model.yaml"])
     constants: dict[str, NumberField] = Field(default={}, examples=[{}])
     references: dict[str, ReferenceSection] = Field(default={}, examples=[{}])
@@ -500,13 +502,13 @@ class ProblemSection(Section):
     driven: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     cost: CostSection = Field(examples=[{"inputs": 1.0}])
     start: StartSection | None = Field(default=None, examples=[{"pose": {}}])
-    bounds: BoundsSection = Field(default=BoundsSection(), examples=[{}])
-    end: EndSection = Field(default=EndSection(), examples=[{}])
+    bounds: BoundsSection = Field(default=BoundsSection.model_construct(), examples=[{}])
+    end: EndSection = Field(default=EndSection.model_construct(), examples=[{}])
     constraints: Annotated[tuple[ConstraintSection, ...], AfterValidator(_check_count)] = Field(
         default=(), examples=[[]]
     )
     integrals: Annotated[tuple[IntegralSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
-    guess: GuessSection = Field(default=GuessSection(), examples=[{}])
+    guess: GuessSection = Field(default=GuessSection.model_construct(), examples=[{}])
     accuracy: NumberField = Field(default=Number(Problem.accuracy), examples=[1e-6])
     refine: RefinementSection | None = Field(default=None, examples=[{"accuracy": 1e-6}])
-    solver: SolverSection = Field(default=SolverSection(), examples=[{}])
+    solver: SolverSection = Field(default=SolverSection.model_construct(), examples=[{}])
