@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from mbsgen import resources
-from mbsrun import load, models
+from mbsrun import binding, load, models
 from mbsrun.cache import BUILDING, HASH, CacheError, cache_folder, find_or_make, list_entries
 from mbsrun.library import CompileError
 from mbsrun.trust import close_to_others, compute_hash
@@ -572,3 +572,16 @@ def test_generated_folders_depend_on_every_file_of_the_generator(
         assert len(set(found)) == len(found)
     finally:
         models.fingerprint_generator.cache_clear()
+
+
+def test_declarations_of_c_are_read_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cache keeps structures, enumerations and functions as cffi reads them."""
+    text = "typedef struct { int count; double values[3]; } mbs_part; enum mbs_kind { FIRST, LAST = 7 };"
+    declare = binding.declare.__wrapped__  # without the memory of this process
+    assert declare(text).sizeof("mbs_part") == 32
+    monkeypatch.setattr(binding, "_read_declarations", None)
+    ffi = declare(text)
+    part = ffi.new("mbs_part *", {"count": 2, "values": [1.0, 2.0, 3.0]})
+    assert (part.count, list(part.values)) == (2, [1.0, 2.0, 3.0])
+    assert ffi.typeof("enum mbs_kind").elements == {0: "FIRST", 7: "LAST"}
+    assert [entry.kind for entry in list_entries(cache)] == ["object"]

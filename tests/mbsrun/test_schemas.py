@@ -14,6 +14,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
+from mbsrun.ocp.statement import sections
 from mbsrun.ocp.statement.phase_sections import PhaseSection, WholeSection
 from mbsrun.schemas import KINDS, write_schema
 
@@ -112,3 +113,13 @@ def test_good_files_are_valid(kind: str, data: Any) -> None:
 )
 def test_wrong_shapes_are_not(kind: str, data: Any) -> None:
     assert [*VALIDATORS[kind].iter_errors(data)] != []
+
+
+def test_no_validator_is_built_before_a_file_is_read() -> None:
+    """Sections that a file leaves out are the same as empty ones."""
+    code = "from mbsrun.ocp.statement import sections as s; print(s.BoundsSection.__pydantic_complete__)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told.strip() == "False"
+    for name in ("bounds", "end", "guess", "solver"):
+        default = sections.ProblemSection.model_fields[name].default
+        assert default == type(default)()
