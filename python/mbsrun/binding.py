@@ -275,7 +275,7 @@ def declare(text: str) -> cffi.FFI:
 
 
 def _read_declarations(text: str, module: Path) -> dict[str, Any]:
-    """Let cffi read declarations; return the literal arguments of its interface, as in a module that it writes."""
+    """Read declarations by cffi; return the literal arguments of its interface, as in a module that it writes."""
     import cffi  # here and below: they load a parser of C
     from cffi import recompiler
 
