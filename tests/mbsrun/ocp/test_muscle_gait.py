@@ -46,10 +46,10 @@ def compiler(requires: Callable[[str], str]) -> None:
 
 @pytest.fixture(scope="module")
 def problem() -> PhasedControl:
-    """The problem on 12 intervals."""
+    """The problem on 12 intervals, with excitations that are free at each point: constant ones are too coarse there."""
     stated = read_problem(GAIT)
     assert isinstance(stated, PhasedControl), "the motion is periodic"
-    return stated.with_phase("motion", intervals=12)
+    return stated.with_phase("motion", intervals=12, inputs="polynomial")
 
 
 @pytest.fixture(scope="module")
