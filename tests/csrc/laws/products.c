@@ -44,7 +44,7 @@ static real x[SIZE], lower[SIZE], upper[SIZE], zl[SIZE], zu[SIZE], slope[SIZE], 
 static void anew(void)
 {
     static const real at[SIZE] = {3, 2, 1, 5}, below[SIZE] = {1, 1.5, -1e20, 4}, above[SIZE] = {7, 1e20, 3, 6};
-    static const real by[SIZE] = {-1, 0.5, 1, 1}, left[SIZE] = {-0.1, 2, 9, 9}, right[SIZE] = {0.2, 9, 0.003, 9};
+    static const real by[SIZE] = {-1, 0.5, 1, 1}, left[SIZE] = {-0.012, 0.03, 9, 9}, right[SIZE] = {0.013, 9, 0.003, 9};
     static const mbs_stages_phase none;
     int i;
     phase = none;
