@@ -188,7 +188,7 @@ MBSRUN = Package(
         "ocp.solving.optimality ocp.solving.placing ocp.solving.preparation ocp.solving.singularities "
         "ocp.solving.stepping",
         "ocp.solving.riding",
-        "ocp.solving.judging ocp.solving.polishing ocp.solving.resimulation",
+        "ocp.solving.following ocp.solving.judging ocp.solving.polishing ocp.solving.resimulation",
         "ocp.solving.runs",
         "ocp.solving.phases",
         "ocp.solving.solve",

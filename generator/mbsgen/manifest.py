@@ -128,6 +128,26 @@ class RigidPoint(_Entry):
     hold: float = 0.0  # of a stop: the largest pull that it bears
 
 
+class OpenJoint(_Entry):
+    """A joint whose rigid stops and dry friction a use gives: their force is a signal, in the direction of q."""
+
+    name: str
+    signal: str
+    stops: Stops | None = None  # rigid ones
+    friction: Friction | None = None
+
+
+class OpenContact(_Entry):
+    """A rigid point on a plane of the base whose force a use gives: an open wrench at a sensor of the same name."""
+
+    name: str
+    point: str  # the name of the sensor and of the wrench
+    axis: int  # 0 to 2: along which the plane's normal points
+    height: float  # of the plane along the axis [m]
+    restitution: float
+    coefficient: float  # of dry friction
+
+
 class Coordinate(_Entry):
     """One joint: an entry of qd and qdd, and of q unless `configuration` lists others."""
 
@@ -446,6 +466,8 @@ class Manifest(_Entry):
     signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
     rigid: tuple[RigidPoint, ...] = ()  # points of rigid contacts, by the entries of `clearance`
+    open_joints: tuple[OpenJoint, ...] = ()  # whose rigid stops and dry friction are inputs here
+    open_contacts: tuple[OpenContact, ...] = ()  # whose forces are inputs here
     elements: tuple[str, ...] = ()  # springs and cables
     lengths: tuple[str, ...] = ()  # forces that need a direction: FIRST_LENGTH + k is the status without one
     loops: tuple[Loop, ...] = ()
@@ -563,6 +585,8 @@ def write(manifest: Manifest) -> str:
             "signals",
             "contacts",
             "rigid",
+            "open_joints",
+            "open_contacts",
             "elements",
             "lengths",
             "loops",

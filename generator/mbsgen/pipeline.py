@@ -27,6 +27,7 @@ from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
 from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, RigidPoint, Stops, Wrench
+from mbsgen.model.changes.opening import Opened, open_forces
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.changes.scene import EVERYTHING, Scene, apply_kinds, read_scene, stage
@@ -99,7 +100,8 @@ def _without_cycles() -> Iterator[None]:
 
 def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
     tell("reading the model")
-    whole = read(model)
+    opened = open_forces(read(model)) if options.opened else Opened(read(model))
+    whole = opened.model
     request = merge(options, _read_scene(options.scene, whole))
     staged = _stage(whole, request.scene, options.scene)
     with _locating(model):
@@ -113,6 +115,9 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
     unit = replace(unit, own=sources.own)
     shown = release(whole, request.scene, zeros=request.zeros) if request.runtime else staged
     described = _describe(trees.generated, unit, sources, staged, shown)
+    if options.opened:
+        laws = {"open_joints": opened.joints, "open_contacts": opened.contacts}
+        described = described.model_copy(update=laws)
     evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
     tell("the report")
     report = make_report(

@@ -53,6 +53,7 @@ class Options:
     reductions: Reductions = ALL  # what is done to lower the operation count
     size: CodeSize = MEASURED
     prefix: str | None = None  # that names in C begin with; None: made of the model's name
+    opened: bool = False  # the forces of rigid stops, dry friction and rigid points are inputs
 
 
 DEFAULT = Options()

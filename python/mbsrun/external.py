@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
+SWITCHED = ("impl", "exp1", "exp2", "semi", "semi_res", "energy", "power", "frames")
+FOLLOWED = Extent(SWITCHED, 1, optional=("touching", "rates", "loops", "loop_rates", "loop_jacobian", "loop_forces"))
 LOOPS = ("loops", "loop_rates", "loop_jacobian", "loop_forces")  # short, and a program that needs one needs others
 
 
@@ -191,10 +193,13 @@ class OnDemand:
 
     manifest: Manifest  # of the start
 
-    def __init__(self, path: Path) -> None:
-        """Generate the functions of the start. Raises InputError for a model with faults."""
-        self._path = path
-        self._start = Mechanism(find_folder(path, START))
+    def __init__(self, path: Path, *, opened: bool = False) -> None:
+        """Generate the functions of the start. Raises InputError for a model with faults.
+
+        opened: the forces of rigid stops, dry friction and rigid points of contact are inputs.
+        """
+        self._path, self._opened = path, opened
+        self._start = Mechanism(find_folder(path, replace(START, opened=opened)))
         self._mechanisms: dict[str, Mechanism] = {}
         self.manifest = self._start.manifest
         self._started = frozenset(kernel.name for kernel in self.manifest.kernels)
@@ -206,7 +211,15 @@ class OnDemand:
     @property
     def folder(self) -> Path:
         """The generated folder of all functions, which is made where there is none."""
-        return find_folder(self._path)
+        return find_folder(self._path, Extent(opened=self._opened))
+
+    def open_forces(self) -> OnDemand:
+        """Return the same kernels with the forces of rigid stops, dry friction and rigid points as inputs."""
+        return OnDemand(self._path, opened=True).with_parameters(**self.parameters)
+
+    def load_closed(self) -> Mechanism:
+        """Load the kernels of the model as its file describes it that a simulation from event to event needs."""
+        return load(self._path, self.parameters, FOLLOWED)
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -249,7 +262,7 @@ class OnDemand:
     def _load(self, function: str) -> Mechanism:
         if function not in self._mechanisms:
             together = LOOPS if function in LOOPS else (function,)
-            mechanism = Mechanism(find_folder(self._path, Extent(together)), self.parameters)
+            mechanism = Mechanism(find_folder(self._path, Extent(together, opened=self._opened)), self.parameters)
             self._mechanisms |= dict.fromkeys(together, mechanism)
         return self._mechanisms[function]
 

@@ -39,6 +39,7 @@ class Extent:
     values: tuple[str, ...] = ()  # functions among these that are written without derivatives
     counted: bool = False  # the operations of the formulations in the report, which takes as long as the functions
     compared: bool = False  # the operations of derivatives in the report in all ways, which takes longer still
+    opened: bool = False  # the forces of rigid stops, dry friction and rigid points are inputs
 
 
 WHOLE = Extent()
@@ -88,6 +89,7 @@ def _make_options(extent: Extent) -> Any:
         targets=extent.targets,
         count=extent.counted,
         compare=extent.compared,
+        opened=extent.opened,
     )
     reductions = replace(options.reductions, **dict.fromkeys(extent.without, False))
     return replace(options, reductions=reductions, scene=extent.scene or options.scene)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Kernel, Manifest
+from mbsrun.kernel import Kernels
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -39,6 +40,17 @@ class Plant(Protocol):
 
     def find_family(self, name: str) -> Plant:
         """Return the kernels that hold a function with all of its derivatives."""
+
+
+@runtime_checkable
+class Openable(Protocol):
+    """Kernels that can be had with switching forces as inputs."""
+
+    def open_forces(self) -> Plant:
+        """Return the same kernels with the forces of rigid stops, dry friction and rigid points as inputs."""
+
+    def load_closed(self) -> Kernels:
+        """Load the kernels of the model as its file describes it, for a simulation."""
 
 
 class Unchangeable:

@@ -50,6 +50,26 @@ class Held:
 
     entries: list[int]  # of the velocities of all sensors
     components: list[int]
+    drags: tuple[tuple[int, int, float], ...] = ()  # of sliding ones: place in `components`, another component, ratio
+
+    def clear(self, w: Array) -> Array:
+        """Return w (B, nw) without the forces of contacts."""
+        w = w.copy()
+        w[:, [*self.components, *(across for _, across, _ in self.drags)]] = 0.0
+        return w
+
+    def push(self, by_force: Array) -> Array:
+        """Return the derivatives of equations by the components that hold, of the ones by w, (B, n, nw)."""
+        found = by_force[:, :, self.components]
+        for k, across, ratio in self.drags:
+            found[:, :, k] += ratio * by_force[:, :, across]
+        return found
+
+    def put(self, w: Array, forces: Array) -> None:
+        """Put the forces (B, k) that hold contacts into w (B, nw), with the friction of sliding ones."""
+        w[:, self.components] = forces
+        for k, across, ratio in self.drags:
+            w[:, across] = ratio * forces[:, k]
 
     def differentiate(self, plant: Plant, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return J_c (B, k, n) and dJ_c/dt qd (B, k) of the velocities J_c qd at states q (B, nq), qd (B, n)."""
@@ -63,7 +83,14 @@ def find_held(problem: Problem, manifest: Manifest) -> Held | None:
     if not problem.contacts:
         return None
     entries = [entry for contact in problem.contacts for entry in list_entries(contact, manifest)]
-    return Held(entries, list(list_held(problem.contacts, manifest)))
+    components, drags = list(list_held(problem.contacts, manifest)), []
+    for contact in problem.contacts:
+        if contact.drag is not None and contact.normal is not None:
+            normal, across = (find_component(manifest, contact.wrench, k) for k in (contact.normal, contact.drag[0]))
+            assert normal is not None, "components are checked before"
+            assert across is not None, "and so are the ones across"
+            drags.append((components.index(normal), across, contact.drag[1]))
+    return Held(entries, components, tuple(drags))
 
 
 def list_entries(contact: Contact, manifest: Manifest) -> tuple[int, ...]:

@@ -49,12 +49,24 @@ Map = tuple[tuple[str, str | None], ...]  # a coordinate, and its value as an ex
 
 
 @dataclass(frozen=True)
+class Blow:
+    """A joint that hits a rigid stop, or rests at it, in an impact."""
+
+    index: int  # into qd
+    joint: str
+    signal: str  # the force of the stop, in the direction of q
+    is_lower: bool
+    restitution: float = 0.0
+
+
+@dataclass(frozen=True)
 class Impact:
-    """An instant at which contacts change the velocities by impulses, and no coordinate changes."""
+    """An instant at which contacts and stops change the velocities by impulses, and no coordinate changes."""
 
     contacts: tuple[Contact, ...]
     restitution: float = 0.0  # of velocities along the contacts' normals; across, the contacts stick
     map: Map = ()  # coordinates of the impact's model, where it is not the one of the phase before
+    blows: tuple[Blow, ...] = ()  # of joints at stops
 
 
 @dataclass(frozen=True)

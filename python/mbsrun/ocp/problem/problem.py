@@ -232,6 +232,7 @@ class Contact:
     axes: tuple[int, ...] = (0, 1, 2)  # along which it is held
     normal: int | None = 2  # the force along this axis is not negative; None: it may pull
     friction: float | None = None  # the force across is at most this times the normal one; None: no limit
+    drag: tuple[int, float] | None = None  # the axis across along which it slides, and the force there over the normal
 
 
 @dataclass(frozen=True)
@@ -348,6 +349,7 @@ class Problem:
     contacts: tuple[Contact, ...] = ()
     touching: tuple[Contact, ...] = ()  # contacts whose times are not given; constraints hold their equations
     relaxation: Relaxation | None = None  # of the constraints of `touching`
+    modes: tuple[tuple[str, str], ...] = ()  # of stops, dry friction and rigid contacts; other parts hold their forces
     unknowns: tuple[Unknown, ...] = ()
     integrals: tuple[Integral, ...] = ()
     functions: tuple[Symbolic, ...] = ()  # that expressions read

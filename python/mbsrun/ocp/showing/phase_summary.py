@@ -21,8 +21,13 @@ from mbsrun.ocp.solution.phases import LinkValues, PhasedSolution
 def summarise_phases(solution: PhasedSolution) -> dict[str, str]:
     """Return the lines of a summary by their names."""
     if solution.problem.is_single:
-        return summarise(solution.single)
+        return summarise(solution.single) | dict(_list_followed(solution))
     return number_names(_list_lines(solution))
+
+
+def _list_followed(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
+    for followed in solution.followed:
+        yield "sequence", followed.describe()
 
 
 def _list_lines(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
@@ -42,6 +47,7 @@ def _list_lines(solution: PhasedSolution) -> Iterator[tuple[str, str]]:
         yield f"link {values.source} to {values.target}", f"violation {values.violation:.1e}"
         yield from ((f"  {name} ", f"{value:.10g}") for name, value in values.terms if value)
         yield from _list_impulses(values)
+    yield from _list_followed(solution)
 
 
 KEPT = ("horizon", "cost", "violation", "loops", "closure", "intervals", "refinement", "slip")
@@ -55,13 +61,16 @@ def _is_kept(key: str) -> bool:
 def _list_impulses(values: LinkValues) -> Iterator[tuple[str, str]]:
     for impulse in values.impulses:
         yield f"  impulse of {impulse.sensor} ", f"{', '.join(f'{x:.6g}' for x in impulse.components)} N s"
+    for joint, value in values.stops:
+        yield f"  impulse of the stop of {joint} ", f"{value:.6g}"
 
 
 def list_phased_shortcomings(solution: PhasedSolution) -> list[str]:
     """List the shortcomings of a solution: its tolerance, and the accuracy of each phase."""
+    differing = [f"the simulation from event to event {x.describe()}" for x in solution.followed if x.finding]
     if solution.problem.is_single:
-        return list_shortcomings(solution.single)
-    found = []
+        return [*list_shortcomings(solution.single), *differing]
+    found = differing
     if solution.is_only_acceptable:
         found.append("IPOPT stopped at an acceptable level, short of the tolerance; try another guess or scaling")
     for name, phase in zip(solution.names, solution.phases, strict=True):

@@ -43,6 +43,22 @@ class LinkValues:
     changes: tuple[float, ...] = ()  # of the velocities, at an impact
     multipliers: tuple[float, ...] = ()  # the impulses of closed loops
     terms: tuple[tuple[str, float], ...] = ()  # of the cost: name, value times weight
+    stops: tuple[tuple[str, float], ...] = ()  # the impulses of stops in the directions of joints [N s or N m s]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How the simulation of a model, from event to event, goes through the modes of phases in a row."""
+
+    phases: tuple[str, ...]  # their names
+    error: float | None  # of coordinates and velocities amid each phase and at the end; None: it does not get there
+    finding: str = ""  # where its modes or events differ from the ones of the phases; empty: nowhere
+
+    def describe(self) -> str:
+        """Describe it in a line."""
+        if self.finding:
+            return f"differs: {self.finding}"
+        return f"as in the phases, from event to event; states differ by {self.error:.1e} at most"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,6 +78,7 @@ class PhasedSolution:
     solver: SolverOptions = field(default_factory=SolverOptions)
     search: Starts | None = None  # the outcomes of all starts, of a search from many
     sensitivities: tuple[tuple[str, float], ...] = ()  # of the cost, by differentiated parameters of the models
+    followed: tuple[Followed, ...] = ()  # of phases with modes
 
     def __repr__(self) -> str:
         """Return the phases, the solver's word and the cost."""
@@ -180,8 +197,9 @@ def dump_phased_solution(solution: PhasedSolution) -> str:
     """Return the text of a solution's file, one line for each of its parts."""
     parts = _adapter().dump_python(_File(FORMAT, solution), mode="json")["solution"]
     phases = parts.pop("phases")
-    if not solution.sensitivities:
-        del parts["sensitivities"]
+    for key in ("sensitivities", "followed"):
+        if not getattr(solution, key):
+            del parts[key]
     lines = [f'  "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in parts.items()]
     inner = [
         "   {\n"

@@ -49,6 +49,7 @@ from mbsrun.ocp.solution.solution import Failure, Run, Size
 from mbsrun.ocp.solving.answers import Ended, make_solution, measure_excess, measure_size
 from mbsrun.ocp.solving.assembly import find_other_assembly
 from mbsrun.ocp.solving.branches import find_jump, find_singular
+from mbsrun.ocp.solving.following import follow_modes
 from mbsrun.ocp.solving.judging import OTHER, Outcome, appeal, examine, tell_both, wants_other
 from mbsrun.ocp.solving.margins import find_wrong_start
 from mbsrun.ocp.solving.polishing import Equations, polish
@@ -522,6 +523,7 @@ class PhasedSolver:
             tuple(x[rows.impact.changes].tolist()),
             tuple(x[rows.impact.multipliers].tolist()),
             cost,
+            tuple(zip((x.joint for x in link.impact.blows), x[rows.impact.blows].tolist(), strict=True)),
         )
 
 
@@ -659,6 +661,6 @@ def settle_phases(problem: PhasedProblem, plants: Plants, guess: Guess | None = 
 
 
 def resimulate_phases(solution: PhasedSolution, plants: Plants) -> PhasedSolution:
-    """Integrate the motion of every phase again, under its inputs, from its start."""
+    """Integrate the motion of every phase again, under its inputs, from its start; and modes from event to event."""
     checked = (resimulate(phase, plant) for phase, plant in zip(solution.phases, plants.phases, strict=True))
-    return replace(solution, phases=tuple(checked))
+    return replace(solution, phases=tuple(checked), followed=tuple(follow_modes(solution, plants)))

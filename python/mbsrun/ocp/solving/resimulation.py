@@ -505,8 +505,7 @@ def _balance(
         return qd, {"w": w}
     state = give_nothing(manifest, {"q": q, "qd": qd, "qdd": np.zeros_like(qd), "u": parts["u"]})
     if held is not None:
-        w = w.copy()
-        w[:, held.components] = 0
+        w = held.clear(w)
     if w.size:
         state["w"] = w
     slopes, c = plant("jac_impl", **state), plant("impl", **state)["Phi"]
@@ -519,7 +518,7 @@ def _balance(
         rows, forces, bias = [*rows, D], [*forces, -D.swapaxes(1, 2)], [*bias, -parts["a"]]
     if held is not None:
         J, turning = held.differentiate(plant, q, qd)
-        rows, forces, bias = [*rows, J], [*forces, slopes["jac_Phi_w"][:, :, held.components]], [*bias, turning]
+        rows, forces, bias = [*rows, J], [*forces, held.push(slopes["jac_Phi_w"])], [*bias, turning]
     if not rows:
         return np.asarray(np.linalg.solve(slopes["jac_Phi_qdd"], -c[..., None])[..., 0]), {"w": w}
     below = np.concatenate(rows, axis=1)
@@ -527,6 +526,6 @@ def _balance(
     whole = np.block([[slopes["jac_Phi_qdd"], np.concatenate(forces, axis=2)], [below, none]])
     found = np.linalg.solve(whole, -np.concatenate((c, *bias), axis=1)[..., None])[..., 0]
     if held is not None:
-        w[:, held.components] = found[:, -len(held.components) :]
+        held.put(w, found[:, -len(held.components) :])
     m = 0 if closure is None else len(closure.dependent)
     return np.asarray(found[:, :n]), {"w": w, "tau": found[:, n + m : n + m + len(manifest.driven)]}

@@ -30,6 +30,7 @@ from mbsrun.ocp.transcription.sides import (
     START,
     list_plain,
     list_readable,
+    name_blows,
     name_impulses,
     spell_coordinates,
     spell_velocities,
@@ -149,6 +150,7 @@ class _Link:
         known += self.free
         if link.impact is not None:
             known += [name for name, _, _ in name_impulses(link.impact.contacts)]
+            known += [name for name, _ in name_blows(link.impact.blows)]
         yield from self.check_delays(own, problem.phases[target].problem, before.manifest, after.manifest)
         for i, term in enumerate(link.cost):
             yield from _check_expression((*self.place, "cost", i, "expression"), term.expression, known)
@@ -252,7 +254,7 @@ class _Link:
     def check_impact(self, impact: Impact, plant: Plant, before: Manifest, own: Problem) -> Iterator[Finding]:
         """Check the contacts of an impact, and its model."""
         place, manifest = (*self.place, "impact"), plant.manifest
-        if not impact.contacts:
+        if not impact.contacts and not impact.blows:
             yield Finding((*place, "contacts"), "there are none", "name the sensors that hit the ground")
         if not 0 <= impact.restitution <= 1:
             finding = f"found {impact.restitution:g}"

@@ -70,6 +70,7 @@ class LinkSection(Section):
     map: MapField = Field(default={}, examples=[{}])
     velocities: MapField = Field(default={}, examples=[{}])
     impact: ImpactSection | None = Field(default=None, examples=[{"contacts": ["foot"]}])
+    hits: dict[str, str] = Field(default={}, examples=[{"foot": "stick"}])  # of stops and contacts that rebound
     conditions: Annotated[tuple[ConditionSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
     cost: Annotated[tuple[TermSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
 

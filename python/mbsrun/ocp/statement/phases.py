@@ -15,14 +15,15 @@ from typing import Protocol
 from mbsgen.documents import Data, Document, Place, examine, lies_under, read_document, refuse
 from mbsgen.errors import Fault, InputError
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
-from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.plant import Openable, Plant
+from mbsrun.ocp.problem.modes import arrive, find_wrong_hits, strike
 from mbsrun.ocp.problem.phases import Condition, Impact, Link, Phase, PhasedProblem, Plants
 from mbsrun.ocp.problem.problem import Contact, Problem, Term
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.ocp.statement.phase_checks import find_faults
 from mbsrun.ocp.statement.phase_sections import ContactSection, ImpactSection, LinkSection, PhaseSection, WholeSection
 from mbsrun.ocp.statement.sections import is_solution
-from mbsrun.ocp.statement.statement import PHASED, name_problem, read_phase
+from mbsrun.ocp.statement.statement import PHASED, SEALED, find_open_axes, name_problem, read_phase
 from mbsrun.ocp.transcription.impacts import AXES, find_axes, find_wrench
 from mbsrun.reading import Reading, overlay, relate
 
@@ -154,6 +155,7 @@ class _Loading:
     def __init__(self, folder: Path, load: Load) -> None:
         self._folder, self._load = folder, load
         self._known: dict[str, Plant | None] = {}
+        self._opened: dict[str, Plant] = {}
         self.faults: list[Fault] = []
 
     def load(self, model: str | None, document: Document, place: Place) -> Plant | None:
@@ -167,6 +169,14 @@ class _Loading:
                 self._known[model] = None
                 self.faults += relate(error.faults, document, place)
         return self._known[model]
+
+    def open(self, model: str | None, plant: Plant) -> Plant | None:
+        """Return a loaded plant with its switching forces as inputs; None where it cannot have these."""
+        if model is None or not isinstance(plant, Openable):
+            return None
+        if model not in self._opened:
+            self._opened[model] = plant.open_forces()
+        return self._opened[model]
 
 
 @dataclass(frozen=True)
@@ -215,6 +225,11 @@ def _read_phase(
     plant = loading.load(section.model, part, ("model",))
     if plant is None:
         return _Read(name, None, None, faults, stand_ins)
+    if section.modes is not None:
+        opened = loading.open(section.model, plant)
+        if opened is None:
+            return _Read(name, None, plant, [*faults, part.fault(("modes",), *SEALED)], stand_ins)
+        plant = opened
     extension = extensions.get(name)
     reads = frozenset[str]() if extension is None else extension.reads
     problem, found = read_phase(part, examination, plant, name, is_linked=name in linked, reads=reads)
@@ -294,6 +309,8 @@ class _Links(Reading):
             unknowns=problems[0].unknowns,
             solver=problems[0].solver,
         )
+        if not any(phase.faults for phase in phases):
+            problem = self.join_modes(problem, plants)
         self.stand_ins |= frozenset().union(*(phase.stand_ins for phase in phases))
         for fault in find_faults(problem, plants):
             place = fault.place
@@ -323,6 +340,46 @@ class _Links(Reading):
             conditions=conditions,
             cost=cost,
         )
+
+    def join_modes(self, problem: PhasedProblem, plants: Plants) -> PhasedProblem:
+        """End phases with modes where the phases after them begin, and add the impacts between them."""
+        for i, section in enumerate(self.whole.links):
+            link, place = problem.links[i], ("links", i)
+            names = [phase.name for phase in problem.phases]
+            if link.source not in names or link.target not in names:
+                continue
+            first, second = (problem.find(name) for name in (link.source, link.target))
+            before, after = problem.phases[first].problem, problem.phases[second].problem
+            if not before.modes and not after.modes:
+                if section.hits:
+                    self.fault((*place, "hits"), "neither phase has modes", "give them modes, or leave hits out")
+                continue
+            plant = plants.phases[first]
+            if finding := self.find_unlike(link, plants.phases[second] is plant, before, after):
+                self.fault(place, *finding)
+                continue
+            modes = dict(before.modes), dict(after.modes), section.hits
+            faults = list(find_wrong_hits(*modes, plant.manifest))
+            for fault in faults:
+                self.fault((*place, "hits", *fault.place), fault.finding, fault.remedy)
+            if not faults:
+                ended = arrive(before, modes[1], section.hits, plant.manifest)
+                impact = strike(*modes, plant.manifest, find_open_axes(plant))
+                phases = [replace(x, problem=ended) if k == first else x for k, x in enumerate(problem.phases)]
+                links = [replace(x, impact=impact) if k == i else x for k, x in enumerate(problem.links)]
+                problem = replace(problem, phases=tuple(phases), links=tuple(links))
+        return problem
+
+    @staticmethod
+    def find_unlike(link: Link, same: bool, before: Problem, after: Problem) -> tuple[str, str] | None:
+        """Return why modes of both sides of a link cannot be joined, and a remedy; None where they can."""
+        if not same or not before.modes or not after.modes:
+            return "modes are continued in the same model only", "give both phases one model, and modes"
+        if link.map or link.velocities:
+            return "a link with a map joins no modes", "leave map and velocities out, or give the phases no modes"
+        if link.impact is not None:
+            return "modes have their impacts by the model's laws", "leave impact out; hits name what rebounds"
+        return None
 
     def impact(self, place: Place, section: ImpactSection, plant: Plant | None, held: Sequence[Contact]) -> Impact:
         """Read an impact; a contact that is only named is one of the phase after, if that holds it."""

@@ -496,6 +496,9 @@ class ProblemSection(Section):
     forces: Annotated[dict[str, FormulaField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     relaxation: RelaxationSection | None = Field(default=None, examples=[{"first": 1.0, "last": 1e-6}])
     contacts: Annotated[tuple[ContactSection, ...], AfterValidator(_check_count)] = Field(default=(), examples=[[]])
+    modes: Annotated[dict[str, str], AfterValidator(_check_count)] | None = Field(
+        default=None, examples=[{"foot": "stick"}]
+    )  # of rigid stops, dry friction and rigid contacts
     wrenches: Annotated[dict[str, WrenchSection], AfterValidator(_check_count)] = Field(default={}, examples=[{}])
     muscles: MusclesSection | None = Field(default=None, examples=[None])
     signals: Annotated[dict[str, ComponentField], AfterValidator(_check_count)] = Field(default={}, examples=[{}])

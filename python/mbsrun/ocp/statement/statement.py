@@ -34,7 +34,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, Number, evaluate, is_free_name, parse, spell
 from mbsrun.closure import Closure, find_closure
 from mbsrun.ocp.ground.grid import divide
-from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.plant import Openable, Plant
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.methods import METHODS, Amount, choose
 from mbsrun.ocp.problem.conditions import (
@@ -49,6 +49,9 @@ from mbsrun.ocp.problem.conditions import (
 from mbsrun.ocp.problem.design import equip
 from mbsrun.ocp.problem.driving import SAME, Guide
 from mbsrun.ocp.problem.driving import find_conflicts as find_driven_conflicts
+from mbsrun.ocp.problem.modes import add_modes, begin, find_wrong_start
+from mbsrun.ocp.problem.modes import complete as complete_modes
+from mbsrun.ocp.problem.modes import find_faults as find_mode_faults
 from mbsrun.ocp.problem.problem import (
     Aims,
     Bounds,
@@ -97,6 +100,7 @@ from mbsrun.ocp.statement.sections import (
     TermSection,
     is_solution,
 )
+from mbsrun.ocp.transcription.impacts import find_axes
 from mbsrun.ocp.transcription.quantities import Added, list_quantities
 from mbsrun.quaternions import (
     Quaternion,
@@ -113,6 +117,11 @@ PHASED = ("phases", "links")  # keys of problems that `phases.statement` reads
 ROUNDED = 1e-9  # of a start that loops complete, beyond its bounds
 
 StartValues = tuple[Expression | None, ...] | dict[str, Expression | None]  # of a start: in order, or by name
+
+SEALED = (
+    "the kernels of a generated folder do not have switching forces as inputs",
+    "name the model's file in place of the folder",
+)
 
 SomePlant = TypeVar("SomePlant", bound=Plant)
 SomeSection = TypeVar("SomeSection", bound=ProblemSection)
@@ -175,6 +184,10 @@ def interpret(
         plant = none if section.model is None else load(section.model)
     except InputError as error:
         raise refuse([*faults, *relate(error.faults, document, ("model",))]) from None
+    if plant is not None and section.modes is not None:
+        if not isinstance(plant, Openable):
+            raise refuse([*faults, document.fault(("modes",), *SEALED)])
+        plant = plant.open_forces()
     if plant is None:
         remedy = "name a model file; only `mbsrun solve` takes problems without a mechanism"
         raise refuse([*faults, document.fault(("model",), "no model", remedy)])
@@ -184,6 +197,11 @@ def interpret(
     if faults or reading.faults:
         raise refuse([*faults, *reading.faults])
     return problem, equip(plant, problem)
+
+
+def find_open_axes(plant: Plant) -> dict[str, tuple[int, ...]]:
+    """Return the axes along which each open contact of a model can move."""
+    return {law.name: find_axes(plant, law.point) for law in plant.manifest.open_contacts}
 
 
 def read_phase(
@@ -255,8 +273,10 @@ class _Reading(PartReading):
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
             self.plant = self.plant.with_parameters(**changed)
         self.closure = find_closure(self.plant)
-        if (hidden := find_hidden(self.manifest, stops=False)) is not None:
-            self.fault(("model",), f"an optimal control problem would miss {hidden[0]}", hidden[1])
+        hidden = find_hidden(self.manifest, stops=False)
+        if hidden is not None and section.modes is None:
+            remedy = f"{hidden[1]}, or give `modes`"
+            self.fault(("model",), f"an optimal control problem would miss {hidden[0]}", remedy)
         chosen_names = [x.name for x in unknowns]
         self.lengths = [name for name in self.closure.parameters if name in chosen_names] if self.closure else []
         chosen = section.controls or section.wrenches or section.signals or section.contacts or section.unknowns
@@ -332,7 +352,7 @@ class _Reading(PartReading):
             integrals=self.integrals(section.integrals),
             following=self.following,
         )
-        problem = self.rewriting.apply(problem)
+        problem = self.rewriting.apply(self.set_modes(problem, section.modes))
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
         problem = replace(problem, constants=used, references=self.referring.references())
         problem = replace(problem, controls=(*problem.controls, *slips))
@@ -349,6 +369,27 @@ class _Reading(PartReading):
             self.fault(conflict.place, conflict.finding, conflict.remedy)
         trust_types(problem)
         return problem
+
+    def set_modes(self, problem: Problem, given: Mapping[str, str] | None) -> Problem:
+        """Add what the modes of the problem state, if it has any."""
+        if given is None:
+            return problem
+        axes = find_open_axes(self.plant)
+        faults = list(find_mode_faults(given, self.manifest, axes))
+        for fault in faults:
+            self.fault(("modes", *fault.place), fault.finding, fault.remedy)
+        for law in self.manifest.open_joints:
+            if any(part.wrench == law.signal for part in problem.wrenches):
+                self.fault(("signals", law.signal), f"the mode of {law.name} gives it", "leave it out")
+        if faults:
+            self.has_wrong_contacts = True
+            return problem
+        problem = replace(problem, modes=tuple(complete_modes(given, self.manifest).items()))
+        if not self.is_linked:
+            for fault in find_wrong_start(problem, self.manifest):
+                self.fault(("start", *fault.place), fault.finding, fault.remedy)
+            problem = begin(problem, self.manifest)
+        return add_modes(problem, self.manifest, axes)
 
     def read_start(
         self, section: StartSection | None, bounds: Bounds

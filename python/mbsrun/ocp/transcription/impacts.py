@@ -3,6 +3,8 @@
     M(q) (qd+ - qd-) = J_c(q)' L + J_h(q)' Lam
     v_c(q, qd+) = -e v_c(q, qd-)         along a contact's normal, e the restitution; 0 along its other axes
 
+    qd+ = -e qd-                         of a joint at a rigid stop
+
 with the impulses Lam of closed loops, whose rates vanish after the impact (Featherstone, "Rigid body dynamics
 algorithms", 2008, section 11.7). Of the residual Phi(q, qd, qdd, w) of a model that leaves the contacts' forces open,
 
@@ -14,6 +16,7 @@ qd- and qd+ are variables. An impulse along a normal does not pull; friction, if
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +27,14 @@ from mbsgen.roles import Role
 from mbsrun.ocp.ground.functions import Formula, Indices, Input, KernelResult
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.program import Column, Combination
-from mbsrun.ocp.problem.phases import Impact
+from mbsrun.ocp.problem.phases import Blow, Impact
 from mbsrun.ocp.problem.problem import Contact
 from mbsrun.ocp.transcription.linking import Defined, Rows, write_transfer
 from mbsrun.ocp.transcription.sides import State
+from mbsrun.quantities import SIGNAL, find_component
 
 AXES = "xyz"
+Entry = tuple[int, int, float]  # a variable, an entry of w to which it adds, and its factor there
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,7 @@ class ImpactRows:
     changes: Indices  # of the velocities
     impulses: tuple[Indices, ...]  # of each contact, along its axes
     multipliers: Indices  # the impulses of closed loops
+    blows: Indices  # the impulses of stops, in the directions of their joints
 
 
 def find_wrench(manifest: Manifest, name: str) -> int | None:
@@ -67,6 +73,7 @@ def write_impact(rows: Rows, text: str, impact: Impact, source: State, plant: Pl
     n = len(plant.manifest.coordinates)
     changes, speeds = rows.add_variables(n), rows.add_variables(n)
     impulses = [_bound_impulse(rows, contact) for contact in impact.contacts]
+    blows = np.concatenate([np.zeros(0, np.int64), *(_bound_blow(rows, blow) for blow in impact.blows)])
     multipliers = rows.add_variables(len(plant.manifest.dependent))
     after = State(plant.manifest, number, before.q, speeds, before.velocities, source.added)
     first = rows.rows
@@ -74,18 +81,23 @@ def write_impact(rows: Rows, text: str, impact: Impact, source: State, plant: Pl
     rows.A.put(found, speeds, 1.0)
     rows.A.put(found, before.qd, -1.0)
     rows.A.put(found, changes, -1.0)
-    _write_balance(rows, text, impact, plant, after, changes, impulses, multipliers)
+    entries = [*_list_entries(impact, plant.manifest, impulses), *_list_pushes(impact, plant.manifest, blows)]
+    _write_balance(rows, text, plant, after, changes, entries, multipliers)
     for contact in impact.contacts:
         _write_contact(rows, text, contact, impact.restitution, before, after)
+    for blow in impact.blows:
+        row = rows.add_rows(1, f"{text}: {blow.joint} after the impact")
+        rows.A.put(row, [after.qd[blow.index]], 1.0)
+        rows.A.put(row, [before.qd[blow.index]], blow.restitution)
     if multipliers.size:
         found = rows.add_rows(multipliers.size, f"{text}: the loops after the impact")
         columns = (after.q[:, None], after.qd[:, None])
         rows.apply(KernelResult("loop_rates", ("q", "qd"), "hd"), columns, found, plant=number)
-    unknowns = np.concatenate([changes, speeds, *impulses, multipliers])
+    unknowns = np.concatenate([changes, speeds, *impulses, blows, multipliers])
     rows.defined.append(Defined(unknowns, np.arange(first, rows.rows)))
     for contact, impulse in zip(impact.contacts, impulses, strict=True):
         _write_friction(rows, text, contact, impulse)
-    return ImpactRows(before, after, changes, tuple(impulses), multipliers)
+    return ImpactRows(before, after, changes, tuple(impulses), multipliers, blows)
 
 
 def _translate(rows: Rows, text: str, impact: Impact, source: State, plant: Plant, number: int) -> State:
@@ -107,24 +119,41 @@ def _bound_impulse(rows: Rows, contact: Contact) -> Indices:
     return np.concatenate(parts)
 
 
+def _bound_blow(rows: Rows, blow: Blow) -> Indices:
+    """Number the impulse of a stop, which pushes away from its limit."""
+    return rows.add_variables(1, *((0.0, np.inf) if blow.is_lower else (-np.inf, 0.0)))
+
+
+def _list_entries(impact: Impact, manifest: Manifest, impulses: list[Indices]) -> Iterator[Entry]:
+    """List the impulses of contacts, with the friction of sliding ones."""
+    for contact, impulse in zip(impact.contacts, impulses, strict=True):
+        first = find_wrench(manifest, contact.wrench)
+        for variable, axis in zip(impulse.tolist(), contact.axes, strict=True):
+            if first is not None:
+                yield variable, first + axis, 1.0
+            if first is not None and contact.drag is not None and axis == contact.normal:
+                yield variable, first + contact.drag[0], contact.drag[1]
+
+
+def _list_pushes(impact: Impact, manifest: Manifest, blows: Indices) -> Iterator[Entry]:
+    """List the impulses of stops."""
+    for blow, variable in zip(impact.blows, blows.tolist(), strict=True):
+        entry = find_component(manifest, blow.signal, SIGNAL)
+        assert entry is not None, "stops are opened with their signals"
+        yield variable, entry, 1.0
+
+
 def _write_balance(
     rows: Rows,
     text: str,
-    impact: Impact,
     plant: Plant,
     state: State,
     changes: Indices,
-    impulses: list[Indices],
+    entries: list[Entry],
     multipliers: Indices,
 ) -> None:
     """Write that impulses change the momentum."""
     inputs = [a for a in plant.describe("impl").inputs if a.role not in (Role.SETUP, Role.DESIGN)]
-    entries = [
-        (variable, first + axis)
-        for contact, impulse in zip(impact.contacts, impulses, strict=True)
-        for variable, axis in zip(impulse.tolist(), contact.axes, strict=True)
-        if (first := find_wrench(plant.manifest, contact.wrench)) is not None
-    ]
     given: dict[Role, Column] = {Role.COORDINATE: state.q[:, None]}
     moved: dict[Role, Column] = {Role.ACCELERATION: changes[:, None], Role.MULTIPLIER: multipliers[:, None]}
     found = rows.add_rows(changes.size, f"{text}: the momentum at the impact")
@@ -139,14 +168,14 @@ def _write_balance(
         rows.apply(KernelResult("impl", names, "Phi"), columns, found, scale=scale, plant=state.plant)
 
 
-def _select(entries: list[tuple[int, int]], size: int, known: Indices) -> Combination:
-    """Return a part of which some entries are variables, (variable, entry), and all others are 0.
+def _select(entries: list[Entry], size: int, known: Indices) -> Combination:
+    """Return a part of which some entries are multiples of variables, and all others are 0.
 
     A part of zeros alone is 0 times the first one of the `known` variables.
     """
     matrix, variables = np.zeros((1, size, max(len(entries), 1))), np.full((1, max(len(entries), 1)), known[0])
-    for k, (variable, entry) in enumerate(entries):
-        matrix[0, entry, k], variables[0, k] = 1.0, variable
+    for k, (variable, entry, factor) in enumerate(entries):
+        matrix[0, entry, k], variables[0, k] = factor, variable
     return Combination(matrix, np.zeros(1, dtype=np.int64), variables)
 
 

@@ -22,7 +22,7 @@ from mbsrun.ocp.transcription.delays import Half, Placed, find_shifts, write_jum
 from mbsrun.ocp.transcription.impacts import ImpactRows, write_impact
 from mbsrun.ocp.transcription.linking import Defined, Rows, write_conditions, write_costs, write_transfer
 from mbsrun.ocp.transcription.scales import ROUNDED, USUAL, find_scales, find_terms, round_scale
-from mbsrun.ocp.transcription.sides import Side, name_impulses, read_side
+from mbsrun.ocp.transcription.sides import Side, name_blows, name_impulses, read_side
 from mbsrun.ocp.transcription.standing import find_standing
 from mbsrun.ocp.transcription.transcription import Transcription, transcribe
 
@@ -214,6 +214,7 @@ def transcribe_phases(problem: PhasedProblem, plants: Plants) -> PhasedTranscrip
         if link.impact is not None and impact is not None:
             named = name_impulses(link.impact.contacts)
             impulses = {name: int(impact.impulses[contact][k]) for name, contact, k in named}
+            impulses |= {name: int(impact.blows[k]) for name, k in name_blows(link.impact.blows)}
         conditions = write_conditions(rows, text, link.conditions, before, after, impulses)
         costs = write_costs(rows, link.cost, before, after, impulses)
         extents = (first, rows.rows), (first_variable, rows.variables)

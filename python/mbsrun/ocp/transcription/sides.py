@@ -3,7 +3,7 @@
     end_NAME, start_NAME      a quantity at the end of the phase before, at the start of the phase after
 
 NAME is as in a problem: q_NAME, qd_NAME, u_NAME, x_SENSOR, vx_SENSOR, T. Impulses of an impact are jx_SENSOR to
-jz_SENSOR. Maps read coordinates by their plain names.
+jz_SENSOR, of stops j_JOINT. Maps read coordinates by their plain names.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from mbsgen.expressions import spell
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.ground.functions import Indices
 from mbsrun.ocp.ground.program import Column
+from mbsrun.ocp.problem.phases import Blow
 from mbsrun.ocp.problem.problem import Contact, Form, Problem
 from mbsrun.ocp.transcription.addition import move_part
 from mbsrun.ocp.transcription.layout import at_mesh
@@ -64,6 +65,11 @@ def name_impulses(contacts: Sequence[Contact]) -> list[tuple[str, int, int]]:
         for k, axis in enumerate(contact.axes)
         if name is not None
     ]
+
+
+def name_blows(blows: Sequence[Blow]) -> list[tuple[str, int]]:
+    """Name the impulses of stops, j_JOINT, each with its number."""
+    return [(f"{IMPULSE}_{x}", i) for i, x in enumerate(spell([blow.joint for blow in blows])) if x is not None]
 
 
 def list_plain(manifest: Manifest) -> list[str]:
