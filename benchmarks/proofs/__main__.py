@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
@@ -19,18 +20,18 @@ from benchmarks.proofs.proof import Nonlinear, Point, Proof, System, enclose_cos
 ROOT = Path(__file__).parents[2]
 PROBLEMS = list_cases()
 POINTS = ROOT / "benchmarks" / "results" / "proofs"
+RECORD = POINTS.parent / "proofs.json"  # the rows of the page
 _TEXT = """\
 The discrete problems of models/classics, as `mbsrun solve` writes them, have strict local minima: a zero of their
 conditions of optimality lies in a ball around a stored point, its held bounds have multipliers of one sign, and the
 Hessian is positive where rows and held bounds permit a step. [proof.py](../proofs/proof.py) states the theorem.
-`python -m benchmarks.proofs NAME` proves one again from the point in [proofs/](proofs): in seconds, for the arm in a
-minute or less of processor time.
+`python -m benchmarks.proofs NAME` proves one again from the point in [proofs/](proofs): in seconds, for the arm in
+about a minute of processor time.
 
 `arm` is the task of the [study](../../docs/study/README.md) at three of its targets: the centre of the cylinder, and
 the corners at an azimuth of 90° and a height of -0.1 m or 0.1 m. `plain` is the cost with k2 = 0, `smooth` with
 k2 = 1e5. The last interval is at rest, so its limits hold where limits of the end do, and are dropped
 ([rest.py](../proofs/rest.py)).
-
 
 - unknowns: variables that no bound holds, and multipliers of rows
 - radius: of the ball, in each unknown z by max(1, |z|)
@@ -71,10 +72,25 @@ def main(names: Sequence[str], make: bool) -> None:
         rows.append(row)
         told = row.proof.reason or f"proved, radius {row.proof.radius:.0e}"
         click.echo(f"{name}: {told}; {time.perf_counter() - before:.1f} s")
-    if make and not names:
-        (POINTS.parent / "proofs.md").write_text(write_page(rows), encoding="utf-8")
+    if make:
+        kept = record(rows, RECORD)
+        (POINTS.parent / "proofs.md").write_text(write_page(kept), encoding="utf-8")
     if not make and any(row.proof.reason for row in rows):
         raise click.ClickException("not every stored point is proved")
+
+
+def record(rows: Sequence[Row], path: Path) -> list[Row]:
+    """Replace rows of a file by new ones of their names, and return all rows, in the order of the problems."""
+    kept = {row.name: row for row in read_record(path)} | {row.name: row for row in rows}
+    ordered = [kept[name] for name in PROBLEMS if name in kept]
+    path.write_text(json.dumps([asdict(row) for row in ordered], indent=1) + "\n", encoding="utf-8")
+    return ordered
+
+
+def read_record(path: Path) -> list[Row]:
+    """Read the rows of a file; none where there is no file."""
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    return [Row(**{**row, "proof": Proof(**row["proof"])}) for row in found]
 
 
 def make_row(name: str, path: Path) -> Row:

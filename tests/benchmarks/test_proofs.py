@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from flint import arb
 
-from benchmarks.proofs.__main__ import POINTS, PROBLEMS, Row, check_row, write_page
+from benchmarks.proofs.__main__ import POINTS, PROBLEMS, RECORD, Row, check_row, read_record, record, write_page
 from benchmarks.proofs.intervals import Instructions, UnknownOperationError
 from benchmarks.proofs.programs import drop_implied, find_point
 from benchmarks.proofs.proof import Nonlinear, Point, Proof, Rest, System, enclose_cost, level, prove, settle
@@ -148,6 +149,18 @@ def test_the_page_lists_proofs_and_reasons() -> None:
     assert "1 of 2 problems are proved." in page
     assert "| a b | 10 | 1e-13 | no bounds | 1e-04 | 2.5 | 1e-09 |" in page
     assert "- c: a reason" in page
+
+
+def test_a_new_row_replaces_its_old_one(tmp_path: Path) -> None:
+    """Rows of other problems keep their figures, to the last digit, and infinite ones."""
+    proof = Proof(1e-13, 1 / 3, np.inf, 0.1, 1e-4)
+    old, other = Row("rayleigh", 10, proof, 2.5, 0.125), Row("alp_rider", 3, proof, 1.5, 1e-9)
+    assert record([old, other], tmp_path / "rows.json") == [other, old]
+    assert record([replace(old, cost=3.5)], tmp_path / "rows.json") == [other, replace(old, cost=3.5)]
+
+
+def test_the_page_has_the_recorded_rows() -> None:
+    assert write_page(read_record(RECORD)) == (POINTS.parent / "proofs.md").read_text("utf-8")
 
 
 def test_points_belong_to_problems() -> None:
