@@ -111,5 +111,11 @@ def test_the_order_n_form_overtakes_elimination():
     assert 8 <= crossing <= 16
 
 
+def test_the_page_on_accuracy_has_the_flops_of_a_long_chain():
+    """Most inertia stays in place there, which costs flops."""
+    text = ARM.parents[1].joinpath("docs", "accuracy.md").read_text("utf-8")
+    assert f"a chain of 50 takes {grow('EXP2', [50]).counts[50].paper} flops" in text
+
+
 def test_what_grows_without_a_rule_has_no_degree():
     assert Growth("IMPL", {n: Counts({Op.ADD: 2**n}, n) for n in range(1, 8)}).degree("flops") is None
