@@ -18,7 +18,7 @@ PAGE = ROOT / "docs" / "scenes.md"
 TOLERANCES = (None, 1e-3, 1e-2, 5e-2)  # None: the whole model
 ROBOTS = {"ANYmal, floating": "anymal", "Talos, floating": "talos"}
 SIX_AXIS = ROOT / "models" / "six_axis.yaml"
-TABLE = re.compile(r"^\| \| whole \|.*?(?=\n\n|\n\Z)", re.M | re.S)
+TABLE = re.compile(r"^\| +\| whole \|.*?(?=\n\n|\n\Z)", re.M | re.S)
 
 
 def count_flops(model: Path, folder: Path) -> list[int]:
