@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.models import Extent
+from tests.mbsrun.simulation.extents import choose
 
 Array = NDArray[np.float64]
 
-SIMULATED = Extent(("exp2", "impl", "energy", "power", "frames", "distances", "rates"), derivatives=1)
+SIMULATED = choose("exp2", "impl", "energy", "power", "frames", "distances", "rates")
+SHOWN = Extent(("exp2", "frames", "rates"), 0)  # for arrows
 MASSES, INERTIAS = (2.0, 3.0), (0.02, 0.05)
 SPINNING = [0.9, 0.1, 0, 3.0, -2.0, 5.0, -0.3, 0, 0.05, 1.0, 0.0, -4.0]
 ELASTIC = "exponent: 1"

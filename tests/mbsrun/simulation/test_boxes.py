@@ -12,9 +12,10 @@ from mbsrun.animation import Motion as Shown
 from mbsrun.animation import Part, make_film
 from mbsrun.animation.film import Kind, Layer
 from mbsrun.animation.forces import find_loads
+from mbsrun.models import Extent
 from mbsrun.simulation import Settings, simulate
 from mbsrun.simulation.drive import hold
-from tests.mbsrun.simulation.balls import ELASTIC, MASSES, ROUGH, SIMULATED, SPINNING, momenta, stand
+from tests.mbsrun.simulation.balls import ELASTIC, MASSES, ROUGH, SHOWN, SIMULATED, SPINNING, momenta, stand
 
 CRATE = """\
 name: crate
@@ -30,9 +31,9 @@ contacts:
 """
 
 
-def make(folder: Path, law: str) -> Mechanism:
+def make(folder: Path, law: str, extent: Extent = SIMULATED) -> Mechanism:
     (folder / "crate.yaml").write_text(CRATE.replace("LAW", law))
-    return load(folder / "crate.yaml", extent=SIMULATED)
+    return load(folder / "crate.yaml", extent=extent)
 
 
 def test_a_rough_collision_keeps_momenta_and_loses_the_energy_of_its_work(tmp_path: Path) -> None:
@@ -58,7 +59,7 @@ def test_an_edge_is_a_parameter(tmp_path: Path) -> None:
 
 def test_arrows_are_the_forces_that_the_kernels_compute(tmp_path: Path) -> None:
     """Of a: m v' + om x (m v) in its own axes, at faces, edges and corners, with another edge at run time."""
-    crate, random = make(tmp_path, ROUGH).with_parameters(edge=0.32), np.random.default_rng(2)
+    crate, random = make(tmp_path, ROUGH, SHOWN).with_parameters(edge=0.32), np.random.default_rng(2)
     for _ in range(8):
         direction = random.normal(size=3)
         q = np.array(stand(tuple(0.2 * direction / np.abs(direction).max()), (0, 0, 0)))

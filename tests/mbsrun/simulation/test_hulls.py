@@ -15,7 +15,7 @@ from mbsrun.animation.forces import find_loads
 from mbsrun.models import Extent
 from mbsrun.simulation import Settings, simulate
 from mbsrun.simulation.drive import hold
-from tests.mbsrun.simulation.balls import MASSES, ROUGH, SIMULATED, stand
+from tests.mbsrun.simulation.balls import MASSES, ROUGH, SHOWN, stand
 
 LOG = """\
 name: log
@@ -71,7 +71,7 @@ def test_a_log_rolls_down_a_slope(tmp_path: Path) -> None:
 def test_arrows_are_the_forces_that_the_kernels_compute(side: str, tmp_path: Path) -> None:
     """Of a: m v' + om x (m v) in its own axes, beside a capsule, beyond its ends, and at points, with a new length."""
     text = PAIR.replace("SIDES", SIDES[side]).replace("LAW", ROUGH)
-    pair, random = load(make(tmp_path, text), extent=SIMULATED).with_parameters(long=0.32), np.random.default_rng(2)
+    pair, random = load(make(tmp_path, text), extent=SHOWN).with_parameters(long=0.32), np.random.default_rng(2)
     for _ in range(8):
         way = random.normal(size=3)
         place = 0.13 * way / np.linalg.norm(way) + [0, 0, 0.1 * np.sign(way[2])] if side == "capsule" else 0.05 * way

@@ -16,7 +16,7 @@ from mbsrun.kernel import KernelError
 from mbsrun.models import Extent
 from mbsrun.simulation import Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
-from tests.mbsrun.simulation.balls import ELASTIC, MASSES, ROUGH, SIMULATED, SPINNING, Array, momenta, stand
+from tests.mbsrun.simulation.balls import ELASTIC, MASSES, ROUGH, SHOWN, SIMULATED, SPINNING, Array, momenta, stand
 
 BALLS = """\
 name: balls
@@ -31,9 +31,9 @@ contacts:
 """
 
 
-def make(folder: Path, law: str) -> Mechanism:
+def make(folder: Path, law: str, extent: Extent = SIMULATED) -> Mechanism:
     (folder / "balls.yaml").write_text(BALLS.replace("LAW", law))
-    return load(folder / "balls.yaml", extent=SIMULATED)
+    return load(folder / "balls.yaml", extent=extent)
 
 
 def collide(balls: Mechanism, a: tuple[float, ...], qd: Array, duration: float) -> Motion:
@@ -85,7 +85,7 @@ def test_centres_that_coincide_are_an_error_with_the_name_of_the_contact(tmp_pat
 
 def test_arrows_are_the_forces_that_the_kernels_compute(tmp_path: Path) -> None:
     """Of a: m v' + om x (m v) in its own axes, at states in which the spheres press each other."""
-    balls, random = make(tmp_path, ROUGH), np.random.default_rng(2)
+    balls, random = make(tmp_path, ROUGH, SHOWN), np.random.default_rng(2)
     for _ in range(5):
         direction = random.normal(size=3)
         q = np.array(stand(tuple(0.23 * direction / np.linalg.norm(direction)), (0, 0, 0)))
