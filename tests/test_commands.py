@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 import mbsgen.cli
 import mbsrun.cli
+from mbsgen import families, report
 from mbsgen.equations import FORMATS
+from mbsgen.model.tree import Tree
+from mbsgen.request import Request
 from mbsgen.targets.languages import TARGETS
 from mbsrun.ocp.showing import pictures as solutions
 from mbsrun.simulation import record as simulation
@@ -124,6 +128,28 @@ def control(name: str) -> Iterator[Command]:
     yield Command("mbsrun", way, ("way",), codes=(0, 1), draws=False)
     yield Command("mbsrun", ("sweep", problem, "--minutes", "0"))
     yield Command("mbsrun", ("study", problem, "--minutes", "0", "--workers", "0"))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def write_functions_once() -> Iterator[None]:
+    """Write the functions of a tree, and the ones that a report counts, once for all commands that need the same."""
+    write = families._write_chosen
+
+    @cache
+    def written(tree: Tree, request: Request, staged: bool) -> tuple[list[families.Family], object]:
+        return write(tree, request, lambda _: None, staged=staged)
+
+    def find(
+        tree: Tree, request: Request, tell: Callable[[str], None], *, staged: bool
+    ) -> tuple[list[families.Family], object]:
+        tell("functions")
+        found, ways = written(tree, replace(request, targets=(), count=True, prefix=None), staged)
+        return [*found], ways
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(families, "_write_chosen", find)
+        patch.setattr(report, "write_row", cache(report.write_row))
+        yield
 
 
 @pytest.fixture
