@@ -104,6 +104,7 @@ static mbs_stages_team team = {2, spread, NULL, contexts};
 static mbs_stages_problem problem;
 static mbs_stages *s;
 static void *memory;
+static real *curvatures[STAGES];
 
 /* A solver with scales of rows and of the cost, and, where `has_units`, of variables. */
 static void anew(int is_sparse, int has_units, int has_team)
@@ -123,6 +124,11 @@ static void anew(int is_sparse, int has_units, int has_team)
     free(memory);
     memory = malloc(mbs_stages_bytes(&problem));
     s = mbs_stages_create(&problem, memory, mbs_stages_bytes(&problem));
+    for (i = 0; i < STAGES; ++i) { /* beyond whose ends nobody reads */
+        mbs_stages_matrix *H = &s->recursion.stage[i].H;
+        free(curvatures[i]);
+        H->value = curvatures[i] = calloc((size_t)H->count, sizeof *H->value);
+    }
     for (i = 0; i < ALL; ++i)
         s->variable_scale[i] = has_units ? units[i] : 1;
     for (i = 0; i < ROWS; ++i)
