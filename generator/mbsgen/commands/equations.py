@@ -53,7 +53,7 @@ _READABLE = 600  # terms of whole equations, beyond which lines are shorter
     "outputs",
     type=click.Path(path_type=Path),
     multiple=True,
-    help="A file to write; else stdout. Several are written with one call.",
+    help="A file to write; else stdout. May be given several times.",
 )
 @importing
 def equations_command(
@@ -62,7 +62,7 @@ def equations_command(
     """Print the equations of motion of MODEL.
 
     They are M(q) qdd + c(q, qd) + G(q) = Q. Products of sines and cosines are written as sums, so the form is unique,
-    and zeros are not there. Loops add h(q) = 0 and its Jacobian J, frames their places. Mechanisms of many joints are
+    and no term is 0. Loops add h(q) = 0 and its Jacobian J; frames add their positions. Mechanisms of many joints are
     written line by line, as the recursion that is generated.
     """
     if language is not None and len(outputs) > 1:
