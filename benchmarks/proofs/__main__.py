@@ -28,16 +28,17 @@ Hessian is positive where rows and held bounds permit a step. [proof.py](../proo
 `python -m benchmarks.proofs NAME` proves one again from the point in [proofs/](proofs): in seconds, for the arm in
 about a minute of processor time.
 
-`arm` is the task of the [study](../../docs/study/README.md) at three of its targets: the centre of the cylinder, and
-the corners at an azimuth of 90° and a height of -0.1 m or 0.1 m. `plain` is the cost with k2 = 0, `smooth` with
+`arm` is the task of the [study](../../docs/study/README.md): at the centre of the cylinder, or at the corner with an
+azimuth of 90° and a height of -0.1 m (lower) or 0.1 m (upper). It is the minimum that `mbsrun solve` finds from its
+guess; without smoothing, the study lists lower ones. `plain` is the cost with k2 = 0, `smooth` with
 k2 = 1e5. The last interval is at rest, so its limits hold where limits of the end do, and are dropped
 ([rest.py](../proofs/rest.py)).
 
 - unknowns: variables that no bound holds, and multipliers of rows
 - radius: of the ball, in each unknown z by max(1, |z|)
 - multiplier: the least of a held bound; costs are divided by their largest weight
-- curvature: a lower bound of the eigenvalues of H + w A'A, whose diagonal is scaled to nearly 1; for the arm, of d'Hd
-  for all d of length 1 that the rows permit
+- curvature: a lower bound of the eigenvalues of H + w A'A, whose diagonal is scaled to nearly 1; where rounding
+  hides them, as at the arm's bounds, of d'Hd for all d of length 1 that the rows permit
 - mbs above: by how much the cost of `mbs` at its default tolerance is above the enclosed optimum, relative; negative
   where `mbs` ends at another minimum, or beyond its constraints by their tolerance
 """
