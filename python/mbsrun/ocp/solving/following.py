@@ -156,7 +156,7 @@ class _Run:
         for name, found, stated in self.list_modes(part, motion):
             if found != stated:
                 own = f" of phase {self.names[part.phase]}" if self.names[part.phase] else ""
-                return f"{name} is {found} at {part.end - where:.6g} s{own}, which states {stated}"
+                return f"{name} has mode {found} at {part.end - where:.6g} s{own}, which states {stated}"
         return ""
 
     def changes_nothing(self, part: _Part, event: Event) -> bool:

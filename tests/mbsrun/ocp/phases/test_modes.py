@@ -175,7 +175,7 @@ def test_a_motion_that_friction_would_hold_is_told(tmp_path: Path) -> None:
     """The inputs exceed the friction of sliding, and not the one at rest: the simulation sticks."""
     solution, _ = solve(write(tmp_path, STUCK, SLIDING))
     (followed,) = solution.followed
-    assert followed.finding == "block is stick at 0.5 s of phase slide, which states forward"
+    assert followed.finding == "block has mode stick at 0.5 s of phase slide, which states forward"
     assert followed.error is None
 
 
