@@ -12,6 +12,7 @@ from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from mbsgen import style
 from mbsgen.manifest import Manifest
 from mbsrun.ocp.showing.pictures import draw_mechanism, plot_trajectories
 from mbsrun.ocp.solution.solution import Solution
@@ -32,7 +33,7 @@ Picture = Callable[[Solution, Peer, Path], None]
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """The figures that are drawn, kept from being written."""
     kept: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
+    monkeypatch.setattr(style, "_save_pixels", lambda figure, *_: kept.append(figure))
     return kept
 
 
