@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cffi
 import numpy as np
 import pytest
 
@@ -189,7 +190,8 @@ def test_newton_steps_until_the_last_state_has_its_solution(tmp_path: Path) -> N
     loop, several = kernels.choose_loop("project", 100)
     assert several is not None
     width, rng = loop.width, np.random.default_rng(6)
-    memory, arg, res = [], several.ffi.new("void *[]", entry.n_in), several.ffi.new("void *[]", entry.n_out)
+    ffi = cffi.FFI()
+    memory, arg, res = [], ffi.new("void *[]", entry.n_in), ffi.new("void *[]", entry.n_out)
     q = np.array(kernels.manifest.pose) + rng.normal(size=(width, 1)) * np.linspace(0, 0.1, width)[:, None]
     for port, pointers in [*((p, arg) for p in entry.inputs), *((p, res) for p in entry.outputs)]:
         numbers = np.zeros(port.argument.nnz * width + 16)
@@ -198,8 +200,9 @@ def test_newton_steps_until_the_last_state_has_its_solution(tmp_path: Path) -> N
         if port.argument.role is Role.COORDINATE and pointers is arg:
             lanes[:] = q.T
         memory.append((port, lanes))
-        pointers[port.position] = several.ffi.cast("void *", lanes.ctypes.data)
-    assert several.function(arg, res, several.ffi.NULL, several.ffi.NULL, 0) == 0
+        pointers[port.position] = ffi.cast("void *", lanes.ctypes.data)
+    function = ffi.cast("int (*)(void **, void **, long long *, double *, int)", several.function)
+    assert function(arg, res, ffi.NULL, ffi.NULL, 0) == 0
     expected, status = kernels.attempt("project", q=q, qd=np.zeros_like(q))
     assert not status.any()
     for port, lanes in memory[len(entry.inputs) :]:

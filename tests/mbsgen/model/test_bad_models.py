@@ -478,7 +478,7 @@ BAD_PARTS: dict[str, tuple[str, str, int, str, str]] = {
         "bodies[2].joint[1].force",
         "no meaning",
     ),
-    "a broken power in a force": ("-k*q**3", "-k*q**0.3", 22, "bodies[2].joint[1].force", "exponent"),
+    "a broken power in a force": ("-k*q**3", "-k*q**0.3", 22, "bodies[2].joint[1].force", "neither whole nor"),
     "a root of a root in a force": ("-k*q**3", "sqrt(sqrt(q))", 22, "bodies[2].joint[1].force", "neither whole nor"),
     "a force that has no value": ("-k*q**3", "q/(k - 50)", 22, "bodies[2].joint[1].force", "has no value"),
     "an infinite force": ("-k*q**3", ".inf", 22, "bodies[2].joint[1].force", "found inf"),

@@ -36,7 +36,7 @@ from mbsrun.models import Extent
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.guess import make_guess
-from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Problem, Symbolic, Unknown
+from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Problem, Symbolic
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import Solver
 from mbsrun.ocp.statement.checks import ProblemError
@@ -526,10 +526,6 @@ REFUSED: Mapping[str, tuple[Callable[[Problem], Problem], str]] = {
             problem, bounds=replace(problem.bounds, rates=((-1.0, 1.0),)), horizon_range=(0.5, 2.0)
         ),
         "bounds.input_rates: a controller remembers the inputs that it gave a period before",
-    ),
-    "unknowns": (
-        lambda problem: replace(problem, unknowns=(Unknown("place"),)),
-        "unknowns: a controller chooses inputs alone",
     ),
     "functions": (
         lambda problem: replace(problem, functions=(Symbolic("drag", (), "drag"),)),
