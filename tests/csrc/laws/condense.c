@@ -13,16 +13,9 @@ static const kkt_shape *const shapes[] = {&sparse_stages, &full_stages, &inner_a
 
 static void vary(int turn)
 {
-    mbs_stages_recursion *r = &kkt->recursion;
-    int k, i;
-    for (k = 0; k < shape.stages; ++k) {
-        const mbs_stages_stage *t = &r->stage[k];
-        for (i = t->inner.n; i < t->ne; ++i)
-            r->compliance[t->e + i] = (i + k + turn) % 2 ? (real)(2 + k) / 4 : 0;
-        for (i = 0; i < t->ng; ++i)
-            r->compliance[t->g + i] = (i + k + turn) % 2 ? 0 : (real)(3 + i) / 4;
-        r->stage[k].curvature = (k + turn) % 3 == 2 ? 0 : (real)(1 + k % 2) / 2;
-    }
+    int k;
+    for (k = 0; k < shape.stages; ++k)
+        vary_stage(k, turn);
 }
 
 static void solve_all(void)

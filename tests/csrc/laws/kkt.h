@@ -2,9 +2,8 @@
  *
  *     (H + diagonal + curvature) dw + JT dy = -rw,   J dw - compliance dy = -rc,   dw = 0 where fixed.
  *
- * Matrices are kept apart, as all their entries; of the dense Hessians that the recursion reads,
-     the upper triangle is no
- * number. */
+ * Matrices are kept apart, as all their entries; of the dense Hessians that the recursion reads, the upper triangle is
+ * no number. */
 #ifndef KKT_H
 #define KKT_H
 
@@ -15,8 +14,8 @@
 #include <stdlib.h>
 
 enum { KINDS = 3, STAGES = 12, MOST = 26, ALL = STAGES * MOST * 2, WORKERS = 3 };
-enum { DENSE, SPARSE, APART }; /* APART: sparse, no inner equation reads the first 5 states,
-    no inner variable is curved */
+/* APART: sparse, no inner equation reads the first 5 states, no inner variable is curved */
+enum { DENSE, SPARSE, APART };
 
 /* A kind of stages. The first `inner` rows of e give as many of the first v. */
 typedef struct {
@@ -88,6 +87,19 @@ static int kkt_rows(int k, int which)
 {
     const mbs_stages_size *z = &sizes[k];
     return which == 0 ? z->ne : which == 1 ? kkt_next(k) : which == 2 ? z->ng : z->nx + z->nv;
+}
+
+/* Let some rows of a stage that are not inner ones give, and some stages have curvature, by turns. */
+static void vary_stage(int k, int turn)
+{
+    mbs_stages_recursion *r = &kkt->recursion;
+    mbs_stages_stage *t = &r->stage[k];
+    int i;
+    for (i = t->inner.n; i < t->ne; ++i)
+        r->compliance[t->e + i] = (i + k + turn) % 2 ? (real)(2 + k) / 4 : 0;
+    for (i = 0; i < t->ng; ++i)
+        r->compliance[t->g + i] = (i + k + turn) % 2 ? 0 : (real)(3 + i) / 4;
+    t->curvature = (k + turn) % 3 == 2 ? 0 : (real)(1 + k % 2) / 2;
 }
 
 static int is_inner_of(const mbs_stages_size *z, int i)

@@ -16,24 +16,22 @@ static const kkt_shape one_state = {{{1, 5, 2, 1, 1, DENSE}, {1, 4, 1, 1, 0, SPA
 static const kkt_shape tight_stages = {{{4, 1, 1, 1, 0, DENSE}, {4, 1, 2, 1, 0, DENSE}, {0}}, 2, {0, 1}};
 static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states, &one_state};
 
-/* Let some rows that are not inner ones give, and fix some variables: inner ones too, and first states. */
+/* Vary all stages, let dynamics give where they may, and fix some variables: inner ones too, and first states. */
 static void vary(int turn)
 {
     mbs_stages_recursion *r = &kkt->recursion;
     int k, i;
     for (k = 0; k < shape.stages; ++k) {
         const mbs_stages_stage *t = &r->stage[k];
-        for (i = t->inner.n; i < t->ne; ++i)
-            r->compliance[t->e + i] = (i + k + turn) % 2 ? (real)(2 + k) / 4 : 0;
-        for (i = 0; i < t->ng; ++i)
-            r->compliance[t->g + i] = (i + k + turn) % 2 ? 0 : (real)(3 + i) / 4;
+        vary_stage(k, turn);
         for (i = 0; i < t->next; ++i)
             r->compliance[t->d + i] = r->soft_dynamics ? (real)(1 + i) / 8 : 0;
-        r->stage[k].curvature = (k + turn) % 3 == 2 ? 0 : (real)(1 + k % 2) / 2;
-        for (i = 0; i < t->n; ++i)
-            kkt->fixed[t->w + i] = (char)((k == 0 && i < t->nx && turn % 2) || ((k + turn) % 3 == 1 && i == t->nx +
-                turn % t->nv) ||
-                                          ((k + turn) % 3 == 2 && i == 0 && r->soft_dynamics));
+        for (i = 0; i < t->n; ++i) {
+            const int is_first = k == 0 && i < t->nx && turn % 2;
+            const int is_chosen = (k + turn) % 3 == 1 && i == t->nx + turn % t->nv;
+            const int is_soft = (k + turn) % 3 == 2 && i == 0 && r->soft_dynamics;
+            kkt->fixed[t->w + i] = (char)(is_first || is_chosen || is_soft);
+        }
     }
 }
 

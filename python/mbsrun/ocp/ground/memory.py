@@ -23,9 +23,8 @@ class Memory(Generic[T]):
     def find(self, find: Callable[[], T], *objects: object) -> T:
         """Return the result for some objects; find it where it is not known. An exception is not remembered."""
         key = tuple(map(id, objects))
-        references, result = self._known.get(key, ((), None))
-        if references and all(own() is other for own, other in zip(references, objects, strict=True)):
-            return result  # type: ignore[return-value]  # it is None without references alone
+        if self.knows(*objects):
+            return self._known[key][1]
         found = find()
         first = weakref.ref(objects[0], lambda _: self._known.pop(key, None))
         self._known[key] = ((first, *map(weakref.ref, objects[1:])), found)

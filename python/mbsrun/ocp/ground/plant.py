@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Kernel, Manifest
-from mbsrun.kernel import Kernels
 
 if TYPE_CHECKING:
     import casadi as ca
+
+    from mbsrun.kernel import Kernels
 
 
 class Plant(Protocol):
