@@ -84,7 +84,7 @@ class _Brackets:
     def take(self, places: Sequence[_Place], fewest: int) -> int:
         """Take a bracket out of sums, once of each, if this leaves fewer operations; return how many these are."""
         chosen = {value: (i, j) for value, i, j in reversed(places)}
-        count = self.draft.attempt(chosen, partial(self._write_chosen, chosen))
+        count = self.draft.attempt(chosen, partial(self._write_chosen, chosen), fewest)
         if count is None:
             return self._take_wholly(places, fewest)
         if count < fewest:
@@ -176,16 +176,31 @@ class _Brackets:
         if len(terms) > MOST_TERMS:
             return
         self.sums[value] = terms
-        products, found = [self._take_apart(x) for x, _ in terms], self.found.setdefault(value, [])
-        for i, j in combinations(range(len(terms)), 2):
-            for bracket in self._find_bracket(products[i], products[j], terms[i][1] * terms[j][1]):
-                places = self.places.setdefault(bracket, {})
-                if value not in places:
-                    places[value] = []
-                    found.append(bracket)
-                    if len(places) == 2:
-                        self.shared.add(bracket)
+        found, everywhere = self.found.setdefault(value, []), self.places
+        for bracket, i, j in self._find_brackets(terms):
+            places = everywhere.setdefault(bracket, {})
+            if value in places:
                 places[value].append((value, i, j))
+            else:
+                places[value] = [(value, i, j)]
+                found.append(bracket)
+                if len(places) == 2:
+                    self.shared.add(bracket)
+
+    def _find_brackets(self, terms: Sequence[tuple[int, int]]) -> Iterator[tuple[_Bracket, int, int]]:
+        """Find the rests of each two products without their common factors, at least a factor each; and the two."""
+        products, is_constant = [self._take_apart(x) for x, _ in terms], self.draft.is_constant
+        are_constant = [all(map(is_constant.__getitem__, product)) for product in products]
+        for i, j in combinations(range(len(terms)), 2):
+            rest, left = products[i], products[j]
+            if set(rest).isdisjoint(left):
+                is_fixed = are_constant[i] and are_constant[j]
+            else:
+                rest, left = _subtract(rest, left), _subtract(left, rest)
+                is_fixed = not rest or not left or all(map(is_constant.__getitem__, (*rest, *left)))
+            if not is_fixed:
+                sign = terms[i][1] * terms[j][1]
+                yield ((rest, left, sign) if rest <= left else (left, rest, sign)), i, j
 
     def _list_terms(self, value: int) -> list[tuple[int, int]]:
         """List the terms of a whole sum with their signs, from left to right."""
@@ -218,12 +233,6 @@ class _Brackets:
             else:
                 factors.append(place)
         return factors
-
-    def _find_bracket(self, one: _Product, other: _Product, sign: int) -> Iterator[_Bracket]:
-        """Find the rest of two products without their common factors; at least a factor each."""
-        rest, left = _subtract(one, other), _subtract(other, one)
-        if rest and left and not all(self.draft.is_constant[x] for x in (*rest, *left)):
-            yield (rest, left, sign) if rest <= left else (left, rest, sign)
 
     # -- a sum that is written anew -------------------------------------------------------------------------------
 

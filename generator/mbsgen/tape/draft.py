@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from math import inf
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from mpmath import mpf
 
@@ -126,12 +126,15 @@ class Draft(Arithmetic):
 
     def _count_all(self) -> None:
         counts, users = self._counts, self.users
-        for number, (_, *operands) in self.operations.items():
-            for x in map(abs, operands):
-                if x:
+        for number, (_, a, b) in self.operations.items():
+            for operand in (a, b) if b else (a,):
+                if x := abs(operand):
                     counts[x] = counts.get(x, 0) + 1
-                    own = users.setdefault(x, {})
-                    own[number] = own.get(number, 0) + 1
+                    own = users.get(x)
+                    if own is None:
+                        users[x] = {number: 1}
+                    else:
+                        own[number] = own.get(number, 0) + 1
         for k, ref in self._roots.items():
             counts[abs(ref)] = counts.get(abs(ref), 0) + 1
             self._root_uses.setdefault(abs(ref), set()).add(k)
@@ -175,10 +178,11 @@ class Draft(Arithmetic):
 
     # -- a change -----------------------------------------------------------------------------------------------
 
-    def attempt(self, chosen: Collection[int], write: Write) -> int | None:
+    def attempt(self, chosen: Collection[int], write: Write, fewest: float = inf) -> int | None:
         """Write some values anew; return the number of operations that are not on constants alone.
 
-        Then `accept` or `undo` has to follow. Returns None, with nothing changed, where a draft does not follow.
+        A number that is not below `fewest` is a lower bound, and `undo` has to follow; otherwise `accept` or `undo`.
+        Returns None, with nothing changed, where a draft does not follow.
         """
         if self._is_settled is None:
             self._is_settled = self._settle()
@@ -197,12 +201,14 @@ class Draft(Arithmetic):
         self._touched: set[int] = set()
         try:
             self._spread(chosen, write)
-            self._named = self._name_again(self._carried)
             self._recount()
-            self._store_signs()
         except _FurtherError:
             self.undo()
             return None
+        if self._varying >= fewest:  # changes of signs would be more
+            return self._varying
+        self._named = self._name_again(self._carried)
+        self._store_signs()
         return self._varying + self._count_signs()
 
     def _carry_labels(self) -> list[tuple[Ref, str]]:
@@ -348,6 +354,8 @@ class Draft(Arithmetic):
             if known <= self._here:
                 return known
             self._unlink(known)
+        if not self._is_settled:
+            return self._store_first(key, base)
         op, a, b = key
         if self._fresh and op in _SUMS and not self._fresh.isdisjoint((abs(a), abs(b))):
             raise _FurtherError  # a tape lists its literals first, so that this sum would be in another order
@@ -360,6 +368,16 @@ class Draft(Arithmetic):
         self._set(self.is_constant, number, self.is_constant[abs(a)] and (not b or self.is_constant[abs(b)]))
         self._made.add(number)
         self._made_here.append(number)
+        return number
+
+    def _store_first(self, key: Key, base: int) -> int:
+        """Write the node of a value of the tape."""
+        number = self._slot
+        if number in self._made:
+            raise _FurtherError
+        self._nodes[number], self._places[key] = key, number
+        self._bases[number] = number if base == OWN else base
+        self._made.add(number)
         return number
 
     def _take_room(self) -> int:
@@ -469,7 +487,10 @@ class Draft(Arithmetic):
 
     def _count_node_uses(self, number: int) -> int:
         """Count the uses of a node as a builder does: by guards only where no output needs it."""
-        count, tests = self._counts.get(number, 0), self._count_tests(number)
+        count = self._counts.get(number, 0)
+        if number not in self._root_uses:
+            return count
+        tests = self._count_tests(number)
         return count - tests if tests and self._is_shown(number) else count
 
     def _count_tests(self, number: int) -> int:
@@ -578,14 +599,14 @@ class Draft(Arithmetic):
             refs[number] = number if self._nodes[abs(number)] != 0 else 0
         for number, (op, a, b) in self.operations.items():
             self._slot = self._here = number
-            self._made_here = []
             ref = refs[number] = self.operate(op, refs[a], refs[b])
             if abs(ref) != (a if op is Op.NEG else number):
                 break
         else:
             before = {name: self.__dict__[name] for name in _FOLLOWED}
             self._follow(refs)
-            if self._write_whole() == replace(self.tape, labels={}) and not self._repeats_tests():
+            is_whole = all(map(self._counts.get, self._order))
+            if is_whole and self._write_whole() == replace(self.tape, labels={}) and not self._repeats_tests():
                 return True
             self.__dict__.update(before)
         return False
@@ -623,17 +644,18 @@ class Draft(Arithmetic):
     def _write_whole(self, labels: Mapping[int, str] | None = None) -> Tape:
         """Write the tape by its nodes."""
         tape = self.tape
-        nodes: list[Key | mpf | None] = [None]
-        places = {0: 0}
-        for number in (*(x for x in self._nodes if self._nodes[x] is None), *self._literals.values(), *self._order):
-            places[number] = len(nodes)
-            key = self._nodes[number]
-            if isinstance(key, tuple):
-                op, a, b = key
-                key = op, _turn_to(places, a), _turn_to(places, b)
-            nodes.append(key)
-        bases = [OWN, *(0 if self.is_literal(number) else place for number, place in [*places.items()][1:])]
-        refs = [_turn_to(places, ref) for ref in self._roots.values()]
+        leaves = [*(x for x, key in self._nodes.items() if key is None), *self._literals.values()]
+        nodes: list[Key | mpf | None] = [None, *map(self._nodes.__getitem__, leaves)]
+        places = {0: 0} | {number: place for place, number in enumerate(leaves, 1)}
+        places |= {-number: -place for number, place in places.items()}
+        for place, number in enumerate(self._order, len(nodes)):
+            places[number], places[-number] = place, -place
+            op, a, b = cast("Key", self._nodes[number])
+            nodes.append((op, places[a], places[b]))
+        literals = len(leaves) - len(self._literals) + 1
+        bases = [*range(literals), *(0 for _ in self._literals), *range(len(leaves) + 1, len(nodes))]
+        bases[0] = OWN
+        refs = [places[ref] for ref in self._roots.values()]
         results, first = [], 0
         for o in tape.outputs:
             results.append(Result(o.port, o.sparsity, tuple(refs[first : first + len(o.values)])))
@@ -644,7 +666,8 @@ class Draft(Arithmetic):
             first += i.sparsity.nnz
         tests = [Test(refs[k], refs[k + 1], g.tolerance, g.joint, g.early) for k, g in self._list_tests()]
         named = {places[number]: text for number, text in sorted((labels or {}).items())}
-        return Writer(nodes, bases, inputs, results, tests, named).tape(tape.function)
+        turned = {places[number] for number in self._turned}
+        return Writer(nodes, bases, inputs, results, tests, named, turned).tape(tape.function)
 
     def write(self, chosen: Collection[int], write: Write) -> Tape:
         """Write the whole tape again, with some values anew."""
@@ -670,10 +693,6 @@ class Draft(Arithmetic):
 
 
 _MISSING: Any = object()
-
-
-def _turn_to(places: Mapping[int, int], ref: Ref) -> Ref:
-    return places[ref] if ref >= 0 else -places[-ref]
 
 
 def _list_roots(tape: Tape) -> Iterator[int]:

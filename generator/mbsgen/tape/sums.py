@@ -193,13 +193,17 @@ class _Sums:
 
     def _order(self) -> bool:
         """Sort the terms of each sum and product by the clock at which they are ready, where this ends it earlier."""
-        tape, has_sorted = self.tape, False
+        tape, has_sorted, find, nothing = self.tape, False, self._by_operation.get, dict[int, list[_Term]]()
         ready = dict.fromkeys(range(tape.first_operation), 0)
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            terms = self._find_terms(value, op)
+            terms = find(op, nothing).get(value)
             if terms is None:
                 began = max(ready[a], ready[b] if b >= 0 else 0)
                 ready[value] = 0 if self.is_constant[value] else began + CLOCKS.get(op, CLOCKS_OF_FUNCTION)
+                continue
+            if len(terms) == 2:  # their order changes nothing
+                (x, _), (y, _) = terms
+                ready[value] = max(self._find_clock(ready, x), self._find_clock(ready, y)) + CLOCKS[op]
                 continue
             clocks, step = {x: self._find_clock(ready, x) for x, _ in terms}, CLOCKS[op]
             by_time = sorted(terms, key=lambda term: clocks[term[0]])
@@ -219,9 +223,9 @@ class _Sums:
 
     # -- the new tape -------------------------------------------------------------------------------------------
 
-    def _find_terms(self, value: int, op: Op) -> list[_Term] | None:
-        kind = _KINDS.get(op)
-        return self.wholes[kind].get(value) if kind else None
+    @property
+    def _by_operation(self) -> Mapping[Op, Mapping[int, list[_Term]]]:
+        return {op: self.wholes[kind] for op, kind in _KINDS.items()}
 
     def write_ways(self, *, order: bool) -> Rewritten:
         """Write the tape with terms as they stand, and, if asked for, as they are ready."""
@@ -230,10 +234,10 @@ class _Sums:
 
     def _write(self) -> Tape:
         """Write the tape with its sums and products as they are now."""
-        tape, builder = self.tape, Builder()
+        tape, builder, find, nothing = self.tape, Builder(), self._by_operation.get, dict[int, list[_Term]]()
         refs = dict(enumerate(x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))))
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            terms = self._find_terms(value, op)
+            terms = find(op, nothing).get(value)
             if terms is not None:
                 refs[value] = self._combine(builder, refs, _KINDS[op], terms)
             elif value not in self.inner:
@@ -251,6 +255,10 @@ class _Sums:
     def _combine(self, builder: Builder, refs: dict[int, Ref], kind: Op, terms: Sequence[_Term]) -> Ref:
         """Write a sum or product; several constants become one, the first factor or the last term."""
         operate, is_constant = builder.add if kind is Op.ADD else builder.mul, self.is_constant
+        if len(terms) == 2:
+            (x, r), (y, s) = terms
+            if x in refs and y in refs:
+                return operate(r * refs[x], s * refs[y])
         fixed = [self._refer(operate, refs, term) for term in terms if is_constant[term[0]]]
         if len(fixed) < 2:
             return reduce(operate, map(partial(self._refer, operate, refs), terms))  # a pair where its turn comes

@@ -57,13 +57,14 @@ class Writer:
         results: Sequence[Result],
         tests: Sequence[Test],
         labels: dict[int, str],
+        turned: Set[int] | None = None,
     ) -> None:
+        """Take nodes; with `turned`, the nodes to be stored with the other sign, results or tests need all of them."""
         self._nodes, self._inputs, self._results, self._labels = nodes, inputs, results, labels
         self._tests = tests
         self._is_literal = [base == 0 for base in bases]
-        self._uses = self._count_uses()
-        wanted = {ref for result in results for ref in result.refs}
-        self._turned = choose_turned(wanted, nodes, self._uses.__getitem__, self._is_literal.__getitem__)
+        self._uses = self._count_uses() if turned is None else [1] * len(nodes)
+        self._turned = self._choose_turned() if turned is None else turned
         self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
         self._literals: dict[Ref, None] = {}  # in the order of their first use
         self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
@@ -104,6 +105,10 @@ class Writer:
         )
 
     # -- which nodes are needed, and which are turned round ---------------------------------------------------
+
+    def _choose_turned(self) -> set[int]:
+        wanted = {ref for result in self._results for ref in result.refs}
+        return choose_turned(wanted, self._nodes, self._uses.__getitem__, self._is_literal.__getitem__)
 
     def _count_uses(self) -> list[int]:
         """Count the uses of each node, 0 for one that is not needed; a guard takes a value with either sign."""
@@ -205,12 +210,18 @@ def choose_turned(
     def turn(node: int) -> bool:
         """Try to compute `node` with the other sign at no cost, through operands without other uses."""
         key = nodes[node]
-        if not isinstance(key, tuple) or node in turned or key[0] not in _TURNABLE:
+        if key.__class__ is not tuple or node in turned:
             return False
         op, a, b = key
-        free = op is Op.SUB or (op in (Op.MUL, Op.DIV) and (is_literal(a) or is_literal(b)))
-        operands = (a, b)[: op.arity]
-        if free or any(count(abs(x)) == 1 and turn(x) for x in operands):
+        if op is Op.MUL or op is Op.DIV:
+            is_free = is_literal(a) or is_literal(b)
+        elif op is Op.SUB:
+            is_free = True
+        elif op in _TURNABLE:
+            is_free = False
+        else:
+            return False
+        if is_free or (count(abs(a)) == 1 and turn(a)) or (b and count(abs(b)) == 1 and turn(b)):
             turned.add(node)
             return True
         return False

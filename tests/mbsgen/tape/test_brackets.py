@@ -71,8 +71,8 @@ def test_every_change_of_a_tape_that_a_builder_writes_again_as_it_is_is_made_in_
     """Except for sums with a literal that is new in the tape, which few changes write."""
     attempt, followed = Draft.attempt, list[bool]()
 
-    def follow(draft: Draft, chosen: Collection[int], write: Write) -> int | None:
-        count = attempt(draft, chosen, write)
+    def follow(draft: Draft, chosen: Collection[int], write: Write, fewest: float) -> int | None:
+        count = attempt(draft, chosen, write, fewest)
         followed.append(count is not None)
         return count
 
