@@ -46,7 +46,7 @@ class Options:
     compare: bool = False  # also count the formulations without each reduction, and all ways of writing derivatives
     functions: tuple[str, ...] | None = None  # of the catalogue; None: the scene's
     optional: tuple[str, ...] = ()  # beside these, the ones of the catalogue that the model has
-    values: tuple[str, ...] = ()  # the ones that are written without derivatives
+    values: tuple[str, ...] = ()  # the ones among these that are written without derivatives
     derivatives: int = 2  # the highest order; the scene may lower it
     scene: Path | Scene = EVERYTHING  # the part of the model to generate
     tolerance: float | None = None  # allowed relative error; None: the scene's
@@ -111,7 +111,7 @@ def merge(options: Options, scene: Scene) -> Request:
     if tolerance and options.runtime:
         finding = "with every number a run-time parameter, no value decides what can be left out"
         raise OptionError(f"tolerance: {finding}; leave one of the options out")
-    named = (*(options.functions or ()), *options.optional)
+    named = (*(options.functions or options.values), *options.optional)
     if strange := [name for name in options.values if name not in named]:
         raise OptionError(f"values: {', '.join(strange)} is not among the functions; name it there too")
     return Request(

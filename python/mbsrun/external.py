@@ -45,10 +45,10 @@ class Mechanism(Kernels):
         """Read the folder's manifest. `parameters` replace the model's values; the origin is the model's file."""
         super().__init__(folder, parameters)
         self._origin = origin
-        self._more: dict[str, Mechanism] = {}  # functions on request, which were generated since
+        self._more: dict[str, Mechanism] = {}  # functions and derivatives that were generated since
 
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
-        """Call a kernel, as `Kernels.__call__` does; functions on request are generated at their first call."""
+        """Call a kernel, as `Kernels.__call__` does; what is not there yet is generated at its first call."""
         more = self._find_more(name)
         return super().__call__(name, sparse=sparse, **inputs) if more is None else more(name, sparse=sparse, **inputs)
 
@@ -83,16 +83,24 @@ class Mechanism(Kernels):
             return document(self, self.describe(name))
         return super().__getattr__(name)
 
-    def _find_more(self, name: str) -> Mechanism | None:
-        """Return the kernels of a function on request that this folder lacks; of a model file, they are generated."""
-        if name in self._binder.kernels or self._origin is None:
+    def _find_more(self, name: str, *, derived: bool = False) -> Mechanism | None:
+        """Return the kernels that hold a function which this folder lacks; of a model file, they are generated.
+
+        These are functions on request, and derivatives of functions that were written without; `derived` asks for the
+        function with its derivatives.
+        """
+        if self._origin is None:
             return None
-        base = split_kernel(name)[0]
-        if base not in ON_REQUEST:
+        base, extent = split_kernel(name)[0], self._origin.extent
+        known = self._binder.kernels.get(base)
+        base = base if known is None else known.base  # of a name for the quickest form
+        is_bare = known is not None and base in extent.values
+        if (name in self._binder.kernels and not (is_bare and derived)) or not (is_bare or base in ON_REQUEST):
             return None
         if base not in self._more:
-            extent = replace(self._origin.extent, functions=(base,), derivatives=2, optional=(), values=())
-            self._more[base] = Mechanism(find_folder(self._origin.path, extent))
+            order = extent.derivatives if is_bare else 2
+            alone = replace(extent, functions=(base,), derivatives=order, optional=(), values=())
+            self._more[base] = Mechanism(find_folder(self._origin.path, alone))
         found = self._more[base]
         return found.with_parameters(**self.parameters) if self.parameters else found
 
@@ -121,7 +129,7 @@ class Mechanism(Kernels):
         derivative; it can be mapped, also over threads. A serialised function holds the library's path. Raises
         ArgumentError for an unknown kernel, and for kernels of acados, whose integers are not CasADi's.
         """
-        more = self._find_more(name)
+        more = self._find_more(name, derived=True)
         if more is not None:
             return more.casadi(name, design=design)
         kernel = self._binder.describe(name)  # a name that only libm knows would be found there
@@ -145,7 +153,7 @@ class Mechanism(Kernels):
 
     def find_family(self, name: str) -> Mechanism:
         """Return the kernels that hold a function with all of its derivatives."""
-        more = self._find_more(name)
+        more = self._find_more(name, derived=True)
         self.describe(name)
         return self if more is None else more
 

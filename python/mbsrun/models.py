@@ -43,7 +43,8 @@ class Extent:
 
 
 WHOLE = Extent()
-INTEGRATED = Extent(derivatives=1)  # simulations need no second derivatives, which take longest to write
+# Simulations need no second derivatives, and no derivatives of accelerations, which take longest to write.
+INTEGRATED = Extent(derivatives=1, values=("exp1", "exp2"))
 
 
 def is_model(path: Path) -> bool:

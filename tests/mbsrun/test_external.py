@@ -21,6 +21,7 @@ from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.external import load_on_demand
 from mbsrun.kernel import ArgumentError
+from mbsrun.models import INTEGRATED
 from tests.mbsgen.targets.guarded import guarded_tape
 from tests.mbsrun.sample_inputs import EPS, ROUNDING, draw, hidden
 from tests.sample import PARAMETERS, family, sample_families, sample_tape, write_sample
@@ -466,3 +467,19 @@ def test_functions_are_generated_when_they_are_asked_for(model: Path) -> None:
     assert len(kept(model)) == 3
     with pytest.raises(MbsError, match="nonsense"):
         swing("jac_nonsense", **state)
+
+
+def test_simulations_generate_derivatives_of_accelerations_where_these_are_called(model: Path) -> None:
+    """With gravity along -z: qdd = (u - 9.81 sin(q)) / 0.6, which moves by -9.81 cos(q) / 0.6 with q."""
+    swing = load(model, extent=INTEGRATED)
+    state = {"q": [0.3], "qd": [0.0], "u": [1.0]}
+    assert swing.exp2(**state)["qdd"][0] == pytest.approx((1.0 - 9.81 * np.sin(0.3)) / 0.6, rel=1e-14)
+    assert {"exp1", "exp2", "jac_impl", "jac_semi_res"} <= {kernel.name for kernel in swing.manifest.kernels}
+    assert not {"jac_exp1", "lin_exp2"} & {kernel.name for kernel in swing.manifest.kernels}
+    assert len(kept(model)) == 1
+    for slope in (swing.jac("exp2", **state)["jac_qdd_q"], swing.jac("exp", **state)["jac_qdd_q"]):
+        assert slope.item() == pytest.approx(-9.81 * np.cos(0.3) / 0.6, rel=1e-14)
+    assert len(kept(model)) <= 3  # exp may be exp1
+    assert swing.casadi("exp2").jacobian().name() == f"jac_{swing.manifest.prefix}_exp2"
+    with pytest.raises(MbsError, match="jac_adj1_exp2"):  # second derivatives were not asked for
+        swing.hess("exp2", **state)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from mbsgen.manifest import Manifest
@@ -40,7 +41,7 @@ def build_plant(plant: Mechanism, problem: Problem, numbers: Mapping[str, float]
 def _choose(manifest: Manifest, *, is_released: bool) -> Extent:
     """Choose the functions to generate: few where no loops are to be closed."""
     if manifest.loops or manifest.driven:
-        return Extent(derivatives=INTEGRATED.derivatives, runtime=is_released)
+        return replace(INTEGRATED, runtime=is_released)
     sensors = ("sensors", "motion") if any(frame.sensor for frame in manifest.frames) else ()
     rates = ("rates",) if manifest.configuration else ()
-    return Extent((*SIMULATED, *sensors, *rates), INTEGRATED.derivatives, runtime=is_released)
+    return Extent((*SIMULATED, *sensors, *rates), INTEGRATED.derivatives, runtime=is_released, values=("exp2",))
