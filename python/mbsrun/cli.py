@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
 
@@ -93,7 +94,9 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; print a user's errors without a traceback."""
-    gc.set_threshold(200_000, 20, 20)  # searches for cycles of objects take up to a tenth of a solve
+    # Searches for cycles of objects take up to a tenth of a solve: modules alone are 200,000 objects.
+    gc.set_threshold(500_000, 20, 20)
+    atexit.register(gc.freeze)  # the last search of a process, whose memory is given back as a whole
     try:
         cli()
     except MbsError as error:
