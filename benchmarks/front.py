@@ -76,7 +76,7 @@ def _read_control(text: str) -> Iterator[Bar]:
     solves, *_ = read_tables(text).values()
     own = [row for row in solves if row["N"] == solves[0]["N"]]
     ratios = [read_number(find_row(own, "solver", name)["by ours"]) for name in ("acados", "fatrop")]
-    yield Bar("Predictive control of a Panda", "acados and fatrop", ratios[0], ratios[1], "mpc.md")
+    yield Bar("Next step of a Panda's control", "acados and fatrop", ratios[0], ratios[1], "mpc.md")
 
 
 READERS: dict[str, Callable[[str], Iterator[Bar]]] = {
@@ -100,7 +100,7 @@ def write_front(bars: Sequence[Bar]) -> str:
     """Write three sentences."""
     arm, loops, control = (
         next(bar for bar in bars if bar.work.startswith(work))
-        for work in ("Optimal motion of the paper", "Accelerations, closed", "Predictive")
+        for work in ("Optimal motion of the paper", "Accelerations, closed", "Next step")
     )
     return "\n".join(
         (
@@ -109,7 +109,7 @@ def write_front(bars: Sequence[Bar]) -> str:
             f"- **{loops.label} faster** than the quickest peer at accelerations of mechanisms with closed loops "
             f"([figures]({loops.page})).",
             f"- **{write_times(control.least)} times faster** than acados, and {write_times(control.most)} times "
-            f"faster than fatrop, in a Panda's predictive control ([figures]({control.page})).",
+            f"faster than fatrop, at each next step of a Panda's predictive control ([figures]({control.page})).",
         )
     )
 

@@ -22,7 +22,7 @@ def test_bars_have_the_numbers_of_their_pages(tmp_path: Path) -> None:
         text.replace(row, "| 20 | acados | 4, 2.11 | 0.9 | 3, 1.85 | 7.25 | 0.6 | 1e-05 |")
     )
     bars = {bar.work: bar for bar in list_bars(tmp_path)}
-    assert bars["Predictive control of a Panda"].least == 7.25
+    assert bars["Next step of a Panda's control"].least == 7.25
     summary = (tmp_path / "summary.md").read_text("utf-8")
     (tmp_path / "summary.md").write_text(summary.replace("| Panda, 7 joints | 1.35", "| Panda, 7 joints | 77"))
     bars = {bar.work: bar for bar in list_bars(tmp_path)}
