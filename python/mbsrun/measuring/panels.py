@@ -99,16 +99,22 @@ def _draw_optimum(point: OptimumPoint, number: str) -> Dot:
     return Dot(line, setting, _shortest(point.seconds), getattr(point, number), point.finding)
 
 
+SUBJECTS = {  # of sentences, by the names of reductions
+    r"(.*) locked": r"locking \1",
+    r"(.*) without mass": r"\1 without its mass",
+    r"no (.*)": r"leaving out \1",
+    r"tolerance (.*)": r"a tolerance of \1",
+    r"constant parameters": "keeping parameters constant",
+    r"sensor (.*) alone": r"keeping sensor \1 alone",
+}
+
+
 def name_reduction(reduction: str) -> str:
-    """Write a reduction as the subject of a sentence."""
-    locked = re.fullmatch(r"(.*) locked", reduction)
-    light = re.fullmatch(r"(.*) without mass", reduction)
-    alone = re.fullmatch(r"sensor (.*) alone", reduction)
-    if locked:
-        return f"locking {locked[1]}"
-    if light:
-        return f"{light[1]} without its mass"
-    return f"sensor {alone[1]} alone" if alone else reduction
+    """Write a reduction as the subject of a sentence in the singular."""
+    for pattern, subject in SUBJECTS.items():
+        if found := re.fullmatch(pattern, reduction):
+            return found.expand(subject)
+    return reduction
 
 
 def draw_reduction(point: FidelityPoint, number: str = "error_anywhere", command: str = "") -> Dot:

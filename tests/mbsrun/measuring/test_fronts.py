@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbsrun.measuring.fronts import Dot, Panel, find_front, find_stretches, state_finding, write_error, write_work
+from mbsrun.measuring.panels import name_reduction
 
 
 def dot(line: str, work: float | None, error: float | None, finding: str = "") -> Dot:
@@ -91,3 +92,17 @@ def test_errors_have_one_digit(error: float, text: str) -> None:
 )
 def test_times_have_the_unit_that_fits(work: float, unit: str, text: str) -> None:
     assert write_work(work, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("reduction", "subject"),
+    [
+        ("q1 locked", "locking q1"),
+        ("no velocities", "leaving out velocities"),
+        ("tolerance 0.01", "a tolerance of 0.01"),
+        ("sensor hand alone", "keeping sensor hand alone"),
+        ("lift: sensors", "lift: sensors"),
+    ],
+)
+def test_reductions_are_subjects_of_sentences(reduction: str, subject: str) -> None:
+    assert name_reduction(reduction) == subject
