@@ -32,7 +32,8 @@ about a minute of processor time.
 azimuth of 90° and a height of -0.1 m (lower) or 0.1 m (upper). It is the minimum that `mbsrun solve` finds from its
 guess; without smoothing, the study lists lower ones. `plain` is the cost with k2 = 0, `smooth` with
 k2 = 1e5. The last interval is at rest, so its limits hold where limits of the end do, and are dropped
-([rest.py](../proofs/rest.py)).
+([rest.py](../proofs/rest.py)). The limits of the rocket's mass are dropped too: it only falls, from a given start to a
+given end ([monotone.py](../proofs/monotone.py)).
 
 - unknowns: variables that no bound holds, and multipliers of rows
 - radius: of the ball, in each unknown z by max(1, |z|)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from benchmarks.proofs.monotone import drop_between
 from benchmarks.proofs.proof import Nonlinear, Point
 from benchmarks.proofs.rest import balance, drop_limits, find_rest
 from mbsgen.manifest import Kernel, Manifest
@@ -23,6 +24,7 @@ from mbsrun.measuring.mechanisms import Subject
 from mbsrun.models import Extent
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.program import Program
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import Solver, solve
@@ -97,13 +99,22 @@ def state(problem: Problem, plant: Plant) -> Nonlinear:
     transcription, data = solver.transcription, solver.program.data
     balanced = replace(data, A=balance(data.A, transcription.layout))
     rest = find_rest(problem, balanced, transcription.layout)
-    functions = (solver.program if rest is None else replace(solver.program, data=balanced)).casadi
+    even = write_program(problem, solver, balanced)
+    if rest is not None:
+        return drop_limits(drop_implied(even), rest)
+    freed = drop_between(even, transcription, data)
+    return drop_implied(write_program(problem, solver, data) if freed is even else freed)
+
+
+def write_program(problem: Problem, solver: Solver, data: Program) -> Nonlinear:
+    """Write a program in symbols, with the bounds of the problem."""
+    transcription, functions = solver.transcription, replace(solver.program, data=data).casadi
     p, scale = transcription.parameters(problem), 1 / max(map(abs, problem.cost.weights))
     symbols = ca.MX.sym("x", functions.variables)
     objective = ca.Function("f", [symbols], [scale * functions.objective(symbols, p)])
     constraint = ca.Function("g", [symbols], [functions.constraint(symbols, p)])
     bounds = (*transcription.variable_bounds(problem), *transcription.constraint_bounds(problem))
-    return drop_limits(drop_implied(Nonlinear(objective, constraint, *bounds)), rest)
+    return Nonlinear(objective, constraint, *bounds)
 
 
 def find_start(problem: Problem, plant: Plant) -> Array:

@@ -21,6 +21,8 @@ that H is positive where A d = 0 follows on Z from one matrix in Z. `steps` show
 Rows of one meaning have no unique multipliers, and F' is singular. One case of it is dropped before, see `rest`: limits
 in a last interval at rest. With x = (w, v), w the states of the interval, all v have one w on Z, since the derivative
 by w of its equations r is regular there; it is the state at the end. So limits of w hold where limits of the end do.
+`monotone` drops limits that the ends of a state imply. Where bounds hold more numbers than the equations leave free, as
+where all controls switch at nodes, `vertices` releases bounds; the proof shows that their numbers stay within.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ from scipy.sparse.linalg import splu
 
 from benchmarks.proofs.intervals import Instructions
 from benchmarks.proofs.steps import ROOM, UNIT, Array, Matrix, bound_curvature, find_steps
+from benchmarks.proofs.vertices import choose_release, find_dependence
 
 Indices = NDArray[np.int64]
 
@@ -93,6 +96,13 @@ class Point:
         """Return z."""
         return np.concatenate([self.x[self.free], self.lam[self.kept]])
 
+    def release(self, place: int, lam: Array) -> Point:
+        """Release a bound by its place, of x and then of rows, with new multipliers."""
+        signs = np.concatenate([self.held, self.rows])
+        signs[place] = 0
+        held, rows = signs[: len(self.x)], signs[len(self.x) :]
+        return Point(self.x, np.where(rows == 0, 0.0, lam), held, rows)
+
 
 @dataclass(frozen=True)
 class Proof:
@@ -117,6 +127,7 @@ class System:
         hessian, gradient = ca.hessian(f + ca.dot(lam, g), x)
         first = ca.Function("first", [x, lam], [ca.densify(gradient), ca.densify(g)])
         self.second = ca.Function("second", [x, lam], [ca.tril(hessian), ca.jacobian(g, x)])
+        self.gradient = first
         self.balls = Instructions.of(first), Instructions.of(self.second)
         self.patterns = tuple(
             tuple(np.array(x, dtype=np.int64) for x in self.second.sparsity_out(k).get_triplet()) for k in range(2)
@@ -129,12 +140,32 @@ class System:
 
     def assemble(self, point: Point, H: Array, J: Array) -> tuple[Matrix, Matrix]:
         """Return H of the free x, and A, of values of nonzeros."""
-        n, m = len(self.program.lower), len(self.program.g_lower)
+        n, free = len(self.program.lower), point.free
         triangle = Matrix(sparse.coo_array((H, self.patterns[0]), shape=(n, n)))
         whole = Matrix(triangle + sparse.tril(triangle, -1).T)
-        jacobian = sparse.csr_array(sparse.coo_array((J, self.patterns[1]), shape=(m, n)))
-        free = point.free
-        return Matrix(whole[free][:, free]), Matrix(jacobian[point.kept][:, free])
+        return Matrix(whole[free][:, free]), Matrix(self._differentiate(J)[point.kept][:, free])
+
+    def _differentiate(self, J: Array) -> sparse.csr_array:
+        """Return the Jacobian of all rows by all x, of values of nonzeros."""
+        shape = (len(self.program.g_lower), len(self.program.lower))
+        return sparse.csr_array(sparse.coo_array((J, self.patterns[1]), shape=shape))
+
+    def loosen(self, point: Point) -> Point:
+        """Release bounds until the gradients of held rows and bounds are independent. Raises RuntimeError."""
+        program = self.program
+        J = self._differentiate(np.array(self.second(point.x, point.lam)[1].nonzeros()))
+        gradient = np.array(self.gradient(point.x, 0 * point.lam)[0]).ravel()
+        bounded = np.concatenate([program.lower < program.upper, program.g_lower < program.g_upper])
+        while (y := find_dependence(Matrix(J[point.kept][:, point.free]))) is not None:
+            along = np.zeros(len(point.lam))
+            along[point.kept] = y
+            signs = np.where(bounded, np.concatenate([point.held, point.rows]), 0)
+            multipliers = np.concatenate([-gradient - J.T @ point.lam, point.lam])
+            release = choose_release(signs, multipliers, np.concatenate([-(J.T @ along), along]))
+            if release is None:
+                raise RuntimeError("the rows depend on each other")
+            point = point.release(release.place, point.lam + release.step * along)
+        return point
 
     def step(self, point: Point) -> Point:
         """Take a step of Newton's method, with a residual of more digits than its matrix. Raises RuntimeError."""
@@ -170,6 +201,7 @@ def settle(system: System, point: Point, rounds: int = 20) -> Point:
     before, ctx.prec = ctx.prec, BITS
     try:
         for _ in range(rounds):
+            point = system.loosen(point)
             for _ in range(3):
                 point = system.step(point)
             changed = system.change(point)

@@ -32,9 +32,11 @@ def balance(A: Matrix, layout: Layout) -> Matrix:
 
     In doubles, they sum to 0 apart from roundings, so no motion would be at rest exactly.
     """
-    entries = np.full(A.shape[1], -1)
+    entries, extras = np.full(A.shape[1], -1), layout.extras
     for states in (layout.mesh, layout.points):
         entries[states] = np.arange(states.shape[-1])
+    for states in (extras.states, extras.point_states):
+        entries[states] = layout.mesh.shape[-1] + np.arange(states.shape[-1])
     rows = sparse.csr_array(A, copy=True)
     for row in range(A.shape[0]):
         lot = np.arange(rows.indptr[row], rows.indptr[row + 1])

@@ -12,10 +12,13 @@ from flint import arb
 
 from benchmarks.proofs.__main__ import POINTS, PROBLEMS, RECORD, Row, check_row, read_record, record, write_page
 from benchmarks.proofs.intervals import Instructions, UnknownOperationError
-from benchmarks.proofs.programs import drop_implied, find_point
+from benchmarks.proofs.monotone import find_monotone
+from benchmarks.proofs.programs import drop_implied, find_point, write_program
 from benchmarks.proofs.proof import Nonlinear, Point, Proof, Rest, System, enclose_cost, level, prove, settle
 from benchmarks.proofs.rest import balance, drop_limits, find_rest
 from benchmarks.proofs.steps import Matrix, bound_curvature, find_steps
+from benchmarks.proofs.vertices import Release, choose_release, find_dependence
+from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solving.solve import Solver
 
 X = ca.SX.sym("x", 3)
@@ -167,3 +170,58 @@ def test_points_belong_to_problems() -> None:
     stored = {path.stem for path in POINTS.glob("*.npz")}
     assert "brachistochrone" in stored
     assert stored <= set(PROBLEMS)
+
+
+def test_a_dependence_of_rows_is_found() -> None:
+    """The third row is the sum of the others, apart from its length; two rows alone are independent."""
+    A = Matrix(np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0], [10.0, 30.0, 30.0]]))
+    y = find_dependence(A)
+    assert y is not None
+    assert np.allclose(y / y[2], [-10, -10, 1])
+    assert find_dependence(Matrix(A[:2])) is None
+    assert find_dependence(Matrix(np.zeros((1, 2)))) is not None
+
+
+def test_the_bound_whose_multiplier_vanishes_first_is_released() -> None:
+    """Multipliers 3 and 2 fall at the rates 1 and 1; in the other direction, the one of 1 blocks at once."""
+    signs, multipliers = np.array([1, -1, 1, 0], dtype=np.int8), np.array([3.0, -2.0, 1.0, 9.0])
+    release = choose_release(signs, multipliers, np.array([-1.0, 1.0, 1.0, -50.0]))
+    assert release == Release(1, 2.0)
+    assert choose_release(signs, multipliers, np.array([0.0, 0.0, 0.0, 1.0])) is None
+
+
+def test_a_corner_with_a_bound_too_many_is_proved() -> None:
+    """Least x + y with x + y + z = 1, x >= 0, y >= 1e-9, z <= 1 - 1e-9: three bounds hold two numbers."""
+    program = state(X[0] + X[1], ca.sum(X) - 1, [0.0, 1e-9, -np.inf])
+    program = replace(program, upper=np.array([np.inf, np.inf, 1 - 1e-9]))
+    system = System(program)
+    held, rows = np.array([-1, -1, 1], dtype=np.int8), np.ones(1, dtype=np.int8)
+    point = settle(system, Point(np.array([0.0, 1e-9, 1 - 1e-9]), np.array([-1.0]), held, rows))
+    assert np.count_nonzero(point.held) == 2
+    assert point.x.sum() == 1
+
+
+def test_limits_between_the_ends_of_a_state_that_only_falls_are_dropped() -> None:
+    """The rocket burns fuel from 1 to 0.6. With a thrust of both signs, or an end that is free, limits stay."""
+    problem, plant = PROBLEMS["goddard_rocket"].read()
+    for changed, count in ((problem, 1), (_turn(problem), 0), (_loosen(problem), 0)):
+        solver = Solver(changed, plant)
+        data = solver.program.data
+        even = write_program(changed, solver, replace(data, A=balance(data.A, solver.transcription.layout)))
+        found = list(find_monotone(even, solver.transcription, data))
+        assert len(found) == count
+        assert not list(find_monotone(write_program(changed, solver, data), solver.transcription, data))
+    mass = solver.transcription.layout.extras.point_states[:, :, 2]
+    assert np.isfinite(even.lower[mass]).all()
+
+
+def _turn(problem: Problem) -> Problem:
+    """Permit a thrust of both signs."""
+    (thrust,) = problem.controls
+    return replace(problem, controls=(replace(thrust, bounds=(-1.0, 3.5)),))
+
+
+def _loosen(problem: Problem) -> Problem:
+    """Free the mass at the end."""
+    *others, mass = problem.states
+    return replace(problem, states=(*others, replace(mass, end=(-np.inf, np.inf))))
