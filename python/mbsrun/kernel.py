@@ -184,8 +184,8 @@ class Kernels:
         written over: new memory often takes longer than a kernel. Inputs are read where they lie, whatever their
         strides.
         """
-        if threads < 1:
-            raise ArgumentError(f"{name}: {threads} threads; give 1 or more")
+        if not is_count(threads):
+            raise ArgumentError(f"{name}: {threads} threads; give a whole number, 1 or more")
         entry = self._binder.bind(name)
         if entry.design:
             inputs.setdefault(entry.design, self._design)
@@ -380,6 +380,11 @@ class _Binder:
     @cached_property
     def _compiler(self) -> Compiler:
         return find_compiler(os.environ)
+
+
+def is_count(value: object, least: int = 1) -> bool:
+    """Return whether a value is a whole number of at least `least`."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
 
 
 def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbsrun.binding import ArgumentError
 from mbsrun.closure import OpenError
 from mbsrun.external import Mechanism
-from mbsrun.kernel import KernelError
+from mbsrun.kernel import KernelError, is_count
 from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.rollouts import Course as Given
@@ -106,9 +106,10 @@ def simulate_many(
     check_settings(mechanism, drive, settings)
     settings = complete_settings(settings, is_closed=is_constrained(mechanism.manifest))
     starts = _spread(mechanism, q, qd, parameters or {})
-    if threads < 1 or (threads > 1 and METHODS[settings.method].stability is None):
-        told = f"threads: {threads}; give 1 or more" if threads < 1 else f"threads: {settings.method} takes one"
-        raise ArgumentError(told)
+    if not is_count(threads):
+        raise ArgumentError(f"threads: {threads}; give a whole number, 1 or more")
+    if threads > 1 and METHODS[settings.method].stability is None:
+        raise ArgumentError(f"threads: {settings.method} takes one")
     followed = _Following(mechanism, drive, settings, course, starts)
     if followed.fits_lanes:
         return followed.gather(followed.make_abreast(threads, show))

@@ -20,7 +20,7 @@ from mbsgen.roles import QUICKEST, Role
 from mbsrun import many
 from mbsrun.binding import ArgumentError, Array, Entry, Status, declare, open_library
 from mbsrun.external import Mechanism
-from mbsrun.kernel import Kernels
+from mbsrun.kernel import Kernels, is_count
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
 from mbsrun.simulation.integration.tableaus import FIXED, Tableau
 
@@ -93,6 +93,9 @@ def rollout(
     kernel = mechanism.describe(function)
     _check(mechanism, kernel, step, steps, every, method, threads)
     starts = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, qd)]
+    for title, named in (("inputs", inputs), ("parameters", parameters)):
+        if not (named is None or isinstance(named, Mapping)):
+            raise ArgumentError(f"{title}: a value of type {type(named).__name__}; give arrays by name")
     given = [_read_course(kernel, name, array, steps) for name, array in (inputs or {}).items()]
     given += read_parameters(mechanism, kernel, parameters or {})
     sizes = (len(mechanism.manifest.positions), len(mechanism.manifest.coordinates))
@@ -125,7 +128,7 @@ def _check(
     if not (np.isfinite(step) and step > 0):
         faults.append(f"step: {step} s; give a positive number")
     counts = {"steps": steps, "every": every, "threads": threads}
-    faults += [f"{name}: {count}; give 1 or more" for name, count in counts.items() if count < 1]
+    faults += [f"{name}: {x}; give a whole number, 1 or more" for name, x in counts.items() if not is_count(x)]
     if method not in FIXED:
         faults.append(f"method: {method!r}; there are {', '.join(FIXED)}")
     if faults:

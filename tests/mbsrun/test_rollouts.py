@@ -124,7 +124,12 @@ def test_lanes_are_used(cart: Mechanism, monkeypatch: pytest.MonkeyPatch) -> Non
     ("changes", "finding"),
     [
         ({"step": 0.0}, "step: 0.0 s; give a positive number"),
-        ({"steps": 0, "threads": 0}, "steps: 0; give 1 or more\n.*threads: 0; give 1 or more"),
+        (
+            {"steps": 0, "threads": 0},
+            "steps: 0; give a whole number, 1 or more\n.*threads: 0; give a whole number, 1 or more",
+        ),
+        ({"steps": 5.5}, "steps: 5.5; give a whole number, 1 or more"),
+        ({"inputs": np.zeros(2)}, "inputs: a value of type ndarray; give arrays by name"),
         ({"method": "rk5"}, "method: 'rk5'; there are euler, rk4"),
         ({"inputs": {"v": [1.0]}}, "exp2 has no input 'v'; there are u"),
         ({"inputs": {"u": [1.0, 2.0]}}, r"u: shape \(2,\) given, \(1,\), \(states, 1\) or \(states, 5, 1\) expected"),

@@ -14,6 +14,7 @@ import casadi as ca
 
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
+from mbsrun.kernel import is_count
 from mbsrun.ocp.cases.cases import Case, Outcome
 from mbsrun.ocp.cases.programs import Programs
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
@@ -32,7 +33,7 @@ from mbsrun.ocp.solving.runs import Watch
 from mbsrun.ocp.solving.solve import read_one, solve
 from mbsrun.ocp.statement import statement
 from mbsrun.ocp.statement.checks import ProblemError, check_problem
-from mbsrun.ocp.statement.phases import has_phases, read_phased_problem, state_phases
+from mbsrun.ocp.statement.phases import has_phases, read_phased_problem
 from mbsrun.optimal import display
 from mbsrun.optimal.continuation import Continued, Stop, follow
 from mbsrun.optimal.derivatives import Derivatives, differentiate_solution
@@ -40,14 +41,14 @@ from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.layers import Differentiable, check_reads
-from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
+from mbsrun.optimal.many import Family, Over, Show, SolvedMany, list_cases, solve_family
 from mbsrun.optimal.naming import Numbered, Source, list_left_out
-from mbsrun.optimal.phases import PhasedControl, load
+from mbsrun.optimal.phases import PhasedControl, load, make_phases
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
 from mbsrun.optimal.quantities import Quantities
 from mbsrun.optimal.result import Solved, Unsolved
-from mbsrun.optimal.scenarios import state_scenarios
+from mbsrun.optimal.scenarios import name_scenarios, state_scenarios
 from mbsrun.quantities import list_quantities
 from mbsrun.recordings import references
 
@@ -232,13 +233,8 @@ class OptimalControl(Numbered):
             remedy = "give the file of the model to `problem`"
             raise ProblemError(self.name, [("model", "loaded kernels, for a problem of scenarios", remedy)])
         stated = state_scenarios(self.name, data, self.value, self.plant.manifest, over)
-        value, plants = state_phases(stated, self.name, folder, load)
-        whole = PhasedControl(value, plants, stated, folder)
-        return (
-            whole._restate(stated, {phase.name: self.expressions for phase in value.phases})
-            if self.functions
-            else whole
-        )
+        names = name_scenarios(len(list_cases(self.name, over)))
+        return make_phases(stated, self.name, folder, dict.fromkeys(names, self.expressions) if self.functions else {})
 
     @property
     def family(self) -> Family:
@@ -274,6 +270,7 @@ class OptimalControl(Numbered):
         if self.functions and (workers or record is not None):
             finding = "the problem has expressions in CasADi, which no file holds"
             raise ProblemError(self.name, [("search", finding, "search without workers and record")])
+        _check_counts(self.name, (("starts", starts, 1), ("hops", hops, 0), ("workers", workers, 0)))
         wish = Wish(starts, seed, 60 * minutes, workers, hops)
         with TemporaryDirectory() as folder:
             path = Path(folder) / "starts.sqlite" if record is None else Path(record)
@@ -403,6 +400,14 @@ def problem(
     return OptimalControl(value, plant, data, Path(), Programs(), path)
 
 
+def _check_counts(name: str, counts: Sequence[tuple[str, object, int]]) -> None:
+    """Raise ProblemError for values that are no whole numbers, or too small; each has a name and a least value."""
+    wrong = [(what, value, least) for what, value, least in counts if not is_count(value, least)]
+    if wrong:
+        lines = [(what, f"found {value!r}", f"give a whole number, {least} or more") for what, value, least in wrong]
+        raise ProblemError(name, lines)
+
+
 def _make_phases(model: str | Path | Plant | None, name: str | None, keys: Mapping[str, Any]) -> PhasedControl:
     known = name or (Path(model).stem if isinstance(model, str | Path) else "phases")
     if not (model is None or isinstance(model, str | Path)):
@@ -410,8 +415,7 @@ def _make_phases(model: str | Path | Plant | None, name: str | None, keys: Mappi
         raise ProblemError(known, [("model", "loaded kernels, for a problem in phases", remedy)])
     own: dict[str, Data] = {} if model is None else {"model": str(model)}
     data = {**own, **make_plain(known, keys)}
-    value, plants = state_phases(data, known, Path(), load)
-    return PhasedControl(value, plants, data, Path())
+    return make_phases(data, known, Path())
 
 
 def read_problem(path: str | Path) -> OptimalControl | PhasedControl:

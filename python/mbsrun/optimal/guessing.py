@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.recorded import find_guess, recall
 from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.solution.solution import list_misfits
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.optimal.recalling import make_recording
 from mbsrun.optimal.result import Solved
@@ -24,12 +25,34 @@ def read_motion(guess: GuessLike, problem: Problem, plant: Plant) -> Trajectory:
     """Return the motion of a guess. Raises InputError for a file or arrays that hold none of this mechanism."""
     match guess:
         case Solved():
+            _refuse(problem, (("guess", finding) for finding in list_misfits(guess.solution, plant.manifest)))
             return _begin(guess.trajectory)
         case Trajectory():
+            _refuse(problem, _list_wrong_sizes(guess, plant))
             return _begin(_check(guess, problem))
         case str() | Path():
             return find_guess(Path(guess), problem, plant)
+    if not isinstance(guess, Mapping) and (isinstance(guess, Sequence) or not hasattr(guess, "index")):
+        remedy = "give a solution, a file, a trajectory, a pandas frame, or arrays by name"
+        raise ProblemError(problem.name, [("guess", f"found a value of type {type(guess).__name__}", remedy)])
     return recall(make_recording(guess, problem, plant.manifest), problem, plant)
+
+
+def _refuse(problem: Problem, findings: Iterable[tuple[str, str]]) -> None:
+    """Raise ProblemError where a motion is another mechanism's."""
+    faults = [(where, finding, "give a motion of this mechanism") for where, finding in findings]
+    if faults:
+        raise ProblemError(problem.name, faults)
+
+
+def _list_wrong_sizes(motion: Trajectory, plant: Plant) -> Iterator[tuple[str, str]]:
+    """List the arrays of a motion that have other widths than this mechanism's."""
+    manifest = plant.manifest
+    widths = {"q": len(manifest.positions), "qd": len(manifest.coordinates), "u": len(manifest.actuated)}
+    for name, width in widths.items():
+        shape = getattr(motion, name).shape
+        if shape[-1] != width:
+            yield f"guess.{name}", f"shape {shape}; {manifest.model} has {width} columns of it"
 
 
 def _check(motion: Trajectory, problem: Problem) -> Trajectory:

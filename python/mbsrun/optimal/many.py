@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.documents import Data, abbreviate
+from mbsrun.kernel import is_count
 from mbsrun.ocp.cases.cases import Case, Outcome, solve_cases
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
@@ -107,6 +108,9 @@ def list_cases(name: str, over: Over) -> tuple[Values, ...]:
     """List the values of each case: columns of equal length by key, or a mapping for each case. Raises ProblemError."""
     if not isinstance(over, Mapping):
         return tuple(dict(case) for case in over) or _refuse(name, "over", "there is no case", "give at least one")
+    for key, values in over.items():
+        if isinstance(values, str) or not hasattr(values, "__len__"):
+            _refuse(name, f"over.{key}", f"found {values!r}", "give a list of values, one for each case")
     lengths = {key: len(values) for key, values in over.items()}
     if not lengths or not max(lengths.values()):
         _refuse(name, "over", "there is no case", "give each key a list of values")
@@ -189,8 +193,8 @@ def solve_family(
 ) -> SolvedMany:
     """Solve a problem for many values of its keys; see `OptimalControl.solve_many`."""
     values = list_cases(family.name, over)
-    if threads < 1:
-        _refuse(family.name, "threads", f"found {threads}", "give 1 or more")
+    if not is_count(threads):
+        _refuse(family.name, "threads", f"found {threads}", "give a whole number, 1 or more")
     cases, found = family.list_cases(values, guesses, check=check), dict[int, Any]()
     for k, outcome in solve_cases(cases, family.plants, threads):
         found[k] = family.read(cases[k], outcome)

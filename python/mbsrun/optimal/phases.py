@@ -31,6 +31,8 @@ from mbsrun.ocp.solution.phases import (
     LinkValues,
     PartialGuess,
     PhasedSolution,
+    list_phased_misfits,
+    pick_guess,
     read_phased_guess,
     read_phased_solution,
     write_phased_solution,
@@ -248,12 +250,8 @@ class PhasedControl(Numbered):
         return self._restate({**self.data, "solver": {"method": method, **make_plain(self.name, settings)}})
 
     def _restate(self, data: Mapping[str, Data], expressions: Mapping[str, Expressions] | None = None) -> PhasedControl:
-        expressions = self.expressions if expressions is None else expressions
-        extensions = {name: _Extension(own) for name, own in expressions.items()}
-        value, plants = state_phases(data, self.name, self.folder, load, extensions)
-        if expressions:
-            check_phases(value, plants)
-        return replace(self, value=value, plants=plants, data=data, expressions=MappingProxyType({**expressions}))
+        made = make_phases(data, self.name, self.folder, self.expressions if expressions is None else expressions)
+        return replace(made, programs=self.programs)
 
     def _find(self, phase: str) -> int:
         """Return the number of a phase. Raises ProblemError."""
@@ -384,14 +382,22 @@ class PhasedControl(Numbered):
         return display.write_table(f"problem {self.name}", self.describe())
 
     def _find_guess(self, guess: PhasedGuess | None) -> Guess | PartialGuess:
-        if isinstance(guess, SolvedPhases):
-            known = tuple(guess.unknowns.items())
-            return Guess(tuple(phase.trajectory for phase in guess.solution.phases), known)
-        if isinstance(guess, Guess):
-            return guess
-        if isinstance(guess, Mapping):
-            return self._find_guesses(guess)
-        return find_phased_guess(self.value, self.plants, self.folder, None if guess is None else Path(guess))
+        match guess:
+            case SolvedPhases():
+                names = tuple(phase.name for phase in self.value.phases)
+                manifests = tuple(plant.manifest for plant in equip_phases(self.value, self.plants).phases)
+                misfits = [("guess", *misfit) for misfit in list_phased_misfits(guess.solution, names, manifests)]
+                if misfits:
+                    raise ProblemError(self.name, misfits)
+                return pick_guess(guess.solution, names)
+            case Guess():
+                return guess
+            case Mapping():
+                return self._find_guesses(guess)
+            case None | str() | Path():
+                return find_phased_guess(self.value, self.plants, self.folder, None if guess is None else Path(guess))
+        remedy = "give a solution of these phases, a file, a folder, or guesses by the names of phases"
+        raise ProblemError(self.name, [("guess", f"found a value of type {type(guess).__name__}", remedy)])
 
     def _find_guesses(self, guesses: Mapping[str, GuessLike]) -> PartialGuess:
         """Return the motions of some phases. Raises ProblemError for a name that no phase has."""
@@ -417,6 +423,17 @@ class _Extension:
         """Add the expressions."""
         cost = data.get("cost") if isinstance(data, dict) else None
         return self.expressions.extend(problem, prices_inputs=isinstance(cost, dict) and bool(cost.get("inputs")))
+
+
+def make_phases(
+    data: Mapping[str, Data], name: str, folder: Path, expressions: Mapping[str, Expressions] = MappingProxyType({})
+) -> PhasedControl:
+    """Make a problem in phases of its data, and of expressions in CasADi by phase. Raises ProblemError, InputError."""
+    extensions = {phase: _Extension(own) for phase, own in expressions.items()}
+    value, plants = state_phases(data, name, folder, load, extensions)
+    if expressions:
+        check_phases(value, plants)
+    return PhasedControl(value, plants, data, folder, MappingProxyType({**expressions}))
 
 
 def _describe_link(link: Link) -> str:

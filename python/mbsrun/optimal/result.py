@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.errors import MbsError
-from mbsgen.expressions import evaluate, parse
+from mbsgen.expressions import ExpressionError, evaluate, parse
 from mbsgen.expressions import names as names_of
 from mbsrun.jets import Jet, make_jets
 from mbsrun.ocp.ground.plant import Plant
@@ -150,6 +150,8 @@ class Solved:
 
         Raises UnknownNameError for a name, ExpressionError for a text that is no expression.
         """
+        if not isinstance(expression, str):
+            raise ExpressionError(f"found a value of type {type(expression).__name__}", "give a text")
         tree = parse(expression)
         values = {name: np.array(value) for name, value in self.solution.problem.constants}
         values |= {name: np.array(value) for name, value in self.unknowns.items()} | {"T": np.array(self.horizon)}

@@ -35,7 +35,7 @@ def state_scenarios(
     cases = list_cases(name, over)
     _check(name, problem, [key for case in cases for key in case])
     firsts = _list_first(problem, manifest)
-    own = [change(name, data, case) for case in cases]
+    own = [change(name, _spell_cost(data, problem), case) for case in cases]
     whole: dict[str, Data] = {key: value for key, value in data.items() if key in (*SHARED, "model")}
     unknowns = whole.get("unknowns")
     added: dict[str, Data] = {
@@ -47,6 +47,11 @@ def state_scenarios(
         _state_phase(title, case, ties) for title, case in zip(name_scenarios(len(own)), own, strict=True)
     ]
     return whole
+
+
+def _spell_cost(data: Mapping[str, Data], problem: Problem) -> dict[str, Data]:
+    """Write the default cost down: a phase without a cost has none."""
+    return {**data, "cost": data.get("cost") or {"inputs": problem.cost.inputs}} if problem.cost.inputs else {**data}
 
 
 def _state_phase(title: str, data: Mapping[str, Data], ties: Sequence[Data]) -> Data:

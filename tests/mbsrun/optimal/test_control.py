@@ -274,6 +274,35 @@ def test_a_number_of_a_guess_that_is_not_finite_is_named(swing: OptimalControl, 
         swing.solve(guess=file)
 
 
+def test_a_guess_of_another_mechanism_is_refused(swing: OptimalControl, solved: Solved) -> None:
+    """A motion of the acrobot has as many coordinates as a cart-pole's, of other names."""
+    acrobot = mbsrun.problem(MODELS / "acrobot.yaml", horizon=1, intervals=3).solve(check=False)
+    with pytest.raises(ProblemError, match=r"guess: its coordinates are shoulder, hip; cart_pole has cart, pole"):
+        swing.solve(guess=acrobot)
+    narrow = replace(solved.trajectory, u=np.zeros((solved.trajectory.u.shape[0], 2)))
+    with pytest.raises(ProblemError, match=r"guess\.u: shape \(\d+, 2\); cart_pole has 1 columns of it"):
+        swing.solve(guess=narrow)
+    wrong: Any
+    for wrong in (3, np.zeros((4, 2)), [0, 1]):
+        with pytest.raises(ProblemError, match=f"guess: found a value of type {type(wrong).__name__}; give a solution"):
+            swing.solve(guess=wrong)
+
+
+@pytest.mark.parametrize(
+    ("starts", "more", "place"), [(0, {}, "starts"), (1.5, {}, "starts"), (1, {"hops": -1}, "hops")]
+)
+def test_counts_of_a_search_are_whole(swing: OptimalControl, starts: Any, more: dict[str, Any], place: str) -> None:
+    with pytest.raises(ProblemError, match=f"{place}: found .*; give a whole number"):
+        swing.search(starts, **more)
+
+
+def test_values_of_cases_are_lists(swing: OptimalControl) -> None:
+    values: Any
+    for values in (1, "12"):
+        with pytest.raises(ProblemError, match=r"over\.end\.pose\.cart: found .*; give a list of values"):
+            swing.solve_many({"end.pose.cart": values})
+
+
 def test_a_search_from_many_starts_returns_the_best(swing: OptimalControl, tmp_path: Path) -> None:
     seen: list[int] = []
     found = swing.search(2, seed=1, record=tmp_path / "s.sqlite", watch=lambda starts: seen.append(len(starts.results)))

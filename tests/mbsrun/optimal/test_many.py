@@ -192,7 +192,7 @@ def test_many_cases_with_faults_are_counted(swing: OptimalControl) -> None:
         swing.solve_many({"horizon": [-1.0] * 9})
     assert len(error.value.findings) == NAMED + 1
     assert f"{9 - NAMED} more of 9 have faults" in str(error.value)
-    with pytest.raises(ProblemError, match="threads: found 0; give 1 or more"):
+    with pytest.raises(ProblemError, match="threads: found 0; give a whole number, 1 or more"):
         swing.solve_many({"horizon": [2]}, threads=0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -81,6 +82,29 @@ def test_equal_scenarios_are_the_problem_itself() -> None:
     assert isinstance(alone, Solved)
     assert isinstance(twice, SolvedPhases)
     assert twice.cost == pytest.approx(2 * alone.cost, rel=1e-7)
+
+
+def test_scenarios_have_the_default_cost_or_the_price_of_an_expression() -> None:
+    """The default cost is the integral of |u|^2; beside a price in CasADi, inputs cost nothing."""
+    plain = mbsrun.problem(MODELS / "cart_pole.yaml", horizon=1, intervals=6, end={"pose": {"cart": 0.3}})
+    symbols = plain.quantities()
+    priced = plain.with_cost(symbols.q_cart**2 + symbols.u_cart**2)
+    for problem in (plain, priced):
+        alone, twice = problem.solve(check=False), problem.with_scenarios([{}, {}]).solve(check=False)
+        assert isinstance(alone, Solved)
+        assert isinstance(twice, SolvedPhases)
+        assert twice.cost == pytest.approx(2 * alone.cost, rel=1e-7)
+
+
+def test_a_guess_of_other_phases_is_refused() -> None:
+    scenarios, wrong = make_problem().with_scenarios([{}, {}]), make_problem().with_scenarios([{}])
+    given: Any
+    for given, finding in (
+        (make_problem().solve(check=False), "guess: found a value of type Solved; give a solution of these phases"),
+        (wrong.solve(check=False), "guess: it has the phases scenario0, and none of the name scenario1"),
+    ):
+        with pytest.raises(ProblemError, match=finding):
+            scenarios.solve(guess=given)
 
 
 def test_what_scenarios_cannot_share_is_named() -> None:

@@ -6,6 +6,7 @@ A file is JSON, as the file of a solution is, with a list of solutions, one for 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -218,16 +219,26 @@ def read_phased_solution(path: Path) -> PhasedSolution:
 
 def read_phased_guess(path: Path, names: tuple[str, ...], manifests: tuple[Manifest, ...]) -> Guess:
     """Read the motions of a solution, to start from. Raises InputError for other phases or mechanisms."""
-    solution, faults, found = read_phased_solution(path), [], []
+    solution = read_phased_solution(path)
+    faults = [Fault(str(path), 0, "", *misfit) for misfit in list_phased_misfits(solution, names, manifests)]
+    if faults:
+        raise InputError(faults)
+    return pick_guess(solution, names)
+
+
+def pick_guess(solution: PhasedSolution, names: tuple[str, ...]) -> Guess:
+    """Return the motions of phases, to start from."""
+    return replace(solution.guess, trajectories=tuple(solution.find(name).trajectory for name in names))
+
+
+def list_phased_misfits(
+    solution: PhasedSolution, names: tuple[str, ...], manifests: tuple[Manifest, ...]
+) -> Iterator[tuple[str, str]]:
+    """List what keeps a solution from being a guess for phases of these mechanisms, each with a remedy."""
     for name, manifest in zip(names, manifests, strict=True):
         if name not in solution.names:
             finding = f"it has the phases {', '.join(solution.names)}, and none of the name {name}"
-            faults.append(Fault(str(path), 0, "", finding, "give a solution with the same phases"))
+            yield finding, "give a solution with the same phases"
             continue
-        own = solution.find(name)
-        remedy = "give a solution for these mechanisms"
-        faults += [Fault(str(path), 0, "", f"phase {name}: {x}", remedy) for x in list_misfits(own, manifest)]
-        found.append(own.trajectory)
-    if faults:
-        raise InputError(faults)
-    return replace(solution.guess, trajectories=tuple(found))
+        for misfit in list_misfits(solution.find(name), manifest):
+            yield f"phase {name}: {misfit}", "give a solution for these mechanisms"
