@@ -384,7 +384,7 @@ class _Binder:
 
 def is_count(value: object, least: int = 1) -> bool:
     """Return whether a value is a whole number of at least `least`."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= least)
 
 
 def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, Array]]:
