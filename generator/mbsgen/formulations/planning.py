@@ -322,6 +322,7 @@ class PlanTrials:
         self.chain = write_chain(tree, builder, self.state)
         self.segments = align(self.chain, group=reductions.share_frames)
         self._reductions = reductions
+        self._costs: dict[tuple[int, ...], int] = {}  # by what a plan computes: many plans compute the same
         self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
 
     def __enter__(self) -> Self:
@@ -348,7 +349,11 @@ class PlanTrials:
 
     def cost(self, values: Sequence[Scalar]) -> int:
         """Count the operations of a trial, except operations on parameters alone."""
-        return self.chain.builder.cost(values, {Role.PARAMETER})
+        refs = tuple(value.ref for value in values)
+        known = self._costs.get(refs)
+        if known is None:
+            known = self._costs[refs] = self.chain.builder.cost(values, FIXED)
+        return known
 
 
 def _trials(size: int) -> int:

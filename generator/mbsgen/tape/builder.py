@@ -36,29 +36,40 @@ class Scalar:
     # zeros are frequent, so they are handled first
 
     def __add__(self, other: Scalar) -> Scalar:
-        x, y = self.ref, other.ref
+        x = self.ref
         if not x:
             return other
+        y = other.ref
         if not y:
             return self
         builder = self.builder
-        return Scalar(builder, builder.add(x, y))
+        known = builder.sums.get((x, y))
+        if known is None:
+            known = builder.sums[x, y] = builder.add(x, y)
+        return Scalar(builder, known)
 
     def __sub__(self, other: Scalar) -> Scalar:
         y = other.ref
         if not y:
             return self
-        builder = self.builder
-        return Scalar(builder, builder.add(self.ref, -y))
+        x, y, builder = self.ref, -y, self.builder
+        known = builder.sums.get((x, y))
+        if known is None:
+            known = builder.sums[x, y] = builder.add(x, y)
+        return Scalar(builder, known)
 
     def __mul__(self, other: Scalar) -> Scalar:
-        x, y = self.ref, other.ref
+        x = self.ref
         if not x:
             return self
+        y = other.ref
         if not y:
             return other
         builder = self.builder
-        return Scalar(builder, builder.mul(x, y))
+        known = builder.products.get((x, y))
+        if known is None:
+            known = builder.products[x, y] = builder.mul(x, y)
+        return Scalar(builder, known)
 
     def __truediv__(self, other: Scalar) -> Scalar:
         return Scalar(self.builder, self.builder.div(self.ref, other.ref))
@@ -215,20 +226,28 @@ class Builder(Arithmetic):
         `constant` must be the same in every call to one builder.
         """
         nodes, done, count = self._nodes, bytearray(self._mark_fixed(constant)), 0
-        stack = [abs(value.ref) for value in values]
+        stack: list[int] = []
         take, put = stack.pop, stack.append
+        for value in values:
+            node = abs(value.ref)
+            if not done[node]:
+                done[node] = 1
+                put(node)
         while stack:
-            node = take()
-            if done[node]:
-                continue
-            done[node] = 1
-            key = nodes[node]
+            key = nodes[take()]
             if key.__class__ is tuple:
                 _, a, b = key
                 count += 1
-                put(a if a > 0 else -a)
-                if b:
-                    put(b if b > 0 else -b)
+                if a < 0:
+                    a = -a
+                if not done[a]:
+                    done[a] = 1
+                    put(a)
+                if b < 0:
+                    b = -b
+                if not done[b]:
+                    done[b] = 1
+                    put(b)
         return count
 
     def _mark_fixed(self, constant: Set[Role]) -> bytearray:

@@ -19,6 +19,12 @@ OWN = -1  # as a base: the node's own number
 _ONE = LITERALS.mpf(1)
 
 
+class _Forgetful(dict[tuple[Ref, Ref], Ref]):
+    """Keeps nothing."""
+
+    def __setitem__(self, pair: tuple[Ref, Ref], ref: Ref) -> None: ...
+
+
 class Arithmetic(ABC):
     """Operations on references to nodes, which a class that inherits it stores by `_new`.
 
@@ -33,8 +39,9 @@ class Arithmetic(ABC):
         self._fold, self._cancel, self._number = fold, cancel, number
         self._one = -1  # the node of the literal 1, if there is one
         self._known: dict[Key, Ref] = {}  # quotients and functions
-        self._sums: dict[tuple[Ref, Ref], Ref] = {}  # of x > 0 and y with |x| <= |y|; likewise the
-        self._products: dict[tuple[Ref, Ref], Ref] = {}  # products of 0 < x <= y: most are asked for many times
+        self.sums: dict[tuple[Ref, Ref], Ref] = {} if number else _Forgetful()  # of x > 0 and y with |x| <= |y|, and
+        self.products: dict[tuple[Ref, Ref], Ref] = {} if number else _Forgetful()  # products of 0 < x <= y;
+        # both also of pairs as scalars ask for them: most are asked for many times
         self._literals: dict[mpf, Ref] = {}
 
     @abstractmethod
@@ -72,9 +79,9 @@ class Arithmetic(ABC):
     def _sum(self, x: Ref, y: Ref) -> Ref:
         """Refer to x + y, of x > 0 and |x| <= |y|."""
         pair = (x, y)
-        ref = self._sums.get(pair)
-        if ref is None or not self._number:
-            ref = self._sums[pair] = self._write_sum(x, y)
+        ref = self.sums.get(pair)
+        if ref is None:
+            ref = self.sums[pair] = self._write_sum(x, y)
         return ref
 
     def _write_sum(self, x: Ref, y: Ref) -> Ref:
@@ -101,9 +108,9 @@ class Arithmetic(ABC):
         is_positive = (x > 0) == (y > 0)
         x, y = abs(x), abs(y)
         pair = (x, y) if x < y else (y, x)
-        ref = self._products.get(pair)
-        if ref is None or not self._number:
-            ref = self._products[pair] = self._write_product(*pair)
+        ref = self.products.get(pair)
+        if ref is None:
+            ref = self.products[pair] = self._write_product(*pair)
         return ref if is_positive else -ref
 
     def _write_product(self, x: Ref, y: Ref) -> Ref:

@@ -95,11 +95,13 @@ class Turn:
         return Matrix.of([entries[r, q] for q in range(3)] for r in range(3))
 
     def _turn(self, v: Vector[Scalar], sine: Scalar) -> Vector[Scalar]:
-        j, k = (self.axis + 1) % 3, (self.axis + 2) % 3
-        turned = list(v)
-        turned[j] = self.cosine * v[j] + sine * v[k]
-        turned[k] = self.cosine * v[k] - sine * v[j]
-        return Vector.of(turned)
+        x, y, z, c = v.x, v.y, v.z, self.cosine
+        if self.axis == 0:
+            return Vector(x, c * y + sine * z, c * z - sine * y)
+        if self.axis == 1:
+            first = c * z + sine * x
+            return Vector(c * x - sine * z, y, first)
+        return Vector(c * x + sine * y, c * y - sine * x, z)
 
 
 @dataclass(frozen=True)
@@ -306,8 +308,8 @@ class Kinematics:
 
     @staticmethod
     def _by_axis(segment: Segment, first: Scalar, second: Scalar, along: Scalar) -> list[Scalar]:
-        j, k = segment.across
-        return [{j: first, k: second, segment.axis: along}[r] for r in range(3)]
+        a = segment.axis
+        return [along, first, second] if a == 0 else [second, along, first] if a == 1 else [first, second, along]
 
     def _across(self, segment: Segment, p: Scalar, q: Scalar) -> Vector[Scalar]:
         return Vector.of(self._by_axis(segment, p, q, self.builder.zero))

@@ -297,7 +297,10 @@ def _inertial_load(
     OM, OMp = kinematics.angular_velocity(segment, movement), kinematics.angular_acceleration(segment, movement)
     is_turned = kinematics.frames[segment.number].rest is not None
     for t, u in product(range(3), repeat=2):
-        p, by_rates = inertia.P[t, u], {t, u} <= rates
+        p = inertia.P[t, u]
+        if p.is_zero and not is_turned:
+            continue
+        by_rates = {t, u} <= rates
         if by_rates and t == u and not is_turned:
             N = N + Vector.of(zero if r == t else x * p for r, x in enumerate(OMp))
             momentum = momentum + unit_vector(kinematics.builder, t).scale(-(OM[t] * p))
