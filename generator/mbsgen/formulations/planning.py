@@ -27,6 +27,7 @@ from mbsgen.model.tree import NO_FORCE, Kind, Tree
 from mbsgen.roles import Role
 from mbsgen.tape.brackets import take_brackets
 from mbsgen.tape.builder import Builder, Scalar
+from mbsgen.tape.counts import once
 from mbsgen.tape.factoring import factor
 from mbsgen.tape.replay import count_varying
 from mbsgen.tape.sums import rewrite
@@ -383,6 +384,7 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
     return found if count_own(found)[0] <= WORTH * count_own(fewest)[0] else fewest
 
 
+@once
 def count_own(tape: Tape) -> tuple[int, int]:
     """Count the operations of a kernel, and then its operations together with the setup's."""
     return count_varying(tape, FIXED), len(tape.operations)

@@ -100,7 +100,7 @@ class Builder(Arithmetic):
         super().__init__(fold=fold, number=number, cancel=cancel)
         self._nodes: list[Key | mpf | None] = [None]  # node 0 is never used
         self._bases: list[int] = [OWN]
-        self._numbers: dict[float | mpf, Ref] = {}
+        self._numbers: dict[float | tuple[int, ...], Ref] = {}
         self._fixed = bytearray(1)  # of each node: whether the inputs that vary do not reach it; see `cost`
         self._inputs: list[tuple[Input, int]] = []  # with the node of the first nonzero
         self._results: list[Result] = []
@@ -181,9 +181,10 @@ class Builder(Arithmetic):
 
     def number(self, value: float | mpf) -> Scalar:
         """Make a literal."""
-        known = self._numbers.get(value)
+        key = value._mpf_ if isinstance(value, LITERALS.mpf) else value
+        known = self._numbers.get(key)
         if known is None:
-            known = self._numbers[value] = self.literal(LITERALS.mpf(value))
+            known = self._numbers[key] = self.literal(LITERALS.mpf(value))
         return Scalar(self, known)
 
     def sin(self, x: Scalar) -> Scalar:

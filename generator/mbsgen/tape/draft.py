@@ -23,7 +23,7 @@ from mpmath import mpf
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import PAPER
-from mbsgen.tape.references import OWN, Arithmetic
+from mbsgen.tape.references import OWN, Arithmetic, size_of
 from mbsgen.tape.replay import count_varying, find_constants, replay_guards
 from mbsgen.tape.types import EVEN, FUNCTIONS, ODD, Op, Operation, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, choose_turned
@@ -236,8 +236,7 @@ class Draft(Arithmetic):
     def undo(self) -> None:
         """Take a change back."""
         for number in self._fresh:
-            size = self._nodes[number]
-            del self._literals[size]
+            del self._literals[size_of(self._nodes[number])]
             self._one = OWN if number == self._one else self._one
         for kept, key, value in reversed(self._journal):
             if value is _MISSING:
@@ -262,8 +261,7 @@ class Draft(Arithmetic):
             self._forget(number)
         gone = [x for x in self._literals.values() if not self._counts.get(x)]
         for number in gone:
-            size = self._nodes.pop(number)
-            del self._literals[size], self._bases[number]
+            del self._literals[size_of(self._nodes.pop(number))], self._bases[number]
             self._one = OWN if number == self._one else self._one
         self.is_changed = True
         return Changes(born | dead | self._restored, self._touched)

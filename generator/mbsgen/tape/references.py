@@ -25,6 +25,12 @@ class _Forgetful(dict[tuple[Ref, Ref], Ref]):
     def __setitem__(self, pair: tuple[Ref, Ref], ref: Ref) -> None: ...
 
 
+def size_of(value: mpf) -> tuple[int, int]:
+    """Return the mantissa and the exponent of a number: mpmath's own hash takes long."""
+    _, mantissa, exponent, _ = value._mpf_
+    return mantissa, exponent
+
+
 class Arithmetic(ABC):
     """Operations on references to nodes, which a class that inherits it stores by `_new`.
 
@@ -42,7 +48,7 @@ class Arithmetic(ABC):
         self.sums: dict[tuple[Ref, Ref], Ref] = {} if number else _Forgetful()  # of x > 0 and y with |x| <= |y|, and
         self.products: dict[tuple[Ref, Ref], Ref] = {} if number else _Forgetful()  # products of 0 < x <= y;
         # both also of pairs as scalars ask for them: most are asked for many times
-        self._literals: dict[mpf, Ref] = {}
+        self._literals: dict[tuple[int, int], Ref] = {}  # by `size_of`
 
     @abstractmethod
     def _new(self, key: Key | mpf, base: int = OWN) -> Ref:
@@ -50,17 +56,20 @@ class Arithmetic(ABC):
 
     def literal(self, value: mpf) -> Ref:
         """Refer to a literal."""
-        if not LITERALS.isfinite(value):
-            raise TapeError(f"a literal of a tape must be finite, not {value}")
-        if value == 0:
+        sign, mantissa, exponent, bits = value._mpf_
+        if not mantissa:
+            if exponent:
+                raise TapeError(f"a literal of a tape must be finite, not {value}")
             return 0
-        magnitude = abs(value)
-        ref = self._literals.get(magnitude)
+        if bits > LITERALS.prec:
+            return self.literal(LITERALS.mpf(value))
+        size = (mantissa, exponent)
+        ref = self._literals.get(size)
         if ref is None:
-            ref = self._literals[magnitude] = self._new(magnitude, 0)
-            if magnitude == 1:
+            ref = self._literals[size] = self._new(abs(value), 0)
+            if size == (1, 0):
                 self._one = ref
-        return ref if value > 0 else -ref
+        return -ref if sign else ref
 
     def add(self, x: Ref, y: Ref) -> Ref:
         """Refer to x + y."""

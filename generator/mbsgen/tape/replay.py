@@ -63,8 +63,16 @@ def replay_guards(
             builder.guard(pivot, values[guard.scale], guard.tolerance, guard.joint, early=guard.early)
 
 
-def find_constants(tape: Tape, roles: Set[Role]) -> list[bool]:
-    """Return, for each value, whether it depends on literals and inputs of the given roles alone."""
+def find_constants(tape: Tape, roles: Set[Role]) -> Sequence[bool]:
+    """Return, for each value, whether it depends on literals and inputs of the given roles alone; a tape remembers."""
+    known, key = tape.__dict__, f"constants by {sorted(role.name for role in roles)}"
+    if key not in known:
+        known[key] = _find_constants(tape, roles)
+    found: Sequence[bool] = known[key]
+    return found
+
+
+def _find_constants(tape: Tape, roles: Set[Role]) -> list[bool]:
     found = [i.port.role in roles for i in tape.inputs for _ in range(i.sparsity.nnz)]
     found += [True] * len(tape.literals)
     for _, a, b in tape.operations:

@@ -91,7 +91,7 @@ def list_terms(tape: Tape, value: int, inner: Set[int]) -> list[tuple[int, int]]
 class _Sums:
     def __init__(self, tape: Tape, constant: Set[Role]) -> None:
         self.tape = tape
-        self.is_constant = find_constants(tape, constant)
+        self.is_constant = [*find_constants(tape, constant)]
         self.inner = find_inner(tape, self.is_constant, _KINDS)
         self.handed_on = False
         self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value

@@ -65,14 +65,12 @@ class Writer:
         self._is_literal = [base == 0 for base in bases]
         self._uses = self._count_uses() if turned is None else [1] * len(nodes)
         self._turned = self._choose_turned() if turned is None else turned
-        self._kept: dict[int, Ref] = {}  # node -> the node with its stored sign
+        self._kept = [*range(len(nodes))]  # of each node: the node with its stored sign
         self._literals: dict[Ref, None] = {}  # in the order of their first use
         self._written: dict[Ref, tuple[Op, Ref, Ref]] = {}  # result -> operation on kept references
 
     def tape(self, function: Function) -> Tape:
         """Write the operations, then number the values."""
-        for source, first in self._inputs:
-            self._kept.update((node, node) for node in range(first, first + source.sparsity.nnz))
         self._write_operations()
         outputs = [[self._with_sign(ref) for ref in result.refs] for result in self._results]
         tested = [(self._as_kept(test.value), self._with_sign(test.scale)) for test in self._tests]
@@ -80,7 +78,9 @@ class Writer:
             *(n for s, first in self._inputs for n in range(first, first + s.sparsity.nnz)),
             *self._literals,
         )
-        place = {ref: value for value, ref in enumerate((*order, *self._written))}
+        place = [-1] * (2 * len(self._nodes) + 1)  # by signed node: negative ones from the end
+        for value, ref in enumerate((*order, *self._written)):
+            place[ref] = value
         return Tape(
             function,
             tuple(source for source, _ in self._inputs),
@@ -149,7 +149,7 @@ class Writer:
             op, a, b = key
             turned = node in turned_nodes
             if op is Op.MUL or op is Op.DIV:
-                x, y = a if is_literal[a] else kept[a], b if is_literal[b] else kept[b]
+                x, y = kept[a], kept[b]
                 if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right
                     if is_literal[a]:
                         x = -x
@@ -157,7 +157,7 @@ class Writer:
                         y = -y
                 turned = (x > 0) is not (y > 0)
             elif op is Op.ADD or op is Op.SUB:
-                x, y = a if is_literal[a] else kept[a], b if is_literal[b] else kept[b]
+                x, y = kept[a], kept[b]
                 first, second = (x > 0) is not turned, (y > 0) is not ((op is Op.SUB) is not turned)
                 if not first and not second:  # both are subtracted: store the sum with the other sign
                     turned, first, second = not turned, True, True
@@ -165,7 +165,7 @@ class Writer:
                     x, y, second = y, x, first
                 op = Op.ADD if second else Op.SUB
             elif op in ODD or op in EVEN:
-                x, y = a if is_literal[a] else kept[a], 0
+                x, y = kept[a], 0
                 turned = x < 0 and op in ODD
             else:
                 x, y, turned = self._with_sign(a), self._with_sign(b) if op.arity == 2 else 0, False
