@@ -323,7 +323,7 @@ class PlanTrials:
         self.chain = write_chain(tree, builder, self.state)
         self.segments = align(self.chain, group=reductions.share_frames)
         self._reductions = reductions
-        self._costs: dict[tuple[int, ...], int] = {}  # by what a plan computes: many plans compute the same
+        self._costs: dict[tuple[int, ...], int] = {}  # by the values of a plan: many plans have the same
         self._biases: dict[tuple[Plan, bool], Sequence[Scalar]] = {}
 
     def __enter__(self) -> Self:

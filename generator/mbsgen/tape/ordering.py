@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from mbsgen.tape.types import Op, Tape
 
 _TRIGONOMETRIC = (Op.SIN, Op.COS)
-Operands = Sequence[tuple[int, ...]]  # of each operation
+Operands = Sequence[tuple[int, int]]  # of each operation; a single one twice
 
 
 def arrange(tape: Tape) -> Tape:
@@ -20,7 +22,7 @@ def arrange(tape: Tape) -> Tape:
 
     The arguments of sines and cosines are computed first, so that all of these can be computed together.
     """
-    operands = [(a,) if b < 0 else (a, b) for _, a, b in tape.operations]
+    operands = [(a, a if b < 0 else b) for _, a, b in tape.operations]
     stages = _find_stages(tape, operands)
     orders = (range(len(operands)), _follow_results(tape, operands))
     gathered = [sorted(order, key=stages.__getitem__) for order in orders]
@@ -31,8 +33,7 @@ def _follow_results(tape: Tape, operands: Operands) -> list[int]:
     """Order the operations by the results that need them, depth first; guards come first, as they are tested first."""
     first = tape.first_operation
     depths = [0] * first  # the operations between each value and the leaves
-    for used in operands:
-        a, b = used[0], used[-1]
+    for a, b in operands:
         depths.append(1 + max(depths[a], depths[b]))
     roots = [v for g in tape.guards for v in (g.value, g.scale)] + [v for o in tape.outputs for v in o.values]
     done = [False] * len(operands)
@@ -44,10 +45,10 @@ def _follow_results(tape: Tape, operands: Operands) -> list[int]:
             if k < 0 or done[k]:
                 stack.pop()
                 continue
-            used = operands[k]
-            a, b = used[0] - first, used[-1] - first
-            lacks_a, lacks_b = a >= 0 and not done[a], b >= 0 and not done[b]
-            if lacks_a and (not lacks_b or depths[first + a] >= depths[first + b]):
+            x, y = operands[k]
+            a, b = x - first, y - first
+            lacks_b = b >= 0 and not done[b]
+            if a >= 0 and not done[a] and (not lacks_b or depths[x] >= depths[y]):
                 stack.append(a)  # the deepest operand is taken first
             elif lacks_b:
                 stack.append(b)
@@ -65,17 +66,20 @@ def _find_stages(tape: Tape, operands: Operands) -> list[int]:
     first = tape.first_operation
     are_sines = [op in _TRIGONOMETRIC for op, _, _ in tape.operations]
     levels = [0] * first  # the length of the chain of sines, each an argument of the next, below a value
-    for is_sine, used in zip(are_sines, operands, strict=True):
-        levels.append(max(levels[used[0]], levels[used[-1]]) + is_sine)
+    for is_sine, (a, b) in zip(are_sines, operands, strict=True):
+        x, y = levels[a], levels[b]
+        levels.append((x if x > y else y) + is_sine)
     last = 1 + max(levels, default=0)
     groups = [last] * len(levels)  # the group that a value belongs to, or is needed for
     for k in range(len(operands) - 1, -1, -1):
         if are_sines[k]:
             groups[first + k] = levels[first + k]
         own = groups[first + k]
-        for x in operands[k]:
-            if own < groups[x]:
-                groups[x] = own
+        a, b = operands[k]
+        if own < groups[a]:
+            groups[a] = own
+        if own < groups[b]:
+            groups[b] = own
     return [2 * group + is_sine for group, is_sine in zip(groups[first:], are_sines, strict=True)]
 
 
@@ -95,5 +99,9 @@ def _permute(tape: Tape, order: Sequence[int]) -> Tape:
 
 def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
     """Return the sum, over the operations in an order, of the number of values that later operations read."""
-    last = {x: n for n, k in enumerate(order) for x in operands[k] if x >= first}  # each is kept from its own operation
-    return sum(last.values()) - sum(n for n, k in enumerate(order) if first + k in last)
+    places, ordered = np.arange(len(order)), np.array(order, dtype=np.int64)
+    read = np.array(operands, dtype=np.int64).reshape(-1, 2)[ordered]
+    last = np.full((2, first + len(operands)), -1)
+    last[0, read[:, 0]], last[1, read[:, 1]] = places, places  # of equal ones the last one counts
+    ends = last.max(axis=0)[first + ordered]
+    return int((ends - places)[ends >= 0].sum())  # each is kept from its own operation

@@ -18,6 +18,7 @@ from mbsgen.targets.statements import Body, Check, Statement, Turn, Turns
 # Jacobian 470 instead of 880.
 LENGTH = 300
 _WORD = re.compile(r"\b[A-Za-z]\w*")
+_AROUND_WORDS = re.compile(r"(\b[A-Za-z]\w*)")
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,11 @@ def _write_line(line: Line, names: set[str], kept: Mapping[str, str], words: Wor
         return name and (kept.get(name) or words.declared.format(name=name))
 
     def take(text: str) -> str:
-        return _WORD.sub(lambda found: kept.get(found[0], found[0]), text) if reads_kept else text
+        if not reads_kept:
+            return text
+        pieces = _AROUND_WORDS.split(text)
+        pieces[1::2] = [kept.get(word, word) for word in pieces[1::2]]
+        return "".join(pieces)
 
     match line:
         case Statement():

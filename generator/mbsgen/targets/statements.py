@@ -118,11 +118,13 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
     texts = _write_leaves(tape, syntax)  # of every value, ready as an operand
     places = [0] * len(texts)  # the number of statements after which a value is known
     statements: list[Statement | Turns] = []
+    infix = {op: sign for op, sign in _INFIX.items() if op not in syntax.calls}
     turning: dict[str, dict[Op, str]] = {}  # of the angles of the next Turns, the names of sine and cosine
     taken = {*names.values(), *(x.name for x in arguments(tape))}
     free = (name for k in count(1) if (name := f"t{k}") not in taken)
     for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-        is_turn = syntax.turns and op in (Op.SIN, Op.COS) and bool(uses[value])
+        is_used, sign = value in uses, infix.get(op)
+        is_turn = syntax.turns and sign is None and op in (Op.SIN, Op.COS) and is_used
         if turning and not (is_turn and places[a] <= len(statements)):  # an angle may be a sine of these
             statements.append(_write_turns(turning))
             turning = {}
@@ -133,10 +135,13 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
             continue
         if op is Op.ADD and b in going_on and b not in named:  # a sum that continues is first: sums commute
             a, b = b, a
-        expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
-        if uses[value] and value not in named:
+        if sign is None:
+            expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
+        else:
+            expression = f"{_bare(texts[a]) if op in _SUMS else texts[a]}{sign}{texts[b]}"
+        if is_used and value not in named:
             texts.append(expression if op in syntax.calls else f"({expression})")
-        elif uses[value]:
+        elif is_used:
             name = names.get(value) or next(free)
             statements.append(Statement(name, expression))
             texts.append(name)
@@ -186,8 +191,6 @@ def _write_number(value: mpf | float, syntax: Syntax) -> str:
 
 
 def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
-    if op in _INFIX and op not in syntax.calls:
-        return f"{_bare(a) if op in _SUMS else a}{_INFIX[op]}{b}"
     if op is Op.NEG and op not in syntax.calls:
         return f"-{a}"
     return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import textwrap
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,6 +15,7 @@ from mbsgen.roles import Role
 from mbsgen.tape.counts import INLINED
 from mbsgen.tape.ports import Function, Port
 from mbsgen.tape.types import LITERALS, Input, Op, Output, Sparsity, Tape
+from mbsgen.targets.c.stages import LONGEST, break_line
 from mbsgen.targets.statements import Statement, wrap, write_body, write_literal
 
 
@@ -116,3 +119,12 @@ def test_inputs_that_nothing_reads_are_told() -> None:
 def test_words_are_wrapped_at_commas() -> None:
     assert wrap(["1", "22", "333"], width=6) == ("1, 22,", "333")
     assert wrap([]) == ()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_long_lines_break_like_wrapped_text(seed: int) -> None:
+    """By the standard library's wrapping of words, which takes longer; also around words longer than a line."""
+    rng = np.random.default_rng(seed)
+    line = " ".join("x" * length for length in rng.integers(1, LONGEST + 20 if seed % 2 else 30, size=40))
+    wrapped = textwrap.wrap(line, LONGEST, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+    assert break_line(line) == wrapped

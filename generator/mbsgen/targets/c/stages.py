@@ -6,7 +6,6 @@ it or can still fail: then it is a local array as well, and copied at the end. S
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -289,7 +288,7 @@ def _write_double_double(writer: Writer, stage: DoubleDouble) -> None:
 def _write_precise(part: Part) -> CFunction:
     """Write a part in double-double arithmetic: each result has two parts."""
     results = tuple(x for name in part.results for x in (name, name_low(name)))
-    text = tuple(x for line in c_double_double.write_lines(part.lines) for x in _break(line))
+    text = tuple(x for line in c_double_double.write_lines(part.lines) for x in break_line(line))
     return replace(_write_function(replace(part, results=results, lines=()), "mbs_values"), lines=text)
 
 
@@ -315,15 +314,21 @@ def _write_lines(lines: Sequence[Line]) -> tuple[str, ...]:
                 text.append(f"if (!MBS_EXCEEDS({line.value}, MBS_THRESHOLD({line.tolerance}) * {line.scale}))")
                 text.append(f"    return {line.joint};")
             case _:
-                text += _break(f"{line.target} = {line.expression};")
+                text += break_line(f"{line.target} = {line.expression};")
     return tuple(text)
 
 
-def _break(line: str) -> list[str]:
-    """Break a long line where it has spaces."""
-    if len(line) <= LONGEST:  # most are; wrapping takes longer than writing them
-        return [line]
-    return textwrap.wrap(line, LONGEST, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+def break_line(line: str) -> list[str]:
+    """Break a long line where it has spaces, as `textwrap` does, which takes far longer."""
+    lines, indent = [], ""
+    while len(indent) + len(line) > LONGEST:
+        place = line.rfind(" ", 0, LONGEST - len(indent) + 1)
+        place = place if place > 0 else line.find(" ")
+        if place < 0:  # a word that is longer
+            break
+        lines.append(indent + line[:place])
+        line, indent = line[place + 1 :], "    "
+    return [*lines, indent + line]
 
 
 def _write_turns(turns: Turns, suffix: str) -> list[str]:
