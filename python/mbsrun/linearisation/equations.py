@@ -38,6 +38,7 @@ Complex = NDArray[np.complex128]
 
 BALANCED = 1e-8  # the largest force that counts as none, relative to the largest of the joints, or absolute below 1
 ITERATIONS = 100  # of Newton's method for an equilibrium
+UNSUPPORTED = 0.1  # the part of the missing forces that no step balances, above which a pose has to yield to it
 LONGEST = 0.3  # its step [rad, m]
 ZERO = 1e-6  # of poles, relative to |A|: a double pole at 0 is found to the root of the rounding
 ROUNDING = 1e-12  # of the real parts of poles, relative to |A|
@@ -288,7 +289,9 @@ def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
         missing, least = Z.T @ forces, BALANCED * max(1.0, scale)
         K = Z.T @ slopes["jac_Phi_q"] @ N @ Z
         step = -np.asarray(np.linalg.lstsq(K, missing, rcond=RANK)[0])
-        step += _yield_to(missing + K @ step, Z.T @ slopes["jac_Phi_qdd"] @ Z, least)
+        left = missing + K @ step
+        if np.abs(left).max(initial=0.0) > max(least, UNSUPPORTED * np.abs(missing).max()):
+            step += _yield_to(left, Z.T @ slopes["jac_Phi_qdd"] @ Z)
         longest = np.abs(step).max(initial=0.0)
         q = q + N @ Z @ step * min(1.0, LONGEST / max(longest, CLOSED))
         if longest <= CLOSED and np.abs(missing).max(initial=0.0) <= least:
@@ -296,13 +299,11 @@ def settle(kernels: Kernels, q: Array, u: Array) -> Equilibrium:
     raise BalanceError("no equilibrium was found near the pose; give another pose, or other inputs")
 
 
-def _yield_to(left: Array, M: Array, least: float) -> Array:
+def _yield_to(left: Array, M: Array) -> Array:
     """Return a step of the largest length the way that forces accelerate which no stiffness balances.
 
     A horizontal arm has none: the moment of its weight is the largest there.
     """
-    if np.abs(left).max(initial=0.0) <= least:
-        return np.zeros(len(left))
     pushed = -np.asarray(np.linalg.lstsq(M, left, rcond=RANK)[0])
     return np.asarray(pushed * LONGEST / np.abs(pushed).max())
 

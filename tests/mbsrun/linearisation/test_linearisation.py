@@ -258,6 +258,29 @@ def test_a_horizontal_arm_settles_where_it_hangs(tmp_path: Path, monkeypatch: py
         assert np.sin(q[1]) > 0  # its mass is at (0.2, 0, 0) of its frame, which turns about y
 
 
+def test_a_crate_with_a_bob_settles_on_its_corners(tmp_path: Path) -> None:
+    """The corners carry the weight: N = k d^(3/2) in sum, and in moments about the centres of mass; the bob hangs."""
+    (tmp_path / "crate.yaml").write_text(
+        "name: crate\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: hull, joint: {type: free}, mass: 2, inertia: [0.1, 0.2, 0.3], com: [0.01, 0, 0]}\n"
+        "  - {name: bob, parent: hull, joint: {type: ball, position: [0.1, 0, 0]}, mass: 0.5, com: [0.2, 0, 0], "
+        "inertia: [0.01, 0.02, 0.02]}\n"
+        "contacts: [{name: box, body: hull, size: [0.4, 0.3, 0.2], stiffness: 1e5}]\n",
+        encoding="utf-8",
+    )
+    kernels = load(tmp_path / "crate.yaml", extent=INTEGRATED)
+    start = np.array([0, 0, 0.099, 0, 0, 0, 1, 0, np.sqrt(0.5), 0, np.sqrt(0.5)])
+    q = settle(kernels, start, np.zeros(len(kernels.manifest.actuated))).q
+    tilt = 2 * np.arctan2(q[4], q[6])  # about y; x leans to -z
+    x = np.array([0.2, -0.2]) * np.cos(tilt) - 0.1 * np.sin(tilt)
+    depth = -(q[2] - np.array([0.2, -0.2]) * np.sin(tilt) - 0.1 * np.cos(tilt))
+    N = 2 * 1e5 * depth**1.5
+    assert N.sum() == pytest.approx(2.5 * 9.81, rel=1e-5)
+    hung = 0.1 * np.cos(tilt)
+    assert N @ x == pytest.approx(9.81 * (2 * 0.01 * np.cos(tilt) + 0.5 * hung), rel=1e-3)
+    assert tilt + 2 * np.arctan2(q[8], q[10]) == pytest.approx(np.pi / 2, abs=1e-8)
+
+
 def test_poles_beside_a_change_point_are_doubted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A parallelogram in line may go on as a parallelogram or crossed: its equations depend on each other there."""
     monkeypatch.chdir(tmp_path)
