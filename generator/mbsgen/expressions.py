@@ -420,16 +420,24 @@ _FACTORS = (ast.Mult, ast.Div)
 _SHORT = 4  # terms of a sum, factors of a product, that are not halved
 
 
+def _mend_character(character: str) -> str:
+    """Return the remedy for a character that expressions do not have."""
+    if character == "^":
+        return "write a power as **"
+    if character.isalpha():
+        return "names in expressions have the letters a to z, digits and _; rename what is meant in its file"
+    return "use numbers, names, + - * / ** ( ) and functions"
+
+
 def _check_tokens(text: str) -> None:
     """Check that a text contains only words of the language, before Python's parser sees it."""
     position, previous = 0, ""
     while position < len(text):
         token = _TOKEN.match(text, position)
         if token is None:
-            remedy = (
-                "write a power as **" if text[position] == "^" else "use numbers, names, + - * / ** ( ) and functions"
+            raise ExpressionError(
+                f"{_quote(text[position])} has no meaning in an expression", _mend_character(text[position])
             )
-            raise ExpressionError(f"{_quote(text[position])} has no meaning in an expression", remedy)
         if previous == "number" and token.lastgroup in ("number", "name"):
             raise ExpressionError(f"{_quote(text[:60])} joins a number to a word", "put * or a space between")
         if token["number"]:

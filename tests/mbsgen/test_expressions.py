@@ -203,6 +203,12 @@ def test_values_may_be_of_any_type() -> None:
     assert evaluate(parse("(a + 1)**2/3 - 0.5"), {"a": Fraction(1, 2)}, fractions) == Fraction(1, 4)
 
 
+def test_a_letter_of_another_alphabet_is_told_apart_from_a_sign() -> None:
+    with pytest.raises(ExpressionError) as error:
+        parse("2*q_joint_α")
+    assert error.value.remedy.startswith("names in expressions have the letters a to z")
+
+
 def test_equal_parts_of_a_program_are_computed_once() -> None:
     """Products, powers and a function that others define; each expression alone has the same results."""
     products: list[float] = []
