@@ -206,7 +206,7 @@ def test_a_way_is_smooth_where_a_point_comes_to_rest() -> None:
         velocity = np.array([[[*slip, along]]])
         normal = np.array([[[0.0, 0.0, 1.0]]])
         zero = np.zeros((1, 1))
-        touch = Touch(zero, normal, np.zeros((1, 1, 3, 2)), velocity, zero, 0 * velocity)
+        touch = Touch(zero, normal, np.zeros((1, 1, 3, 2)), velocity, zero, 0 * velocity, zero)
         return [float(x) for x in find_way(touch, mode, 0)[0]]
 
     assert find([3.0, 4.0]) == pytest.approx([0.6, 0.8, 0.0])

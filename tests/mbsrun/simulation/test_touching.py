@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from mbsgen.errors import InputError
+from mbsgen.expressions import parse
 from mbsgen.manifest import Stops
 from mbsrun import Mechanism, load
 from mbsrun.limits import Allowance, Limits
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
-from mbsrun.simulation.drive import Piece, control, hold
+from mbsrun.simulation.drive import Piece, control, express, hold, hold_steps
 from mbsrun.simulation.integration import touching
 from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.motion import Chunk, HaltError
@@ -233,6 +234,71 @@ def test_a_motion_that_switches_again_and_again_at_once_is_ended() -> None:
     piece = Piece(0.0, 1.0, lambda t: np.zeros((len(t), 0)), True)
     with pytest.raises(HaltError, match="200 switches of nothing, each within 1e-09 s"):
         list(Restless().follow(piece, np.zeros(1), np.zeros(1), Allowance(Limits())))
+
+
+LEG = """
+name: leg
+gravity: [0, 0, -9.81]
+bodies:
+  - name: shank
+    joint:
+      - {name: x, type: prismatic, axis: x, actuated: false}
+      - {name: z, type: prismatic, axis: z, actuated: false}
+      - {name: ankle, type: revolute, axis: y, actuated: false}
+    mass: 4
+    com: [0, 0, 0.2]
+    inertia: [0.2, 0.2, 0.01]
+  - name: thigh
+    parent: shank
+    joint: {name: knee, type: revolute, axis: y, position: [0, 0, 0.4]}
+    mass: 1
+    com: [0, 0, 0.1]
+    inertia: [0.02, 0.02, 0.002]
+contacts:
+  - {name: foot, body: shank, position: [0.02, 0, -0.07], restitution: 0.2, friction: {coefficient: 0.6}}
+"""
+
+
+def test_jumps_of_inputs_are_no_events_of_a_foot_that_stands(make: Make) -> None:
+    """The joints move, and the foot's velocity is the rounding of their sum: its mode changes nowhere."""
+    leg, torques = make(LEG), np.random.default_rng(5).uniform(-1, 1, (6, 1))
+    drive, q = hold_steps(np.linspace(0, 0.12, 7), torques), np.array([0.03, 0.0, 0.1, 0.3])
+    q[1] = -leg("touching", q=q)["clearance"].ravel()[0]
+    settings = Settings(0.12, "rk4", step=0.01)
+    motion = simulate(leg, drive, q, np.zeros(4), settings)
+    assert motion.halt is None
+    assert motion.events == ()
+    assert np.abs(motion.qd[-1]).max() > 0.1
+    assert motion.energy is not None
+    assert motion.energy.impacts is not None
+    assert motion.energy.impacts[-1] == 0
+    assert np.abs(motion["gap_foot"]).max() < 1e-15
+    assert np.abs(motion.energy.drift).max() < 1e-7
+
+
+def test_a_block_that_never_moved_fast_comes_to_rest(make: Make) -> None:
+    """Pushed by mu m g + s - t from rest, it slips until 2 s, where it sticks: the way is s^3/3."""
+    block, surplus = make(SLEDGE), 2.5e-4
+    push = 0.2 * 2 * G + surplus
+    motion = simulate(block, express([parse(f"{push!r} - t")], ["u"], {}), [0, 0], [0, 0], Settings(0.1, **TIGHT))
+    (event,) = motion.events
+    assert event.kind is Kind.STICK
+    assert event.time == pytest.approx(2 * surplus, abs=1e-12)
+    assert motion.q[-1] == pytest.approx([surplus**3 / 3, 0], abs=1e-15)
+
+
+SLEDGE = """
+name: sledge
+gravity: [0, 0, -9.81]
+bodies:
+  - name: block
+    joint:
+      - {name: x, type: prismatic, axis: x}
+      - {name: z, type: prismatic, axis: z, actuated: false}
+    mass: 2
+contacts:
+  - {name: foot, body: block, restitution: 0, friction: {coefficient: 0.2}}
+"""
 
 
 ROPE = """

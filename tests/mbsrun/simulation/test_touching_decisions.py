@@ -212,7 +212,7 @@ def test_points_are_placed_by_three_steps_of_newtons_method() -> None:
         slide, normal = np.zeros((1, 1, 3, 1)), np.zeros((1, 1, 3))
         slide[0, 0, 2, 0], normal[0, 0, 2] = 2 * q[0, 0], 1
         zero = np.zeros((1, 1, 3))
-        return Touch(q**2, normal, slide, zero, np.zeros((1, 1)), zero)
+        return Touch(q**2, normal, slide, zero, np.zeros((1, 1)), zero, np.zeros((1, 1)))
 
     setattr(motion.contacts, "touch", bowl)  # noqa: B010
     assert motion.place(np.array([0.8]), [0]) == pytest.approx([0.1])

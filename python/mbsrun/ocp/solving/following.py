@@ -27,11 +27,11 @@ from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.phases import Followed, PhasedSolution
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.simulation.drive import Drive, follow_polynomials
-from mbsrun.simulation.motion import Event, Kind, Mode, Motion, Settings
+from mbsrun.simulation.motion import Mode, Motion, Settings
 from mbsrun.simulation.simulate import simulate
 
 TOLERANCE = 1e-12  # of steps, relative and absolute
-TOUCHES = 1e-9  # m: a gap that counts as closed; m/s: a speed that counts as none
+TOUCHES = 1e-9  # m: a gap that counts as closed
 
 _NAMES = {
     Mode.FREE: FREE,
@@ -144,8 +144,6 @@ class _Run:
         if motion.halt is not None:
             return f"it ends at {part.begin + motion.t[-1]:.6g} s, {motion.halt}"
         for event in motion.events:
-            if self.changes_nothing(part, event):
-                continue
             time = part.begin + event.time
             k = int(np.searchsorted(self.ends, time).clip(max=len(self.ends) - 1))
             if min(abs(time - self.ends[k]), abs(time - self.starts[k])) > self.find_margin(k):
@@ -158,13 +156,6 @@ class _Run:
                 own = f" of phase {self.names[part.phase]}" if self.names[part.phase] else ""
                 return f"{name} has mode {found} at {part.end - where:.6g} s{own}, which states {stated}"
         return ""
-
-    def changes_nothing(self, part: _Part, event: Event) -> bool:
-        """Return whether a point comes to rest that rests already, where inputs jump."""
-        stated = dict(self.phases[part.phase].problem.modes)
-        resting = [x.name for x in self.manifest.open_contacts if is_closed(x, stated[x.name])]
-        is_contact = event.kind in (Kind.IMPACT, Kind.REST) and event.joint in resting
-        return is_contact and abs(event.before) <= TOUCHES
 
     def list_modes(self, part: _Part, motion: Motion) -> Iterator[tuple[str, str, str]]:
         """List the mode of each joint and contact at the end of a part, and the one that the phase states."""

@@ -79,6 +79,7 @@ class Touch:
     velocity: Array  # (K, P, 3)
     pull: Array  # (K, P): the change of the normal velocity without accelerations,
     drift: Array  # (K, P, 3): and of the velocity
+    reach: Array  # (K, P): the sum of the sizes of a velocity's terms, of which it has its rounding
 
     @property
     def speed(self) -> Array:
@@ -122,7 +123,8 @@ class Contacts:
         turn = np.einsum("kpiq,kq->kpi", slopes["jac_direction_q"].reshape(K, points, 3, q.shape[1]), rates)
         drift = np.einsum("knpiq,kq,kn->kpi", by_q, rates, qd, optimize=True)
         pull = (turn * velocity).sum(axis=2) + (normal * drift).sum(axis=2)
-        return Touch(gap, normal, slide, velocity, pull, drift)
+        reach = np.einsum("kpin,kn->kpi", np.abs(slide), np.abs(qd)).max(axis=2)
+        return Touch(gap, normal, slide, velocity, pull, drift, reach)
 
     def _place(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances, normals and Jacobians."""

@@ -29,7 +29,7 @@ from mbsrun.simulation.motion import Chunk, Event, Halt, HaltError, Impacts, Kin
 Array = NDArray[np.float64]
 
 TOUCH = 1e-11  # m: a point that is as near touches
-STILL = 1e-11  # of the fastest velocity of a point: a slower one is at rest
+STILL = 1e-11  # of the fastest velocity of a point, by its terms: a slower one is at rest
 CREEP = 1e-9  # the same, where the slip has just turned round: in a plane it turns ever faster, and seldom vanishes
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
@@ -129,7 +129,7 @@ class _Course(Course):
         M = self.dynamics.mass_matrix(q, qd, piece.at(time, q, qd))
         for number in range(MOST):
             touch = contacts.touch(q[None], qd[None])
-            self.fastest = max(self.fastest, float(np.abs(touch.velocity).max()))
+            self.fastest = max(self.fastest, float(touch.reach.max()))
             near = np.flatnonzero(touch.gap[0] <= TOUCH)
             qd = self.still(touch, M, qd, near)
             touch = contacts.touch(q[None], qd[None])
@@ -199,7 +199,7 @@ class _Course(Course):
             fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], qdd) + found.pull[0]
             for k in rebounding:
                 if fall[k] < 0 and rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
-                    last[k] = time - 2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k])
+                    last[k] = time - float(2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k]))
             if last:
                 restitution[list(last)] = 0.0
                 after, loads, strikes = self.strike(q, qd, M, touch, points, restitution, speed)
@@ -410,6 +410,7 @@ class _Course(Course):
     def measure(self, piece: Piece, mode: Mode, guards: list[Guard], t: Array, x: Array) -> Array:
         """Return the guards at states, (K, guards)."""
         _, touch, loads = self.rate(piece, mode, t, x)
+        self.fastest = max(self.fastest, float(touch.reach.max()))
         slack = SLACK * np.abs(loads.normal).max(axis=1)
         columns = []
         for guard in guards:
