@@ -19,16 +19,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
-from mbsrun.ocp.evaluation.backends.numpy import build
+from mbsrun.ocp.evaluation.backends.numpy import Functions, build
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.lifting import lift_constants
 from mbsrun.ocp.optima.point import Optimum
-from mbsrun.ocp.optima.status import CHANGING, SMOOTH, SPLIT, STUCK
+from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, SMOOTH, SPLIT, STUCK
 
 SAME = 1e-9  # of derivatives that ought to be equal, over the largest
+OPEN = 1e-8  # of the rate at which an implied limit opens, over the largest change
+TURNED = 1e-6  # of a derivative's change by other multipliers, over the derivative
 STEP = 1e-3  # of differences of order four, over the size of the change
 
 
@@ -67,6 +70,7 @@ class Movement:
     prepared: Prepared
     optimum: Optimum
     changes: tuple[Numbers | None, ...]  # None: the number moves one limit of an equality
+    spans: tuple[float, ...] = ()  # by which numbers are to move with this active set, for a derivative to be one
 
     @property
     def status(self) -> str:
@@ -81,9 +85,8 @@ class Movement:
         """Return the derivative of the variables by number k. Call it where its status permits."""
         optimum, active = self.optimum, self.optimum.active
         free = active.free
-        found = optimum.factors.solve(self._right[:, k])
         dx = np.zeros(optimum.x.size)
-        dx[free], dx[active.held] = found[: free.size], self._held[:, k]
+        dx[free], dx[active.held] = self._solved[: free.size, k], self._held[:, k]
         return dx
 
     def pull(self, gradient: Array) -> Array:
@@ -141,12 +144,18 @@ class Movement:
         return len(self.prepared.data.H)
 
     @cached_property
-    def _by_constants(self) -> _ByConstants:
-        """Differentiate by all constants, at the optimum."""
-        optimum, program = self.optimum, lift_constants(self.prepared.data)
+    def _lifted(self) -> tuple[Functions, Array, Array]:
+        """The functions with constants as variables, the optimum with them, and the weights."""
+        program, optimum = lift_constants(self.prepared.data), self.optimum
         weights, constants = np.split(optimum.instance.parameters, [self._weights])
         functions = build(program, self.prepared.plant, self.prepared.others)
-        n, whole = optimum.x.size, np.concatenate((optimum.x, constants))
+        return functions, np.concatenate((optimum.x, constants)), weights
+
+    @cached_property
+    def _by_constants(self) -> _ByConstants:
+        """Differentiate by all constants, at the optimum."""
+        optimum, n = self.optimum, self.optimum.x.size
+        functions, whole, weights = self._lifted
         rows = Matrix(functions.jacobian(whole, weights)[:, n:])
         curve = functions.hessian(whole, weights, optimum.scale, optimum.multipliers)
         slope = optimum.scale * functions.gradient(whole, weights)[n:] + optimum.multipliers @ rows
@@ -169,13 +178,22 @@ class Movement:
         return _stack([np.where(at_most, x.most[chosen], x.least[chosen]) for x in self._given], chosen.size)
 
     @cached_property
+    def _pushed(self) -> list[tuple[Array, Array]]:
+        """The derivatives of grad L and of g at constant x, by each number."""
+        return [self.push(change) for change in self._given]
+
+    @cached_property
+    def _solved(self) -> Array:
+        """The derivatives of free variables and of active rows' multipliers, (..., numbers)."""
+        return self.optimum.factors.solve(self._right)
+
+    @cached_property
     def _right(self) -> Array:
         """The right sides, (free variables and active rows, numbers)."""
         optimum, active = self.optimum, self.optimum.active
         free, held, chosen = active.free, active.held, active.chosen
-        forces = [self.push(change) for change in self._given]
-        moved = _stack([force for force, _ in forces], optimum.x.size)
-        rows = _stack([row for _, row in forces], optimum.multipliers.size)
+        moved = _stack([force for force, _ in self._pushed], optimum.x.size)
+        rows = _stack([row for _, row in self._pushed], optimum.multipliers.size)
         upper = -moved[free] - optimum.hessian.tocsr()[free][:, held] @ self._held
         lower = self._limits - rows[chosen] - optimum.jacobian.tocsr()[chosen][:, held] @ self._held
         return np.concatenate((upper, lower))
@@ -217,7 +235,77 @@ class Movement:
         apart = change.most[idle] - change.least[idle]
         if max(np.abs(moved).max(initial=0.0), np.abs(apart).max(initial=0.0)) > SAME * largest:
             return STUCK
-        return CHANGING if self._parts_copies(change, SAME * largest) else SMOOTH
+        if self._parts_copies(change, SAME * largest) or self._opens_implied(k):
+            return CHANGING
+        if self.spans and self.measure_reach(k) < self.spans[k]:
+            return CHANGING
+        return DEPENDENT if self._bends(k) else SMOOTH
+
+    def measure_reach(self, k: int) -> float:
+        """Return by how much number k may move until the active set changes, to first order."""
+        optimum, active, change = self.optimum, self.optimum.active, self._given[k]
+        dx, dlam = self.move(k), np.zeros(optimum.multipliers.size)
+        dlam[active.chosen] = self._solved[active.free.size :, k]
+        force, rows = self._pushed[k]
+        dg = optimum.jacobian @ dx + rows
+        dzeta = force + optimum.hessian @ dx + optimum.jacobian.T @ dlam
+        limits, others = optimum.limits, optimum.weak.together(optimum.implied)
+        lengths = []
+        for sides, other, value, rate, pull, low, high, moved in (
+            (active.variables, others.variables, optimum.x, dx, (optimum.zeta, dzeta), limits.lower, limits.upper,
+             (change.lower, change.upper)),
+            (active.rows, others.rows, optimum.values, dg, (optimum.multipliers, dlam), limits.least, limits.most,
+             (change.least, change.most)),
+        ):  # fmt: skip
+            open_ = (sides == 0) & (other == 0)
+            lengths += [
+                _reach(np.abs(limit - value)[open_], (rate - own)[open_])
+                for limit, own in zip((low, high), moved, strict=True)
+            ]
+            held = np.abs(sides) == 1
+            lengths.append(_reach(np.abs(pull[0][held]), pull[1][held]))
+        return min(lengths)
+
+    def find_openings(self, dx: Array, change: Numbers) -> Array:
+        """Return the rates at which limits open that active ones imply; below 0: no motion meets them any more."""
+        optimum, implied = self.optimum, self.optimum.implied
+        held, chosen = implied.held, implied.chosen
+        bounds = np.where(implied.variables[held] == 1, change.upper[held], change.lower[held])
+        limits = np.where(implied.rows[chosen] == 1, change.most[chosen], change.least[chosen])
+        rows = (optimum.jacobian @ dx + self.push(change)[1])[chosen]
+        sides = np.concatenate((implied.variables[held], implied.rows[chosen]))
+        return np.asarray(sides * np.concatenate((bounds - dx[held], limits - rows)))
+
+    def _opens_implied(self, k: int) -> bool:
+        dx, change = self.move(k), self._given[k]
+        largest = max(float(np.abs(part).max(initial=0.0)) for part in (dx, *change.parts[1:]))
+        return bool((np.abs(self.find_openings(dx, change)) > OPEN * largest).any())
+
+    def _bends(self, k: int) -> bool:
+        """Return whether the derivative depends on which of many multipliers the active limits have.
+
+        The curvature of the conditions, weighted by a direction of multipliers, must not turn the derivative.
+        """
+        optimum, active = self.optimum, self.optimum.active
+        if not optimum.directions.size:
+            return False
+        dx, constants = self.move(k), self._given[k].parameters[self._weights :]
+        direction = np.random.default_rng(k).standard_normal(len(optimum.directions)) @ optimum.directions
+        direction *= np.abs(optimum.multipliers).max() / np.abs(direction).max()
+        turn = self._curve_rows(direction, dx, constants)
+        turned = optimum.factors.solve(np.concatenate((turn[active.free], np.zeros(active.chosen.size))))
+        return bool(np.abs(turned[: active.free.size]).max() > TURNED * np.abs(dx).max())
+
+    def _curve_rows(self, multipliers: Array, dx: Array, constants: Array) -> Array:
+        """Return the change of J' multipliers along a change of variables and constants."""
+        optimum, p = self.optimum, self.optimum.instance.parameters
+        if not constants.any():
+            upper = self.prepared.numpy.hessian(optimum.x, p, 0.0, multipliers)
+            return np.asarray(upper @ dx + sparse.triu(upper, 1).T @ dx)
+        functions, whole, weights = self._lifted
+        upper = functions.hessian(whole, weights, 0.0, multipliers)
+        change = np.concatenate((dx, constants))
+        return np.asarray(upper @ change + sparse.triu(upper, 1).T @ change)[: optimum.x.size]
 
     def _parts_copies(self, change: Numbers, same: float) -> bool:
         """Return whether bounds of variables that are equal, and that are active together, move apart."""
@@ -241,6 +329,12 @@ class _ByConstants:
     curve: Matrix
     rows: Matrix
     slope: Array
+
+
+def _reach(gaps: Array, rates: Array) -> float:
+    """Return by how much a number may move, either way, until the first gap is closed."""
+    moving = (rates != 0) & np.isfinite(gaps)
+    return float(np.min(gaps[moving] / np.abs(rates[moving]), initial=np.inf))
 
 
 def _stack(columns: Sequence[Array], rows: int) -> Array:

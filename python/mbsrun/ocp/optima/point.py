@@ -15,11 +15,12 @@ conditions for the existence and uniqueness of solutions to the general equality
 Mathematical Programming 32 (1985)).
 
 Variables that linear rows tie to be equal, as mesh points to the last collocation points before them, share one bound.
+Limits that other conditions imply are left out (see `thinning`): K belongs to the others.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +33,7 @@ from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.interior import Task
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH
 from mbsrun.ocp.optima.symmetric import Factors
+from mbsrun.ocp.optima.thinning import thin
 
 WEAK = 1e-8  # a multiplier over the gradient, or a distance over the size, that says nothing
 CLEAR, SURE = 1e-3, 1e-5  # the larger one of a distance and a multiplier, at least; the smaller one, at most
@@ -79,6 +81,16 @@ class Active:
         """List the rows that are equations."""
         return np.flatnonzero(self.rows != 0)
 
+    def without(self, others: Active) -> Active:
+        """Return the limits that are in no other set."""
+        return Active(np.where(others.variables, 0, self.variables), np.where(others.rows, 0, self.rows))
+
+    def together(self, others: Active) -> Active:
+        """Return the limits of both sets."""
+        return Active(
+            np.where(self.variables, self.variables, others.variables), np.where(self.rows, self.rows, others.rows)
+        )
+
     def is_same(self, other: Active) -> bool:
         """Return whether two sets are equal."""
         return np.array_equal(self.variables, other.variables) and np.array_equal(self.rows, other.rows)
@@ -117,6 +129,8 @@ class Optimum:
     zeta: Array  # grad L: multipliers of held variables, 0 elsewhere
     active: Active
     weak: Active  # limits that are about to become active or inactive, which are not among the active ones
+    implied: Active  # limits that hold because of the active ones
+    directions: Array  # (k, rows): what multipliers may change by if implied limits have some
     limits: Limits
     instance: Instance
     scale: float  # of the cost
@@ -167,27 +181,50 @@ class _Search:
         if isinstance(begun, str):
             at = self._evaluate(self.start.x)
             return self._end(at, lam, self._touch(at), self._no_limits, begun)
-        return self._improve(*begun)
+        found = self._improve(*begun)
+        return self._leave_out(found, *begun) if found.status in (DEPENDENT, CHANGING) else found
 
-    def _improve(self, x: Array, lam: Array, active: Active, weak: Active) -> Optimum:
+    def _leave_out(self, found: Optimum, x: Array, lam: Array, active: Active, weak: Active) -> Optimum:
+        """Search without the limits that others imply; where that fails, return what was found, and why."""
+        at, every = self._evaluate(x), active.together(weak)
+        least = WEAK * float(np.abs(at.c).max(initial=0.0))
+        left = thin(at.J, every.variables, every.rows, lam, at.c + at.J.T @ lam)
+        if left is None:
+            return found
+        kept = Active(left.variables, left.rows)
+        zeta = at.c + at.J.T @ left.lam
+        open_ = Active(
+            np.where(np.abs(zeta) <= least, weak.variables, 0), np.where(np.abs(left.lam) <= least, weak.rows, 0)
+        )
+        implied = every.without(kept)
+        open_ = open_.without(implied)
+        again = self._improve(x, left.lam, kept.without(open_), open_, implied)
+        if again.status in (SMOOTH, CHANGING):
+            return replace(again, directions=left.directions)
+        return replace(found, status=FLAT) if again.factors.is_singular else found
+
+    def _improve(
+        self, x: Array, lam: Array, active: Active, weak: Active, implied: Active | None = None
+    ) -> Optimum:
         """Solve the equations of an active set by Newton's method, and correct the set."""
+        implied = implied or self._no_limits
         at, before, status = self._evaluate(x), np.inf, NOT_CONVERGED
         for _ in range(ROUNDS):
             hessian = self._curve(at.x, lam)
             factors = Factors(assemble(hessian, at.J, active))
             if factors.is_singular:
-                return self._end(at, lam, active, weak, DEPENDENT)
+                return self._end(at, lam, active, weak, DEPENDENT, implied)
             x, lam = self._step(at, lam, active, hessian, factors)
             step = float((np.abs(x - at.x) / self.size).max(initial=0.0))
             if not np.isfinite(step) or (np.abs(x - self.start.x) / self.size).max(initial=0.0) > LOST:
                 break
             at = self._evaluate(x)
-            corrected = self._correct(at, lam, active, weak)
+            corrected = self._correct(at, lam, active, weak.together(implied))
             if corrected.is_same(active) and (step <= SMALL or ROUNDED >= step >= 0.1 * before):
                 status = SMOOTH
                 break
             active, before = corrected, step
-        return self._end(at, lam, active, weak, status)
+        return self._end(at, lam, active, weak, status, implied)
 
     def _read(self, x: Array, lam: Array) -> Active | None:
         """Return the active limits where distances and multipliers of the answer differ by far; None elsewhere."""
@@ -208,20 +245,31 @@ class _Search:
     def _no_limits(self) -> Active:
         return Active(np.zeros(self.size.size, np.int8), np.zeros(self.limits.least.size, np.int8))
 
-    def _end(self, at: _Values, lam: Array, active: Active, weak: Active, status: str) -> Optimum:
+    def _end(
+        self, at: _Values, lam: Array, active: Active, weak: Active, status: str, implied: Active | None = None
+    ) -> Optimum:
+        implied = implied or self._no_limits
         hessian = self._curve(at.x, lam)
         factors = Factors(assemble(hessian, at.J, active))
         moved = float((np.abs(at.x - self.start.x) / self.size).max(initial=0.0))
         if status == SMOOTH and not moved <= FAR:
             status = NOT_CONVERGED
         if status == SMOOTH:
-            status = _judge(factors, active, weak)
+            status = _judge(factors, active, weak) if self._holds(at, implied) else DEPENDENT
         zeta = at.c + at.J.T @ lam
         zeta[active.free] = 0.0
         return Optimum(
-            at.x, lam, zeta, active, weak, self.limits, self.start, self.scale, status,
+            at.x, lam, zeta, active, weak, implied, np.zeros((0, lam.size)), self.limits, self.start, self.scale, status,
             factors, Matrix(at.J), hessian, at.c, at.g, moved,
         )  # fmt: skip
+
+    def _holds(self, at: _Values, implied: Active) -> bool:
+        """Return whether the limits that were left out hold."""
+        bounds, limits = self.limits.place(implied)
+        held, chosen = implied.held, implied.chosen
+        off = np.abs(at.x[held] - bounds) / self.size[held]
+        rows = np.abs(at.g[chosen] - limits) / np.maximum(1.0, np.abs(limits))
+        return max(float(off.max(initial=0.0)), float(rows.max(initial=0.0))) <= WEAK
 
     def _evaluate(self, x: Array) -> _Values:
         p = self.start.parameters

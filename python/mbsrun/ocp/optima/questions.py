@@ -33,6 +33,7 @@ WAYS = (  # how a problem is written, and no part of the question
 STEPS = (-2, -1, 1, 2)
 STEP = 1e-3  # of a number, over its size
 LEAST = 1e-4  # where it is 0
+SPAN = 1e-3  # of a step: a derivative is none if the active set stays for less
 SAME = 1e-12  # of numbers that a file keeps
 
 
@@ -119,8 +120,9 @@ def ask(
     program = solver.program
     answer = outcome.x, outcome.multipliers
     optimum = find_optimum(program.numpy, program.data, start, 1 / (fixed.weight or 1.0), answer)
-    movement = Movement(program, optimum, tuple(change for _, change in known))
     asked = tuple(number for number, _ in known)
+    spans = tuple(SPAN * number.step for number in asked)
+    movement = Movement(program, optimum, tuple(change for _, change in known), spans)
     return Answer(asked, solver, fixed, guess, movement, tuple(held), lambda x: Numbers(*count(_adapt(x, base))))
 
 
