@@ -1,12 +1,13 @@
 """Derivatives of the solutions of all shipped problems against differences: `python -m benchmarks.derivatives`.
 
 Each problem is solved to a tolerance of 1e-13, and differentiated by all of its numbers. For some numbers, drawn at
-random from the ones that move the motion, the problem is solved again at four values beside its own, with a small
-barrier, since angles may else come back with another turn. Differences of order four of times, coordinates,
-velocities, inputs, states and controls have a largest deviation from the derivatives, over the largest derivative. Of
-steps of 3e-4, 3e-5 and 3e-6 of a number the best one counts, since long steps meet changes of the active set. Times
-are processor time: of the solve by the project's method in C; of the optimum with its active set and factors, from
-the solution on, in Python; and of the adjoint of one function, by all numbers, with these factors.
+random from the ones that move the motion, the problem is solved again at four values beside its own. Each of these
+optima is continued to rounding with its active set, from the solution that is differentiated, since solves end at
+distances of up to 1e-6, and angles may come back with another turn; its cost has to be the solve's. Differences of
+order four of all variables have a largest deviation from the derivatives, over the largest derivative. Of steps of
+3e-4, 3e-5 and 3e-6 of a number the best one counts, since long steps meet changes of the active set. Times are
+processor time: of the solve by the project's method in C; of the optimum with its active set and factors, from the
+solution on, in Python; and of the adjoint of one function, by all numbers, with these factors.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +30,14 @@ from mbsrun.ocp.optima.movement import Movement
 from mbsrun.ocp.optima.point import find_optimum
 from mbsrun.ocp.optima.status import SMOOTH
 from mbsrun.optimal.control import OptimalControl
-from mbsrun.optimal.derivatives import PARTS, Derivatives
+from mbsrun.optimal.derivatives import PARTS
 from mbsrun.optimal.phases import PhasedControl, SolvedPhases
 from mbsrun.optimal.result import Solved
 
 MODELS = Path(__file__).parents[1] / "models"
 TOLERANCE = 1e-13
-OPTIONS = {"mu_init": 1e-7, "bound_push": 1e-7}
-NEAR = {"method": "mbs", "tolerance": TOLERANCE, "options": OPTIONS}  # of solves beside it
+NEAR = {"method": "mbs", "tolerance": 1e-11}  # of solves beside it
+SAME = 1e-7  # of costs, over their size: they belong to one optimum
 STEPS = (3e-4, 3e-5, 3e-6)  # of a number, over its size
 CHOSEN = 3  # numbers of a problem
 ROUNDS = 5  # of a time, of which the shortest counts
@@ -83,39 +84,47 @@ def measure(name: str, file: Path) -> Row:
     smooth = [x for x, status in derivatives.statuses.items() if status == SMOOTH]
     moving = [x for x in smooth if np.abs(_flatten(derivatives.by(x).phases)).max() > 1e-6]
     chosen = [moving[k] for k in np.random.default_rng(0).permutation(len(moving))[:CHOSEN]]
-    errors = [(x, _compare(problem, found, derivatives, x)) for x in chosen]
+    errors = [(x, _compare(problem, found, x)) for x in chosen]
     seconds = found.solution.run.cpu_seconds, _time(lambda: _improve(movement)), _time_adjoint(movement)
     size = movement.optimum.x.size
     return Row(name, derivatives.status, size, derivatives.active, len(smooth), tuple(errors), seconds)
 
 
-def _compare(
-    problem: OptimalControl | PhasedControl, found: Solved | SolvedPhases, derivatives: Derivatives, name: str
-) -> float:
+def _compare(problem: OptimalControl | PhasedControl, found: Solved | SolvedPhases, name: str) -> float:
     """Return the least error of a derivative, over its largest entry."""
-    problem = problem.with_changes(solver=NEAR)
-    number = next(x for x in derivatives.answer.numbers if x.name == name)
-    own, errors = _flatten(derivatives.by(name).phases), []
+    answer = problem.derivatives(found, [name]).answer  # type: ignore[arg-type]
+    movement, value = answer.movement, answer.numbers[0].value
+    own, errors = movement.move(0), []
     for step in STEPS:
-        h, motions = step * (abs(number.value) or 1.0), []
-        for k in (-2, -1, 1, 2):
-            try:
-                again = problem.with_numbers({name: number.value + k * h}).solve(check=False, guess=found)  # type: ignore[arg-type]
-            except MbsError:
-                break
-            if isinstance(again, Solved | SolvedPhases):
-                motions.append(_flatten(_list_motions(again)))
-        if len(motions) == 4:
-            a, b, c, d = motions
+        h = step * (abs(value) or 1.0)
+        beside = [_continue(problem, found, movement, name, value + k * h) for k in (-2, -1, 1, 2)]
+        points = [point for point in beside if point is not None]
+        if len(points) == len(beside):
+            a, b, c, d = points
             errors.append(float(np.abs((8 * (c - b) - (d - a)) / (12 * h) - own).max() / np.abs(own).max()))
         if errors and min(errors) < 1e-7:
             break
     return min(errors, default=np.inf)
 
 
-def _list_motions(found: Solved | SolvedPhases) -> tuple[Trajectory, ...]:
-    solutions = (found.solution,) if isinstance(found, Solved) else found.solution.phases
-    return tuple(solution.trajectory for solution in solutions)
+def _continue(
+    problem: OptimalControl | PhasedControl, found: Solved | SolvedPhases, movement: Movement, name: str, value: float
+) -> Array | None:
+    """Return the variables of the optimum for another value of a number; None where there is none near."""
+    changed = problem.with_changes(solver=NEAR).with_numbers({name: value})
+    try:
+        again = changed.solve(check=False, guess=found)  # type: ignore[arg-type]
+        if not isinstance(again, Solved | SolvedPhases):
+            return None
+        at = changed.derivatives(again, [name]).answer.movement.optimum.instance  # type: ignore[arg-type]
+    except MbsError:
+        return None
+    base, functions = movement.optimum, movement.prepared.numpy
+    start, answer = replace(at, x=base.x), (base.x, base.multipliers / base.scale)
+    optimum = find_optimum(functions, movement.prepared.data, start, base.scale, answer)
+    terms = functions.terms(optimum.x, at.parameters)
+    cost = float(at.parameters[: terms.size] @ terms)
+    return optimum.x if optimum.status == SMOOTH and abs(cost - again.cost) <= SAME * max(1.0, abs(cost)) else None
 
 
 def _flatten(motions: tuple[Trajectory, ...]) -> Array:

@@ -233,6 +233,73 @@ def test_optima_without_a_derivative_say_why() -> None:
     assert find_optimum(twice, program, start, 1.0, (start.x, np.array([-1.0, 0.0]))).status == DEPENDENT
 
 
+def imply(task: Quadratic, rng: np.random.Generator) -> tuple[Quadratic, float]:
+    """Make the second row a multiple of the first, which is an equation: its limit there is implied."""
+    factor = float(rng.choice([-1, 1]) * rng.uniform(0.5, 2.0))
+    A = np.stack((task.A[0], factor * task.A[0]))
+    limits = {"least": np.array([task.least[0], -NONE]), "most": np.array([task.most[0], NONE])}
+    limits["most" if rng.random() < 0.5 else "least"][1] = factor * task.least[0]
+    return replace(task, A=A, **limits), factor
+
+
+def open_row(task: Quadratic) -> Quadratic:
+    """Leave out the limits of the second row."""
+    return replace(task, least=np.array([task.least[0], -NONE]), most=np.array([task.most[0], NONE]))
+
+
+def find_implied(task: Quadratic, share: float) -> Optimum:
+    """Search with multipliers of which the implied limit has a share."""
+    x, lam = open_row(task).solve()
+    side, factor = (1.0 if np.isfinite(task.most[1]) else -1.0), task.A[1, 0] / task.A[0, 0]
+    lam = np.array([lam[0] - side * share * factor, side * share])
+    none = sparse.csc_array((4, 4))
+    program = Program(sparse.csc_array(task.A), (none, none), ())
+    start = Instance(x, task.w, task.lower, task.upper, task.least, task.most)
+    return find_optimum(task, program, start, SCALE, (x, lam))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 40.0])
+def test_a_limit_that_others_imply_keeps_derivatives(share: float, rng: np.random.Generator) -> None:
+    """They are the ones without this limit while it moves with the equation; else it is passed, or opens."""
+    for _ in range(8):
+        task, factor = imply(draw(rng), rng)
+        alone = open_row(task)
+        change = draw_change(task, rng)
+        moved, opening = change.least[0] * np.array([1, factor]), 0.1 if np.isfinite(task.most[1]) else -0.1
+        along, opened, passed = (
+            replace(change, least=limits, most=limits)
+            for limits in (moved + np.array([0, by]) for by in (0.0, opening, -opening))
+        )
+        prepared = SimpleNamespace(data=SimpleNamespace(H=(0, 0)), numpy=task)
+        movement = Movement(cast(Prepared, cast(Any, prepared)), find_implied(task, share), (along, opened, passed))
+        assert movement.status == SMOOTH
+        assert movement.optimum.implied.rows.tolist() == [0, np.sign(opening)]
+        assert movement.optimum.x == pytest.approx(alone.solve()[0], abs=1e-10)
+        h = 1e-6
+        ahead, behind = (alone.move(along, step).solve()[0] for step in (h, -h))
+        assert [movement.find_status(k) for k in range(3)] == [SMOOTH, CHANGING, CHANGING]
+        assert movement.move(0) == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
+        assert move_one_sided(movement, [0, 1.0, 0]).dx == pytest.approx(movement.move(0), abs=1e-9)
+        assert move_one_sided(movement, [0, 0, 1.0]).status == DEPENDENT
+        assert predict(movement, [0, h, 0]).dx == pytest.approx(h * movement.move(0), abs=1e-12)
+
+
+def test_a_derivative_of_an_active_set_that_stays_too_short_is_none(rng: np.random.Generator) -> None:
+    """A number has its derivative where it may move by its span, to either side, before the first limit changes."""
+    for _ in range(8):
+        task = draw(rng)
+        change = draw_change(task, rng)
+        free = follow(task, change)
+        reach = free.measure_reach(0)
+        for side in (1.0, -1.0):
+            near = task.move(change, side * reach * (1 - 1e-6))
+            assert find(near).active.is_same(free.optimum.active)
+        sets = [find(task.move(change, side * reach * (1 + 1e-4))).active for side in (1.0, -1.0)]
+        assert not all(x.is_same(free.optimum.active) for x in sets)
+        for factor, status in ((1 - 1e-9, SMOOTH), (1 + 1e-9, CHANGING)):
+            assert replace(free, spans=(factor * reach,)).find_status(0) == status
+
+
 def test_variables_that_a_row_makes_equal_share_their_tightest_bounds() -> None:
     """x0 = x1 with different limits: the one that acts is held, once."""
     A, one = np.array([[1.0, -1.0]]), np.array([1.0, 1.0])

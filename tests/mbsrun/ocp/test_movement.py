@@ -35,7 +35,7 @@ def test_an_equality_that_no_variable_moves_must_stay_met(value: float, least: f
         _given=[change],
         optimum=SimpleNamespace(active=active, limits=limits),
         push=lambda _: (NONE, np.array([value])),
-        _parts_copies=lambda *_: False,
+        _examine_set=lambda *_: SMOOTH,
     )
     assert Movement.examine(movement, 0) == status  # type: ignore[arg-type]
 
@@ -51,6 +51,6 @@ def test_limits_of_an_equality_that_part_have_no_derivative() -> None:
             _given=[change],
             optimum=SimpleNamespace(active=active, limits=limits),
             push=lambda _: (NONE, NONE),
-            _parts_copies=lambda *_: False,
+            _examine_set=lambda *_: SMOOTH,
         )
         assert Movement.examine(movement, 0) == status  # type: ignore[arg-type]

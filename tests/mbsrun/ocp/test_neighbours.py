@@ -74,9 +74,10 @@ class Quadratic:
         active, weak_ones = Active(sides[0][0], sides[1][0]), Active(sides[0][1], sides[1][1])
         H, J = sparse.csc_array(self.H), sparse.csc_array(self.J)
         limits = Limits(now["lower"], now["upper"], now["least"], now["most"], np.arange(len(x)))
+        none = Active(np.zeros(len(x), np.int8), np.zeros(len(lam), np.int8))
         optimum = SimpleNamespace(
             x=x, values=self.J @ x, multipliers=lam, zeta=zeta, hessian=H, jacobian=J, limits=limits,
-            active=active, weak=weak_ones, status=status, factors=Factors(assemble(H, J.tocsr(), active)),
+            active=active, weak=weak_ones, implied=none, status=status, factors=Factors(assemble(H, J.tocsr(), active)),
         )  # fmt: skip
 
         def combine(rates: Array) -> Any:

@@ -344,6 +344,19 @@ def test_a_weakly_active_bound_has_no_derivative() -> None:
     assert "Active_Set_Changes" in repr(derivatives)
 
 
+def test_a_limit_that_the_end_implies_keeps_derivatives() -> None:
+    """A speed of at least 0 that ends at 0, twice: the cost 12 x^2 / T^3 of the push, and its slope."""
+    limits = [{"expression": f"{k}*v", "range": [0, None], "at": "end"} for k in (1, 2)]
+    problem = slide(constraints=limits)
+    derivatives = problem.derivatives(solve(problem), ["states.x.end", "states.v.end", "horizon"])
+    free = slide().derivatives(solve(slide()), ["states.x.end", "states.v.end", "horizon"])
+    statuses = {"states.x.end": SMOOTH, "states.v.end": CHANGING, "horizon": SMOOTH}
+    assert (derivatives.status, derivatives.statuses) == (SMOOTH, statuses)
+    for name in ("states.x.end", "horizon"):
+        assert flatten(derivatives.by(name).phases) == pytest.approx(flatten(free.by(name).phases), abs=1e-8)
+        assert derivatives.cost[name] == pytest.approx(free.cost[name], rel=1e-9)
+
+
 def test_dependent_constraints_have_no_derivative() -> None:
     twice = [{"expression": "v", "range": [0, 0], "at": "end"}, {"expression": "2*v", "range": [0, 0], "at": "end"}]
     problem = slide(states={"v": {"end": [None, None]}}, constraints=twice)

@@ -146,6 +146,7 @@ class _State:
             state.row_sides.append(_begin(state.g, -lam, Limited.find(ranges, side, ~state.equal), reach, state.scale))
         return state
 
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # a distance of 0 has no step
     def solve(self, mu: float) -> bool:
         """Find the step; return whether the system has one."""
         mu *= self.scale

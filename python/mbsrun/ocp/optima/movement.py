@@ -235,7 +235,11 @@ class Movement:
         apart = change.most[idle] - change.least[idle]
         if max(np.abs(moved).max(initial=0.0), np.abs(apart).max(initial=0.0)) > SAME * largest:
             return STUCK
-        if self._parts_copies(change, SAME * largest) or self._opens_implied(k):
+        return self._examine_set(k, SAME * largest)
+
+    def _examine_set(self, k: int, same: float) -> str:
+        """Find whether the active set stays for number k, and its multipliers do not matter."""
+        if self._parts_copies(self._given[k], same) or self._opens_implied(k):
             return CHANGING
         if self.spans and self.measure_reach(k) < self.spans[k]:
             return CHANGING
@@ -266,20 +270,9 @@ class Movement:
             lengths.append(_reach(np.abs(pull[0][held]), pull[1][held]))
         return min(lengths)
 
-    def find_openings(self, dx: Array, change: Numbers) -> Array:
-        """Return the rates at which limits open that active ones imply; below 0: no motion meets them any more."""
-        optimum, implied = self.optimum, self.optimum.implied
-        held, chosen = implied.held, implied.chosen
-        bounds = np.where(implied.variables[held] == 1, change.upper[held], change.lower[held])
-        limits = np.where(implied.rows[chosen] == 1, change.most[chosen], change.least[chosen])
-        rows = (optimum.jacobian @ dx + self.push(change)[1])[chosen]
-        sides = np.concatenate((implied.variables[held], implied.rows[chosen]))
-        return np.asarray(sides * np.concatenate((bounds - dx[held], limits - rows)))
-
     def _opens_implied(self, k: int) -> bool:
-        dx, change = self.move(k), self._given[k]
-        largest = max(float(np.abs(part).max(initial=0.0)) for part in (dx, *change.parts[1:]))
-        return bool((np.abs(self.find_openings(dx, change)) > OPEN * largest).any())
+        openings = find_openings(self.optimum, self._given[k], self._pushed[k][1], self.move(k))
+        return bool((np.abs(openings) > OPEN).any())
 
     def _bends(self, k: int) -> bool:
         """Return whether the derivative depends on which of many multipliers the active limits have.
@@ -329,6 +322,22 @@ class _ByConstants:
     curve: Matrix
     rows: Matrix
     slope: Array
+
+
+def find_openings(optimum: Optimum, change: Numbers, rows: Array, dx: Array) -> Array:
+    """Return the rates at which limits open that active ones imply, over the largest change; below 0, they are passed.
+
+    `rows` are the rates of g at constant x.
+    """
+    implied = optimum.implied
+    held, chosen = implied.held, implied.chosen
+    bounds = np.where(implied.variables[held] == 1, change.upper[held], change.lower[held])
+    limits = np.where(implied.rows[chosen] == 1, change.most[chosen], change.least[chosen])
+    sides = np.concatenate((implied.variables[held], implied.rows[chosen]))
+    rates = sides * np.concatenate((bounds - dx[held], limits - (optimum.jacobian @ dx + rows)[chosen]))
+    parts = (dx, rows, change.lower, change.upper, change.least, change.most)
+    largest = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    return np.asarray(rates / (largest or 1.0))
 
 
 def _reach(gaps: Array, rates: Array) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from mbsrun.ocp.ground.functions import Array, Indices
-from mbsrun.ocp.optima.movement import Movement
+from mbsrun.ocp.optima.movement import OPEN, Movement, find_openings
 from mbsrun.ocp.optima.point import Active, assemble
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, SMOOTH
 from mbsrun.ocp.optima.symmetric import Factors
@@ -98,8 +98,13 @@ class _Path:
         return dx, dlam
 
     def find_sides(self) -> tuple[Factors | None, Active]:
-        """Choose among weak limits the ones that become active; None where they depend on each other."""
+        """Choose among weak limits the ones that become active; None where they depend on each other.
+
+        There is none either where a limit that others imply is passed.
+        """
         strong, weak = self.optimum.active, self.optimum.weak
+        if self._passes_implied(self.step(strong, self.optimum.factors)[0]):
+            return None, strong
         variables, rows = np.flatnonzero(weak.variables), np.flatnonzero(weak.rows)
         if not variables.size + rows.size:
             return self.optimum.factors, strong
@@ -125,6 +130,9 @@ class _Path:
         ]
         return self.factorise(new), new
 
+    def _passes_implied(self, dx: Array) -> bool:
+        return bool((find_openings(self.optimum, self.change, self.rows, dx) < -OPEN).any())
+
     def _list_gradients(self, variables: Indices, rows: Indices) -> sparse.csr_array:
         units = sparse.csr_array(
             (np.ones(variables.size), (np.arange(variables.size), variables)), shape=(variables.size, self.x.size)
@@ -143,7 +151,8 @@ class _Path:
             self.lam, self.zeta = self.lam + length * dlam, self.zeta + length * dzeta
             t += length
             if event is None:
-                return Moved(self.x - self.optimum.x, SMOOTH, count)
+                moved = self.x - self.optimum.x
+                return Moved(moved, DEPENDENT if self._passes_implied(moved) else SMOOTH, count)
             active = _apply(active, event)
             found = self.factorise(active)
             if found is None:
@@ -157,13 +166,13 @@ class _Path:
         """Return how far the way is straight, and what happens there."""
         dx, dg, dlam, dzeta = rates
         length, event = 1.0 - t, None
-        weak = self.optimum.weak if t == 0 else None
+        weak, implied = self.optimum.weak if t == 0 else None, self.optimum.implied
         for is_row, sides, values, slopes, limits, forces, pulls in (
             (False, active.variables, self.x, dx, self.bounds, self.zeta, dzeta),
             (True, active.rows, self.g, dg, self.ranges, -self.lam, -dlam),
         ):
             for side, (limit, moved) in zip((-1, 1), limits, strict=True):
-                open_ = (sides == 0) & np.isfinite(limit)
+                open_ = (sides == 0) & np.isfinite(limit) & ((implied.rows if is_row else implied.variables) == 0)
                 if weak is not None:
                     open_ &= (weak.rows if is_row else weak.variables) == 0
                 gap, closing = side * (limit + t * moved - values), side * (slopes - moved)

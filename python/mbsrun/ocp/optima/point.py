@@ -180,8 +180,10 @@ class _Search:
         begun = self._guess(x, lam)
         if isinstance(begun, str):
             at = self._evaluate(self.start.x)
-            return self._end(at, lam, self._touch(at), self._no_limits, begun)
-        found = self._improve(*begun)
+            found = self._end(at, lam, self._touch(at), self._no_limits, begun)
+            begun = at.x, lam, *self._part(at, lam)
+        else:
+            found = self._improve(*begun)
         return self._leave_out(found, *begun) if found.status in (DEPENDENT, CHANGING) else found
 
     def _leave_out(self, found: Optimum, x: Array, lam: Array, active: Active, weak: Active) -> Optimum:
@@ -203,9 +205,7 @@ class _Search:
             return replace(again, directions=left.directions)
         return replace(found, status=FLAT) if again.factors.is_singular else found
 
-    def _improve(
-        self, x: Array, lam: Array, active: Active, weak: Active, implied: Active | None = None
-    ) -> Optimum:
+    def _improve(self, x: Array, lam: Array, active: Active, weak: Active, implied: Active | None = None) -> Optimum:
         """Solve the equations of an active set by Newton's method, and correct the set."""
         implied = implied or self._no_limits
         at, before, status = self._evaluate(x), np.inf, NOT_CONVERGED
@@ -259,8 +259,8 @@ class _Search:
         zeta = at.c + at.J.T @ lam
         zeta[active.free] = 0.0
         return Optimum(
-            at.x, lam, zeta, active, weak, implied, np.zeros((0, lam.size)), self.limits, self.start, self.scale, status,
-            factors, Matrix(at.J), hessian, at.c, at.g, moved,
+            at.x, lam, zeta, active, weak, implied, np.zeros((0, lam.size)), self.limits, self.start, self.scale,
+            status, factors, Matrix(at.J), hessian, at.c, at.g, moved,
         )  # fmt: skip
 
     def _holds(self, at: _Values, implied: Active) -> bool:
@@ -311,6 +311,17 @@ class _Search:
             _touch(at.x, limits.lower, limits.upper, WEAK * self.size),
             _touch(at.g, limits.least, limits.most, WEAK * reach),
         )
+
+    def _part(self, at: _Values, lam: Array) -> tuple[Active, Active]:
+        """Return the limits that are met with a force, and the ones that are met without."""
+        touched, limits = self._touch(at), self.limits
+        forced, zeta = WEAK * float(np.abs(at.c).max(initial=0.0)), at.c + at.J.T @ lam
+        touched.rows[(limits.least == limits.most) & _vanish(at.J, limits)] = 0
+        strong = Active(
+            np.where((touched.variables == 2) | (np.abs(zeta) > forced), touched.variables, 0).astype(np.int8),
+            np.where((touched.rows == 2) | (np.abs(lam) > forced), touched.rows, 0).astype(np.int8),
+        )
+        return strong, touched.without(strong)
 
     def _release(self, at: _Values, lam: Array, active: Active) -> Active:
         zeta = at.c + at.J.T @ lam

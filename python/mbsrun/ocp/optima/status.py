@@ -15,8 +15,7 @@ STUCK = "Condition_Cannot_Follow"
 SENTENCES: Mapping[str, str] = {
     SMOOTH: "the optimum has derivatives",
     NOT_CONVERGED: "the solution is no optimum to enough digits; solve to a smaller tolerance",
-    DEPENDENT: "constraints that hold with equality depend on each other, so their multipliers are not unique; "
-    "leave one of them out",
+    DEPENDENT: "equations depend on each other, so their multipliers are not unique; leave one of them out",
     FLAT: "the second-order condition fails: the cost does not grow in every direction that the constraints permit; "
     "add a cost for the open ones",
     CHANGING: "a bound or constraint is about to become active or inactive; ask for one-sided derivatives",

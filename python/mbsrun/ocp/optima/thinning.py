@@ -3,8 +3,8 @@
 A speed that has to be 0 at the end lies on its limit of 0 there, whatever the limit's own multiplier is. Such limits
 change nothing while the conditions that imply them hold. With A the gradients of all that holds with equality, y the
 multipliers and A'n = 0, y + t n are multipliers as well. From the solution's, t goes until the first limit has none:
-it is left out, and takes a dimension of such n with it, until no n moves a limit (Caratheodory's theorem). What
-remains are multipliers of the right signs. Equations are never left out.
+it is left out, and takes a dimension of such n with it, until no n moves a limit (Caratheodory's theorem). The
+multipliers that remain have the right signs. Equations are never left out.
 
 Vectors n come from random ones by projection: d (J J' + d)^-1, with small d, keeps what J' takes to 0.
 """
@@ -32,7 +32,7 @@ ENTRY = 1e-7  # of an entry of n, over the largest one: it is none
 
 @dataclass(frozen=True, eq=False)
 class Thinned:
-    """What is left of an active set, its multipliers of rows, and how these may change with the whole set."""
+    """The rest of an active set, its multipliers of rows, and how these may change with the whole set."""
 
     variables: Sides
     rows: Sides
@@ -43,7 +43,7 @@ class Thinned:
 def thin(jacobian: sparse.csr_array, variables: Sides, rows: Sides, lam: Array, zeta: Array) -> Thinned | None:
     """Leave out the limits that depend on other conditions; None where equations depend on each other.
 
-    `lam` are multipliers of all rows, `zeta` the gradient of the Lagrangian, which is 0 but for held variables.
+    `lam` are multipliers of all rows, `zeta` the gradient of the Lagrangian, which is 0 except for held variables.
     """
     chosen, held, free = np.flatnonzero(rows), np.flatnonzero(variables), np.flatnonzero(variables == 0)
     whole = jacobian[chosen]
@@ -72,8 +72,8 @@ def _find_null(J: sparse.csr_array) -> Array | None:
     scales = 1 / np.where(sizes > 0, sizes, 1.0)
     scaled = sparse.csr_array(sparse.diags_array(scales) @ J)
     m, n = scaled.shape
-    corner = -SOFT * sparse.eye_array(m)
-    factors = Factors(Matrix(sparse.block_array([[sparse.eye_array(n), None], [scaled, corner]]).tocsc()), zero=0.0)
+    square, corner = sparse.csc_array(sparse.eye_array(n)), sparse.csc_array(-SOFT * sparse.eye_array(m))
+    factors = Factors(Matrix(sparse.block_array([[square, None], [scaled.tocsc(), corner]])), zero=0.0)
     rng, count = np.random.default_rng(0), FIRST
     while True:
         taken = min(count, m)
@@ -81,11 +81,11 @@ def _find_null(J: sparse.csr_array) -> Array | None:
         for _ in range(PROJECTIONS):
             below = factors.solve(np.concatenate((np.zeros((n, taken)), vectors)))[n:]
             vectors = np.linalg.qr(-SOFT * below)[0]
-        left, size, right = np.linalg.svd(np.asarray(scaled.T @ vectors), full_matrices=False)
-        del left
+        moved = np.concatenate((np.asarray(scaled.T @ vectors), np.zeros((max(taken - n, 0), taken))))
+        _, size, right = np.linalg.svd(moved, full_matrices=False)
         kept = right[size < DEPENDENT]
         if kept.shape[0] < taken or taken == m:
-            return scales[:, None] * (vectors @ kept.T)
+            return np.asarray(scales[:, None] * (vectors @ kept.T))
         count *= 4
         if count > MOST:
             return None
