@@ -195,7 +195,7 @@ MBSRUN = Package(
         "ocp.solving.certificate ocp.solving.fixing",
         "ocp.solving",
         "ocp.optima.held ocp.optima.lifting ocp.optima.status ocp.optima.symmetric",
-        "ocp.optima.interior",
+        "ocp.optima.interior ocp.optima.thinning",
         "ocp.optima.point",
         "ocp.optima.movement",
         "ocp.optima.neighbours ocp.optima.questions",
