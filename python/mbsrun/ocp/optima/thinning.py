@@ -72,8 +72,9 @@ def _find_null(J: sparse.csr_array) -> Array | None:
     scales = 1 / np.where(sizes > 0, sizes, 1.0)
     scaled = sparse.csr_array(sparse.diags_array(scales) @ J)
     m, n = scaled.shape
-    square, corner = sparse.csc_array(sparse.eye_array(n)), sparse.csc_array(-SOFT * sparse.eye_array(m))
-    factors = Factors(Matrix(sparse.block_array([[square, None], [scaled.tocsc(), corner]])), zero=0.0)
+    square, corner = sparse.eye_array(n).tocsc(), -SOFT * sparse.eye_array(m).tocsc()
+    lower = sparse.vstack((sparse.hstack((square, sparse.csc_array((n, m)))), sparse.hstack((scaled, corner))))
+    factors = Factors(Matrix(lower.tocsc()), zero=0.0)
     rng, count = np.random.default_rng(0), FIRST
     while True:
         taken = min(count, m)
