@@ -74,7 +74,7 @@ def _find_null(J: sparse.csr_array) -> Array | None:
     m, n = scaled.shape
     square, corner = sparse.eye_array(n).tocsc(), -SOFT * sparse.eye_array(m).tocsc()
     lower = sparse.vstack((sparse.hstack((square, sparse.csc_array((n, m)))), sparse.hstack((scaled, corner))))
-    factors = Factors(Matrix(lower.tocsc()), zero=0.0)
+    factors = Factors(Matrix(sparse.csc_array(lower)), zero=0.0)
     rng, count = np.random.default_rng(0), FIRST
     while True:
         taken = min(count, m)
