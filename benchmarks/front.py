@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.headlines import NONE, PageError, find_row, read_number, read_page, read_tables, write_times
@@ -119,25 +120,43 @@ def draw_front(bars: Sequence[Bar], path: Path) -> None:
     """Draw a bar for each kind of work: solid to the worst case that was measured, light to the best."""
     figure = Figure(figsize=(8.0, 0.52 * len(bars) + 1.2), layout="constrained")
     axes = figure.subplots()
+    _draw_bars(axes, bars, 0.56)
     for k, bar in enumerate(reversed(bars)):
-        axes.barh(k, bar.least - 1, left=1, height=0.56, color=PALETTE[0])
-        axes.barh(k, bar.most - bar.least, left=bar.least, height=0.56, color=PALETTE[0], alpha=0.35)
-        axes.annotate(
-            f"{bar.label} faster than {bar.peer}",
-            (bar.most, k),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-        )
-    axes.set_xscale("log")
+        _write(axes, f"{bar.label} faster than {bar.peer}", bar.most, k, (6, 0))
     axes.set_xlim(1, 900 * max(bar.most for bar in bars))
-    ticks = [1, 2, 5, 10, 20, 50, 100, 200]
-    axes.set_xticks(ticks, [f"{x}" for x in ticks])
-    axes.minorticks_off()
     axes.set_yticks(range(len(bars)), [bar.work for bar in reversed(bars)])
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_color(QUIET)
     axes.set_xlabel("times faster (dark: in every case measured; light: in the best one)")
     axes.set_title("Times faster than other programs, by kind of work", loc="left")
     save_figure(figure, path)
+
+
+@styled
+def draw_narrow(bars: Sequence[Bar], path: Path) -> None:
+    """Draw the same for a phone, with the words above each bar."""
+    figure = Figure(figsize=(4.0, 0.8 * len(bars) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    _draw_bars(axes, bars, 0.26)
+    for k, bar in enumerate(reversed(bars)):
+        _write(axes, f"{bar.work}: {bar.label}\nfaster than {bar.peer}", 1, k, (0, 20))
+    axes.set_xlim(1, 2 * max(bar.most for bar in bars))
+    axes.set_ylim(-0.3, len(bars) - 0.2)
+    axes.set_yticks([])
+    axes.set_xlabel("times faster\n(dark: in every case measured; light: in the best)")
+    save_figure(figure, path)
+
+
+def _draw_bars(axes: Axes, bars: Sequence[Bar], height: float) -> None:
+    for k, bar in enumerate(reversed(bars)):
+        axes.barh(k, bar.least - 1, left=1, height=height, color=PALETTE[0])
+        axes.barh(k, bar.most - bar.least, left=bar.least, height=height, color=PALETTE[0], alpha=0.35)
+    axes.set_xscale("log")
+    ticks = [1, 2, 5, 10, 20, 50, 100, 200]
+    axes.set_xticks(ticks, [f"{x}" for x in ticks])
+    axes.minorticks_off()
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_color(QUIET)
+
+
+def _write(axes: Axes, text: str, x: float, y: float, offset: tuple[float, float]) -> None:
+    """Write at a place, and an offset from it in points."""
+    axes.annotate(text, (x, y), xytext=offset, textcoords="offset points", va="center", fontsize=9)

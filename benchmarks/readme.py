@@ -8,12 +8,12 @@ from pathlib import Path
 
 import click
 
-from benchmarks.front import draw_front, list_bars, write_front
+from benchmarks.front import draw_front, draw_narrow, list_bars, write_front
 from benchmarks.headlines import write_headlines
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-TABLE, OVERVIEW, CHART = "summary.md", "overview.md", "faster.png"
+TABLE, OVERVIEW, CHART, NARROW = "summary.md", "overview.md", "faster.png", "faster_narrow.png"
 HEADLINES = "headlines"  # the part of the README
 END = "<!-- end -->"
 WIDTH = 120
@@ -59,6 +59,7 @@ def main() -> None:
     readme = ROOT / "README.md"
     (RESULTS / OVERVIEW).write_text(write_overview(), encoding="utf-8")
     draw_front(list_bars(RESULTS), RESULTS / CHART)
+    draw_narrow(list_bars(RESULTS), RESULTS / NARROW)
     readme.write_text(fill_all(readme.read_text(encoding="utf-8")), encoding="utf-8")
 
 

@@ -19,7 +19,8 @@ import pytest
 
 from benchmarks.readme import HEADLINES, OVERVIEW, RESULTS, fill, fill_all, link, write_overview
 from mbsrun import bare
-from tests import acados, forked
+from tests import acados
+from website import forked
 from website.blocks import NOT_RUN, Block, list_shown, read_blocks
 
 ROOT = Path(__file__).parents[1]

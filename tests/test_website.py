@@ -14,11 +14,12 @@ import pytest
 import sympy as sp
 from click.testing import CliRunner
 
-from website import notebooks
+import mbsrun
+from website import notebooks, reference
 from website.__main__ import main
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
-from website.pages import CHART, FILM, Staging, list_examples, write_front
+from website.pages import CHART, FILM, PHONE, Staging, list_examples, write_front
 
 ROOT = Path(__file__).parents[1]
 LOADED = re.compile(r"""<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=["']([^"']+)["']""")
@@ -138,7 +139,7 @@ def test_the_front_page_shows_film_chart_and_figures(tmp_path: Path) -> None:
     """The figures are the README's sentences, without their links."""
     write_front(ROOT, tmp_path, "CARDS")
     front = (tmp_path / "index.md").read_text(encoding="utf-8")
-    for path in (FILM, CHART):
+    for path in (FILM, CHART, PHONE):
         assert f"](written/{Path(path).name})" in front
         assert (tmp_path / "written" / Path(path).name).read_bytes() == (ROOT / path).read_bytes()
     assert "\nCARDS\n" in front
@@ -149,7 +150,7 @@ def test_the_front_page_shows_film_chart_and_figures(tmp_path: Path) -> None:
 def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:
     broken = replace(EXAMPLES[0], commands="echo seen >&2; exit 3\n")
     with pytest.raises(ExampleError, match="seen"):
-        run(broken, ROOT, tmp_path)
+        run(broken, ROOT, tmp_path, tmp_path)
 
 
 def test_a_notebook_of_equations_shows_formulas() -> None:
@@ -202,3 +203,7 @@ def test_a_notebook_is_valid_and_keeps_the_outputs_of_its_cells(tmp_path: Path) 
     ]
     assert shown == [["text", "data"], []]
     assert found["cells"][1]["outputs"][1]["data"] == {"text/plain": ["2"]}
+
+
+def test_the_reference_of_python_lists_every_public_name() -> None:
+    assert sorted(reference.FIRST) == sorted(mbsrun.__all__)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 from rich.progress import Progress
 
-from website import commands, gallery, messages, pages, reference
+from website import commands, forked, gallery, messages, pages, reference
 from website.examples import EXAMPLES, Example
 
 ROOT = Path(__file__).parents[1]
@@ -39,13 +40,14 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     source = out.parent / f"{out.name}-pages"
     shutil.rmtree(source, ignore_errors=True)
     shown = {} if quick else pages.list_examples(ROOT)
-    results = _run([*shown.values(), *chosen], out.parent / f"{out.name}-runs")
+    with tempfile.TemporaryDirectory() as place, forked.serve(Path(place)) as programs:
+        results = _run([*shown.values(), *chosen], out.parent / f"{out.name}-runs", programs)
+        messages.write(source, programs, 1 if quick else None)
     folders = {path: result.folder for path, result in zip(shown, results, strict=False)}
     navigation = pages.write(ROOT, source, folders)
     results = results[len(shown) :]
     gallery.write(results, source)
     pages.write_front(ROOT, source, gallery.write_front_cards(results))
-    messages.write(source, 1 if quick else None)
     commands.write(source)
     listed = [] if quick else [{"Python": reference.PAGES}]
     if not quick:
@@ -65,14 +67,14 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     click.echo(f"wrote {out / 'index.html'}")
 
 
-def _run(examples: Sequence[Example], runs: Path) -> list[gallery.Result]:
+def _run(examples: Sequence[Example], runs: Path, programs: Path) -> list[gallery.Result]:
     """Run examples, and show which one."""
     results = []
     with Progress() as bar:
         task = bar.add_task("examples", total=len(examples))
         for example in examples:
             bar.update(task, description=example.name)
-            results.append(gallery.run(example, ROOT, runs))
+            results.append(gallery.run(example, ROOT, runs, programs))
             bar.advance(task)
     return results
 

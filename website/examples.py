@@ -249,9 +249,11 @@ _TOOLS = (
         "equations",
         "The equations of a double pendulum",
         "As a textbook prints them.",
-        "mbsgen equations models/double_pendulum.yaml\nmbsgen show models/double_pendulum.yaml -o build/tree.png\n",
-        "build/tree.png",
-        ("models/double_pendulum.yaml",),
+        "mbsgen equations models/double_pendulum.yaml\nmbsgen show models/double_pendulum.yaml -o build/tree.png\n"
+        "mbsrun simulate models/double_pendulum.yaml --duration 0.1 --pose q1=0.5 --pose q2=0.5 -o build/equations\n"
+        + _draw("equations", "double_pendulum", 0),
+        "build/equations.png",
+        ("models/double_pendulum.yaml", "build/tree.png"),
         (
             'import mbsrun\n\npendulum = mbsrun.load("double_pendulum.yaml")',
             "equations = pendulum.symbolic()\nequations.M",

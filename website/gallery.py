@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from website import notebooks
+from website import forked, notebooks
 from website.examples import Example
 
 RECORD = "run.json"  # in the folder of a run
@@ -59,8 +59,11 @@ class Result:
         return list(dict.fromkeys((example.picture, *example.files, *_place_notebook(example))))
 
 
-def run(example: Example, root: Path, runs: Path) -> Result:
-    """Run the commands of an example in a copy of the models, unless they were run on the same sources before."""
+def run(example: Example, root: Path, runs: Path, programs: Path) -> Result:
+    """Run the commands of an example in a copy of the models, unless they were run on the same sources before.
+
+    `programs` is a folder of the project's commands.
+    """
     folder, key = runs / example.name, _identify(example, root)
     record = folder / RECORD
     if record.exists():
@@ -70,7 +73,7 @@ def run(example: Example, root: Path, runs: Path) -> Result:
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(root / "models", folder / "models")
     (folder / "build").mkdir()
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    path = os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]])
     begin = time.perf_counter()
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", example.commands],
@@ -88,7 +91,7 @@ def run(example: Example, root: Path, runs: Path) -> Result:
     if missing:
         raise ExampleError(f"{example.name} did not write {', '.join(missing)}")
     for notebook in _place_notebook(example):
-        _execute(example, folder / notebook)
+        _execute(example, folder / notebook, programs)
     known = {"key": key, "output": done.stdout, "seconds": seconds}
     record.write_text(json.dumps(known), encoding="utf-8")
     return Result(example, folder, done.stdout, seconds)
@@ -100,11 +103,11 @@ def _place_notebook(example: Example) -> list[str]:
     return [f"{Path(first).parent.as_posix()}/{example.name}.ipynb"] if example.notebook else []
 
 
-def _execute(example: Example, path: Path) -> None:
+def _execute(example: Example, path: Path, programs: Path) -> None:
     """Write the notebook of an example, and run it."""
     path.write_text(notebooks.write(example), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "website.notebooks", str(path)],
+        [programs / forked.PYTHON, f"from website import notebooks; notebooks.run_file({str(path)!r})"],
         cwd=Path(__file__).parents[1],
         capture_output=True,
         text=True,

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-
-BIN = Path(sys.executable).parent
 
 ROD = """\
 name: pendulum
@@ -197,13 +193,16 @@ CLASSES = (
 PAGES = [{each.title: f"messages/{each.name}.md"} for each in CLASSES]
 
 
-def write(target: Path, most: int | None = None) -> None:
-    """Run the commands, of each class `most` or all, and write a page for each class."""
+def write(target: Path, programs: Path, most: int | None = None) -> None:
+    """Run the commands, of each class `most` or all, and write a page for each class.
+
+    `programs` is a folder of the project's commands.
+    """
     (target / "messages").mkdir(parents=True, exist_ok=True)
     for each in CLASSES:
         lines = [f"# {each.title}", "", each.text, ""]
         for case in each.cases[:most]:
-            lines += [f"## {case.title}", "", "``` { .text .wrap }", f"$ {_show(case)}", run(case), "```", ""]
+            lines += [f"## {case.title}", "", "``` { .text .wrap }", f"$ {_show(case)}", run(case, programs), "```", ""]
         (target / "messages" / f"{each.name}.md").write_text("\n".join(lines), encoding="utf-8")
 
 
@@ -211,14 +210,14 @@ def _show(case: Case) -> str:
     return " ".join([*(f"{name}={value}" for name, value in case.environment), case.command])
 
 
-def run(case: Case) -> str:
+def run(case: Case, programs: Path) -> str:
     """Return the message of a case. Raises RuntimeError for another message."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "model.yaml").write_text(case.model, encoding="utf-8")
         (Path(folder) / "problem.yaml").write_text(case.problem, encoding="utf-8")
         (Path(folder) / "robot.urdf").write_text(case.robot, encoding="utf-8")
         program, *arguments = case.command.split()
-        line = [shutil.which(program, path=str(BIN)) or program, *arguments]
+        line = [str(programs / program), *arguments]
         environment = {**os.environ, **dict(case.environment)}
         done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False, env=environment)
     if done.returncode == 0 or case.says not in done.stderr:

@@ -93,7 +93,12 @@ def _print(notebook: dict[str, Any]) -> str:
     return json.dumps(notebook, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
-if __name__ == "__main__":
-    file = Path(sys.argv[1]).resolve()
+def run_file(path: str) -> None:
+    """Run a notebook in its folder, and write the outputs into it."""
+    file = Path(path).resolve()
     os.chdir(file.parent)
     execute(file)
+
+
+if __name__ == "__main__":
+    run_file(sys.argv[1])

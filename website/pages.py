@@ -43,6 +43,8 @@ STYLE = """\
 .front img { width: 100%; border-radius: .3rem; background: white; }
 .ways { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 16rem), 1fr)); gap: .4rem 1.5rem; }
 .ways p { margin: 0; }
+.front img.narrow { display: none; }
+@media (max-width: 600px) { .front img.wide { display: none; } .front img.narrow { display: block; } }
 .cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
 """
 
@@ -249,7 +251,7 @@ def write_front(root: Path, target: Path, cards: str) -> None:
     The figures are sentences of the README.
     """
     (target / WRITTEN).mkdir(parents=True, exist_ok=True)
-    for path in (FILM, CHART):
+    for path in (FILM, CHART, PHONE):
         shutil.copyfile(root / path, target / WRITTEN / Path(path).name)
     figures = read_figures((root / "README.md").read_text(encoding="utf-8"))
     (target / "index.md").write_text(FRONT.format(figures=figures, cards=cards), encoding="utf-8")
@@ -263,7 +265,7 @@ def read_figures(readme: str) -> str:
     return re.sub(r"\s*\(\[figures\]\([^)]*\)\)", "", sentences.strip())
 
 
-FILM, CHART = "docs/arm_reach.gif", "benchmarks/results/faster.png"
+FILM, CHART, PHONE = "docs/arm_reach.gif", "benchmarks/results/faster.png", "benchmarks/results/faster_narrow.png"
 FRONT = """\
 ---
 title: mbsgen
@@ -271,7 +273,7 @@ hide: [navigation, toc]
 ---
 <div class="front" markdown>
 <div markdown>
-# Equations of motion, as C
+# Equations of motion, as&nbsp;C
 
 Describe a robot or another mechanism in a file. mbsgen writes C code for its dynamics, with exact first and second
 derivatives. mbsrun simulates it, finds optimal motions, and turns them into controllers for small hardware.
@@ -315,9 +317,12 @@ mbsrun.read_problem("models/arm_reach.ocp.yaml").solve()
 <div markdown>
 {figures}
 
-[All figures](figures/results/overview.md), and what is not equal.
+[All figures](figures/results/overview.md), with the limits of each comparison.
 </div>
-![Times faster than the quickest peer, by kind of work](written/faster.png)
+<div markdown>
+![Times faster than the quickest peer, by kind of work](written/faster.png){{ .wide }}
+![Times faster than the quickest peer, by kind of work](written/faster_narrow.png){{ .narrow }}
+</div>
 </div>
 
 ## I want to

@@ -19,6 +19,10 @@ MODULES = {  # the title of a page, and its modules
     "Equations": ("mbsgen.equations.motion",),
     "Models": ("mbsgen.model.construction", "mbsgen.model.reader", "mbsgen.model.writer", "mbsgen.manifest"),
 }
+FIRST = (  # names of mbsrun: functions in the order in which users need them, then what they return
+    *("load", "simulate", "simulate_many", "rollout", "read_problem", "problem", "controller", "identify", "excite"),
+    *("Mechanism", "Simulated", "Motions", "OptimalControl", "Controller", "ProblemError"),
+)
 PAGES = [{title: f"api/{title.lower().replace(' ', '_')}.md"} for title in MODULES]
 
 
@@ -28,5 +32,8 @@ def write(target: Path) -> None:
     for page, (title, modules) in zip(PAGES, MODULES.items(), strict=True):
         lines = [f"# {title}", ""]
         for module in modules:
-            lines += [f"## {module}", "", f"::: {module}", "    options:", "      show_root_heading: false", ""]
+            lines += [f"## {module}", "", f"::: {module}", "    options:", "      show_root_heading: false"]
+            if module == "mbsrun":
+                lines += ["      group_by_category: false", f"      members: [{', '.join(FIRST)}]"]
+            lines.append("")
         (target / page[title]).write_text("\n".join(lines), encoding="utf-8")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.front import READERS, Bar, draw_front, list_bars, write_front
+from benchmarks.front import READERS, Bar, draw_front, draw_narrow, list_bars, write_front
 from benchmarks.headlines import PageError
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
@@ -35,9 +35,10 @@ def test_bars_are_sorted_and_drawn(tmp_path: Path) -> None:
     assert [bar.least for bar in bars] == sorted((bar.least for bar in bars), reverse=True)
     assert Bar("a", "b", 2.0, 2.0, "c").label == "2 times"
     assert Bar("a", "b", 2.04, 11.2, "c").label == "2 to 11 times"
-    for name in ("a.png", "b.png"):
-        draw_front(bars, tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    for draw in (draw_front, draw_narrow):
+        for name in ("a.png", "b.png"):
+            draw(bars, tmp_path / name)
+        assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 @pytest.mark.parametrize("page", READERS)

@@ -46,7 +46,7 @@ def serve(folder: Path) -> Iterator[Path]:
         listener.bind(str(path))
         listener.listen()
         number = listener.fileno()
-        server = subprocess.Popen([sys.executable, "-m", "tests.forked", str(number)], pass_fds=[number])
+        server = subprocess.Popen([sys.executable, "-m", "website.forked", str(number)], pass_fds=[number])
         try:
             yield folder
         finally:
