@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbsgen.expressions import Expression, evaluate, names
+from mbsgen.expressions import Call, Expression, Operation, evaluate, list_operands, names
 from mbsgen.manifest import Manifest
 from mbsrun.jets import make_jets, vary
-from mbsrun.simulation.drive import TIME, DriveError
+from mbsrun.simulation.drive import ARRAYS, TIME, DriveError
 
 Array = NDArray[np.float64]
 
 START = 1e-9  # how far a start may be from the course, absolute and relative
+KINKS = ("abs", "max", "min")
+SAMPLES = 2001  # times at which a kink is looked for
+HALVINGS = 60  # of the time between two of them
+BESIDE = 1e-6  # of the duration: where velocities on both sides of a kink are compared
+NO_JUMP = 1e-6  # of velocities, relative to the largest
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,69 @@ def follow(expressions: Sequence[Expression], labels: Sequence[str], constants: 
         with np.errstate(all="ignore"):
             evaluate(expression, {**known, TIME: vary(np.zeros(1), 0, 1)}, algebra)
     return Course(states, not any(TIME in names(expression) for expression in expressions))
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A velocity that changes in an instant."""
+
+    time: float
+    change: float
+    function: str
+
+
+def find_jump(expression: Expression, constants: Mapping[str, float], duration: float) -> Jump | None:
+    """Find the first time at which abs, max or min makes the velocity of a driven joint jump."""
+    found = [
+        Jump(time, change, kink.function)
+        for kink in _list_kinks(expression)
+        for time in _find_zeros(_measure_gap(kink), constants, duration)
+        if (change := _measure_jump(expression, constants, time, duration))
+    ]
+    return min(found, key=lambda jump: jump.time, default=None)
+
+
+def _list_kinks(expression: Expression) -> Iterator[Call]:
+    if isinstance(expression, Call) and expression.function in KINKS and TIME in names(expression):
+        yield expression
+    for part in list_operands(expression):
+        yield from _list_kinks(part)
+
+
+def _measure_gap(kink: Call) -> Expression:
+    """Return the number whose sign decides on the side of a kink."""
+    return kink.arguments[0] if kink.function == "abs" else Operation("-", *kink.arguments)
+
+
+def _find_zeros(gap: Expression, constants: Mapping[str, float], duration: float) -> list[float]:
+    """Find the times at which a gap changes its sign, by bisection between samples."""
+    known = {name: np.full(1, value) for name, value in constants.items()}
+
+    def measure(t: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.sign(np.broadcast_to(evaluate(gap, {**known, TIME: t}, ARRAYS), t.shape)))
+
+    t = np.linspace(0.0, duration, SAMPLES)
+    signs = measure(t)
+    zeros = []
+    for k in np.flatnonzero(signs[1:] != signs[:-1]).tolist():
+        low, high = t[k], t[k + 1]
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if measure(np.array([middle]))[0] == signs[k] else (low, middle)
+        zeros.append(float(low))
+    return zeros
+
+
+def _measure_jump(expression: Expression, constants: Mapping[str, float], time: float, duration: float) -> float:
+    """Return by how much the velocity jumps at a time; 0 where it is continuous, so that its change is the step's."""
+    course = follow([expression], [""], constants)
+    near, far = BESIDE / 10 * duration, BESIDE * duration
+    times = np.clip(time + np.array([-far, -near, near, far]), 0.0, duration)
+    v = course.states(times)[1][:, 0]
+    largest = np.abs(course.states(np.linspace(0.0, duration, SAMPLES))[1]).max()
+    jump = v[2] - v[1]
+    return float(jump) if abs(jump) > max(NO_JUMP * largest, abs(v[3] - v[0]) / 2) else 0.0
 
 
 def is_constrained(manifest: Manifest) -> bool:

@@ -27,14 +27,14 @@ from mbsgen.documents import (
     read_number,
     refuse,
 )
-from mbsgen.expressions import Expression, Number, is_free_name
+from mbsgen.expressions import Expression, Number, is_free_name, names
 from mbsgen.manifest import Manifest, Wrench
 from mbsrun.ocp.ground.schemes import DEGREES
 from mbsrun.quantities import list_quantities
 from mbsrun.quaternions import list_quaternions, neutral, normalise
 from mbsrun.reading import Reading, attribute, read_settings
 from mbsrun.simulation.closing import Start
-from mbsrun.simulation.course import Course, follow, place_driven
+from mbsrun.simulation.course import Course, find_jump, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
 from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.integration.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
@@ -166,7 +166,7 @@ class _Reading(Reading):
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)
         start = self.start(section.start)
-        course = self.course(section.driven, start)
+        course = self.course(section.driven, start, settings.duration)
         known = [p.name for p in (*self.manifest.parameters, *self.manifest.design)]
         parameters = {} if self.recording is None else dict(self.recording.parameters)
         for name, expression in section.parameters.items():
@@ -260,7 +260,7 @@ class _Reading(Reading):
         q = normalise(starts[0][1], self.manifest)
         return Start(starts[0][0], q, starts[1][1], *named)
 
-    def course(self, section: Mapping[str, Expression], start: Start) -> Course:
+    def course(self, section: Mapping[str, Expression], start: Start, duration: float) -> Course:
         """Read the motion of driven joints; one that is not named moves as recorded, or stands where it starts."""
         driven, places = [self.coordinates[i] for i in self.manifest.driven], place_driven(self.manifest)
         recorded = {} if self.recording is None else self.recording.driven
@@ -273,12 +273,23 @@ class _Reading(Reading):
             if i is None or not self.formula(("driven", name), expression, [TIME]):
                 continue
             expressions[i] = expression
+            self.jump(name, expression, duration)
             if places[i] in start.placed:
                 self.fault(("start", "pose", name), "its motion is given under driven", "give one or the other")
         for i in start.moving & set(self.manifest.driven):
             name = self.coordinates[i]
             self.fault(("start", "velocity", name), "this joint is driven", "give its motion under driven")
         return follow(expressions, driven, {k: v for k, v in self.constants.items() if math.isfinite(v)})
+
+    def jump(self, name: str, expression: Expression, duration: float) -> None:
+        """Note a driven joint whose velocity jumps: an impact, which no method computes."""
+        constants = {key: value for key, value in self.constants.items() if math.isfinite(value)}
+        if not 0 < duration < math.inf or names(expression) - {TIME, *constants}:
+            return
+        jump = find_jump(expression, constants, duration)
+        if jump is not None:
+            finding = f"its velocity jumps by {jump.change:.3g} at t = {jump.time:.6g} s, at a kink of {jump.function}"
+            self.fault(("driven", name), finding, "take softplus, step or tanh, which are smooth")
 
     def drive(self, section: SettingsSection) -> Drive:
         """Read the inputs over time; inputs that are not named are 0."""

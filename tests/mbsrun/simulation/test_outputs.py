@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,15 +10,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbsgen.errors import InputError
 from mbsgen.expressions import parse
-from mbsrun.simulation.course import Course, check_course, follow, stand
+from mbsrun.external import load
+from mbsrun.models import INTEGRATED
+from mbsrun.simulation.course import Course, check_course, find_jump, follow, stand
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.integration.energy import MANY, add_up_friction, add_up_work
 from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.integration.steps import count_steps, place_steps, sample
 from mbsrun.simulation.motion import Bounces, Chunk, Segment, Stages
 from mbsrun.simulation.outputs import Outputs, find_stride, list_times
+from mbsrun.simulation.statement import read_statement
 from tests.mbsrun.simulation.particles import wait
+from tests.model_kinds import write_model
 
 Array = NDArray[np.float64]
 
@@ -205,3 +211,38 @@ def test_work_is_the_integral_of_power_with_the_power_of_driven_joints() -> None
     assert add_up_work(make(()), wait(0, 2), motion) == pytest.approx(own)
     assert add_up_work(make((0,)), wait(0, 2), motion) == pytest.approx(own + 3 * np.array([0.25, 3.75]))
     assert add_up_work(make(()), wait(0, 2), chunk(t.tolist())) == pytest.approx(own)
+
+
+@pytest.mark.parametrize(
+    ("text", "time", "change", "function"),
+    [
+        ("max(0, t - 0.1)", 0.1, 1.0, "max"),
+        ("2*min(t, a) + abs(t - 0.9)", 0.3, -2.0, "min"),
+        ("abs(cos(9*t))", np.pi / 18, 18.0, "abs"),
+        ("abs(sin(9*t))", 0.0, 9.0, "abs"),
+        ("max(0, t)", 0.0, 0.5, "max"),  # the derivative at a kink is the mean of both sides
+        ("1e-9*max(t, 0.5) + 3", 0.5, 1e-9, "max"),
+    ],
+)
+def test_a_velocity_that_jumps_is_found(text: str, time: float, change: float, function: str) -> None:
+    jump = find_jump(parse(text), {"a": 0.3}, 1.0)
+    assert jump is not None
+    assert (jump.time, jump.change) == pytest.approx((time, change), rel=1e-4, abs=1e-12)
+    assert jump.function == function
+
+
+@pytest.mark.parametrize(
+    "text", ["max(0, t - 0.1)**2", "abs(t + 1)", "max(0, t)**2", "abs(t - 0.5)**3", "sin(t)*max(a, 0)"]
+)
+def test_smooth_motions_have_no_jump(text: str) -> None:
+    assert find_jump(parse(text), {"a": 0.3}, 1.0) is None
+
+
+def test_a_driven_joint_that_jumps_is_refused_with_its_line(tmp_path: Path) -> None:
+    settings = tmp_path / "settings.yaml"
+    (tmp_path / "table.yaml").write_text(write_model("driven"), encoding="utf-8")
+    manifest = load(tmp_path / "table.yaml", extent=INTEGRATED).manifest
+    name = manifest.coordinates[manifest.driven[0]].name
+    settings.write_text(f"duration: 1\ndriven: {{{name}: 'max(0, t - 0.1)'}}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=rf"settings.yaml:2: driven.{name}: its velocity jumps by 1 at t = 0.1 s"):
+        read_statement(settings, {}, manifest)
