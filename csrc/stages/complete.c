@@ -1,4 +1,6 @@
-/* Complete pivoting of a block: see complete.h. Rows are compared beside their largest entries. */
+/* Complete pivoting of a block: see complete.h. Rows are compared beside their largest entries.
+ *
+ * Most entries are 0. A row whose entry in the column of the pivot is 0 stays as it is, and so does its largest entry. */
 #include "complete.h"
 
 #include <string.h>
@@ -15,14 +17,23 @@ static void read_block(mbs_stages_complete *c, const mbs_stages_matrix *A, int f
         c->row[i] = c->column[i] = i;
 }
 
+/* Find the largest entry of a row in columns that hold no pivot. */
+static void find_largest(mbs_stages_complete *c, int i)
+{
+    const real *a = c->a + (size_t)i * (size_t)c->n;
+    int j, at = c->rank;
+    for (j = c->rank + 1; j < c->n; ++j)
+        at = real_abs(a[j]) > real_abs(a[at]) ? j : at;
+    c->largest[i] = at;
+}
+
 static void weigh_rows(mbs_stages_complete *c)
 {
-    int i, j;
+    int i;
     for (i = 0; i < c->n; ++i) {
-        const real *a = c->a + (size_t)i * (size_t)c->n;
-        real most = 0;
-        for (j = 0; j < c->n; ++j)
-            most = real_abs(a[j]) > most ? real_abs(a[j]) : most;
+        real most;
+        find_largest(c, i);
+        most = real_abs(c->a[(size_t)i * (size_t)c->n + (size_t)c->largest[i]]);
         c->work[i] = most > 0 ? 1 / most : 0;
     }
 }
@@ -30,23 +41,29 @@ static void weigh_rows(mbs_stages_complete *c)
 static int find_pivot(const mbs_stages_complete *c, const mbs_stages_least_pivots *least, int *row, int *column)
 {
     real most = c->n - c->rank > least->room ? least->zero : least->small;
-    int i, j, found = 0;
+    int i, found = 0;
     for (i = c->rank; i < c->n; ++i) {
-        const real *a = c->a + (size_t)i * (size_t)c->n;
-        for (j = c->rank; j < c->n; ++j)
-            if (real_abs(a[j]) * c->work[i] > most) {
-                most = real_abs(a[j]) * c->work[i];
-                *row = i;
-                *column = j;
-                found = 1;
-            }
+        const real size = real_abs(c->a[(size_t)i * (size_t)c->n + (size_t)c->largest[i]]) * c->work[i];
+        if (size > most) {
+            most = size;
+            *row = i;
+            *column = c->largest[i];
+            found = 1;
+        }
     }
     return found;
 }
 
+static void exchange_numbers(int *a, int i, int j)
+{
+    const int t = a[i];
+    a[i] = a[j];
+    a[j] = t;
+}
+
 static void exchange(mbs_stages_complete *c, int row, int column)
 {
-    const int at = c->rank, r = c->row[at], k = c->column[at];
+    const int at = c->rank;
     const real weight = c->work[at];
     real *a = c->a + (size_t)at * (size_t)c->n, *b = c->a + (size_t)row * (size_t)c->n;
     int i;
@@ -55,32 +72,59 @@ static void exchange(mbs_stages_complete *c, int row, int column)
         a[i] = b[i];
         b[i] = t;
     }
+    exchange_numbers(c->row, at, row);
+    exchange_numbers(c->column, at, column);
+    exchange_numbers(c->largest, at, row);
+    c->work[at] = c->work[row], c->work[row] = weight;
     for (i = 0; i < c->n; ++i) {
         real *e = c->a + (size_t)i * (size_t)c->n, t = e[at];
         e[at] = e[column];
         e[column] = t;
+        if (c->largest[i] == at)
+            c->largest[i] = column;
     }
-    c->row[at] = c->row[row], c->row[row] = r;
-    c->column[at] = c->column[column], c->column[column] = k;
-    c->work[at] = c->work[row], c->work[row] = weight;
+}
+
+/* List the columns of nonzeros right of the pivot; returns how many there are. */
+static int list_nonzeros(const mbs_stages_complete *c, const real *pivot)
+{
+    int j, count = 0;
+    for (j = c->rank + 1; j < c->n; ++j)
+        if (pivot[j] != 0)
+            c->nonzero[count++] = j;
+    return count;
+}
+
+/* Subtract the row of the pivot from the rows below that have an entry in its column. */
+static void eliminate_below(mbs_stages_complete *c)
+{
+    const real *restrict pivot = c->a + (size_t)c->rank * (size_t)c->n;
+    const int count = list_nonzeros(c, pivot);
+    int i, t;
+    for (i = c->rank + 1; i < c->n; ++i) {
+        real *restrict a = c->a + (size_t)i * (size_t)c->n;
+        if (a[c->rank] == 0)
+            continue;
+        a[c->rank] /= pivot[c->rank];
+        for (t = 0; t < count; ++t)
+            a[c->nonzero[t]] -= a[c->rank] * pivot[c->nonzero[t]];
+    }
 }
 
 void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first,
                                      const mbs_stages_least_pivots *least)
 {
-    int i, j, row, column;
+    int i, row, column;
+    c->rank = 0;
     read_block(c, A, first);
     weigh_rows(c);
-    for (c->rank = 0; c->rank < c->n && find_pivot(c, least, &row, &column); ++c->rank) {
-        const real *pivot = c->a + (size_t)c->rank * (size_t)c->n;
+    while (c->rank < c->n && find_pivot(c, least, &row, &column)) {
         exchange(c, row, column);
-        for (i = c->rank + 1; i < c->n; ++i) {
-            real *a = c->a + (size_t)i * (size_t)c->n;
-            const real factor = a[c->rank] / pivot[c->rank];
-            a[c->rank] = factor;
-            for (j = c->rank + 1; factor != 0 && j < c->n; ++j)
-                a[j] -= factor * pivot[j];
-        }
+        eliminate_below(c);
+        ++c->rank;
+        for (i = c->rank; i < c->n; ++i)
+            if (c->a[(size_t)i * (size_t)c->n + (size_t)c->rank - 1] != 0)
+                find_largest(c, i);
     }
 }
 

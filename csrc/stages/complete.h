@@ -11,6 +11,7 @@ typedef struct {
     real *a; /* both factors, row by row, by places */
     int *row, *column;
     real *work; /* n */
+    int *largest, *nonzero; /* the column of the largest entry of each row; columns of a row; n each */
 } mbs_stages_complete;
 
 /* Pivots, beside the largest entry of their row: those up to `zero` are 0; those up to `small` are used only while more

@@ -126,6 +126,8 @@ static mbs_stages_complete complete(const mbs_stages_scratch *m, const mbs_stage
     c.a = m->block;
     c.row = m->spots;
     c.column = m->spots + c.n;
+    c.largest = m->spots + 2 * c.n;
+    c.nonzero = m->spots + 3 * c.n;
     c.work = m->vector[5];
     return c;
 }

@@ -361,7 +361,7 @@ static void lay_scratch(arena *a, mbs_stages_scratch *m, const extent *e)
     for (i = 0; i < 3; ++i)
         m->together[i] = numbers(a, e->inner, MBS_STAGES_TOGETHER);
     m->right = numbers(a, e->inner, e->width);
-    m->spots = take(a, (size_t)e->rows, sizeof(int)); /* equations; or two for each inner variable, which has one */
+    m->spots = take(a, (size_t)larger(e->rows, 4 * e->inner), sizeof(int)); /* equations; or four for each inner variable */
 }
 
 static void lay_work(arena *a, mbs_stages_recursion *r, const extent *e, int workers)

@@ -8,7 +8,8 @@
 enum { MOST = 6, FIRST = 2, WIDTH = 3 };
 static unsigned seed = 5;
 static real dense[MOST * MOST], numbers[MOST * (MOST + 1) + 32], a[MOST * MOST], work[MOST];
-static int begin[MOST + FIRST], end[MOST + FIRST], row_of[MOST * (MOST + 1) + 32], row[MOST], column[MOST];
+static int begin[MOST + FIRST], end[MOST + FIRST], row_of[MOST * (MOST + 1) + 32], row[MOST], column[MOST],
+    largest[MOST], nonzero[MOST];
 static mbs_stages_complete c;
 
 static real draw(void)
@@ -31,10 +32,11 @@ static void factorise(int n, real zero, real small, int room)
     }
     A.count = at;
     c.n = n, c.rank = 99, c.a = a, c.row = row, c.column = column, c.work = work;
+    c.largest = largest, c.nonzero = nonzero;
     for (i = 0; i < MOST * MOST; ++i)
         a[i] = (real)NAN;
     for (i = 0; i < MOST; ++i)
-        work[i] = (real)NAN, row[i] = column[i] = -1;
+        work[i] = (real)NAN, row[i] = column[i] = largest[i] = nonzero[i] = -1;
     mbs_stages_factorise_completely(&c, &A, FIRST, &least);
 }
 

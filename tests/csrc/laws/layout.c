@@ -262,7 +262,7 @@ static void rooms(int workers)
         for (i = 0; i < 3; ++i)
             list_numbers(r->scratch[k].together[i], marks * MBS_STAGES_TOGETHER);
         list_numbers(r->scratch[k].block, marks * marks), list_numbers(r->scratch[k].right, marks * 16);
-        list_integers(r->scratch[k].spots, own_rows);
+        list_integers(r->scratch[k].spots, most_of(own_rows, 4 * marks));
     }
     list_numbers(r->diagonal, n), list_numbers(r->compliance, m);
     list_phase(&s->main, n + slacks, m), list_phase(&s->least, n + slacks + 2 * m, m);
