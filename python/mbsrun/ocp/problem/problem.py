@@ -142,6 +142,7 @@ class Constraint:
     at: Literal["start", "path", "end"] = "path"
     is_relaxed: bool = False  # a product of complementary numbers, whose upper bound is lowered in steps
     name: str = ""  # in messages, in place of the expression
+    gives: str = ""  # a control that this equation determines at each point, whatever the other ones are
 
     @property
     def label(self) -> str:

@@ -59,6 +59,7 @@ class Structure:
     rated_inputs: tuple[int, ...] = ()  # whose rates have bounds
     rated_controls: tuple[int, ...] = ()
     priced_controls: tuple[int, ...] = ()  # whose rates have a weight
+    implicit: tuple[tuple[int, int], ...] = ()  # a constraint, and the control that it determines at each point
 
     @property
     def grid(self) -> Grid:
@@ -107,6 +108,11 @@ def _find_structure(problem: Problem) -> Structure:
         terminal=tuple(term.expression for term in cost.terminal),
         constraints=tuple((constraint.expression, constraint.at) for constraint in problem.constraints),
         labels=tuple(constraint.label for constraint in problem.constraints),
+        implicit=tuple(
+            (i, problem.added.controls.index(constraint.gives))
+            for i, constraint in enumerate(problem.constraints)
+            if constraint.gives
+        ),
         constants=tuple(name for name, _ in problem.constants),
         sensors=tuple(name for name, _ in end.sensors),
         coordinates=tuple(i for i, _ in end.coordinates),

@@ -124,8 +124,9 @@ def _control(bounds: Any, guess: Any) -> ControlSection:
 def _balance(muscle: _Muscle, plant: Plant) -> Constraint:
     """Make the constraint of the equilibrium of an elastic tendon."""
     assert muscle.tendon is not None, "the tendon is elastic"
-    text = _write(write_equilibrium(muscle.fibres, muscle.name, RATE.format(muscle.tendon)), plant)
-    return Constraint(text, (0.0, 0.0), name=f"the equilibrium of {muscle.name}")
+    rate = RATE.format(muscle.tendon)
+    text = _write(write_equilibrium(muscle.fibres, muscle.name, rate), plant)
+    return Constraint(text, (0.0, 0.0), name=f"the equilibrium of {muscle.name}", gives=rate)
 
 
 def _write(expression: Expression, plant: Plant) -> str:

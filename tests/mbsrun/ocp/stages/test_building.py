@@ -46,6 +46,7 @@ CASES = {
         "cart_pole_swing_up",
         {"form": Form.SHOOTING, "representation": Representation.IMPL, "input_rates": 0.1},
     ),
+    "an elastic tendon": ("moco/hanging", {}),
     "integral over Legendre points": ("cart_pole_balance", {"form": Form.INTEGRAL}),
 }
 
@@ -73,6 +74,19 @@ def test_functions_of_stages_are_those_of_the_program(name: str, changes: dict[s
     found = compare(Evaluator(Tables(data, plant), p), program, plant, x, p, rng)
     # sums of some hundred terms, products with the derivatives of lifted variables
     assert max(found.values, found.slopes, found.curvatures) < 1000 * EPSILON
+
+
+def test_the_rate_of_an_elastic_tendon_is_an_inner_variable() -> None:
+    """An equilibrium determines it at each point, so excitations alone are inputs, and no row of a stage is left."""
+    problem, plant = read_problem(MODELS / "moco" / "hanging.ocp.yaml", load_on_demand)
+    program = transcribe(replace(problem, intervals=3), plant).program
+    assert program.stages is not None
+    excitations = program.stages.inputs
+    assert excitations.shape == (3, problem.degree)
+    assert not np.intersect1d(excitations, program.stages.inner).size
+    first, middle, _, last = (build(program, plant).kinds[kind] for kind in build(program, plant).kind_of_stage)
+    assert (middle.nv - middle.inner, middle.ne - middle.inner, middle.ng) == (problem.degree, 0, 0)
+    assert (first.nv - first.inner, last.nv) == (problem.degree, 0)
 
 
 def test_a_function_may_read_one_variable_twice(plant: Peer) -> None:

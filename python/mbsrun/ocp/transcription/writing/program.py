@@ -71,11 +71,12 @@ def write_program(sheet: Sheet) -> tuple[Rows, Program]:
         size=sheet.size,
     )
     H, costs = write_cost(sheet)
+    implicit, balances = list_implicit(sheet, rows.constraints)
     stages = Stages(
         states=np.concatenate((sheet.layout.mesh, extras.states), axis=1),
-        inputs=list_inputs(sheet),
-        inner=inner,
-        equations=equations,
+        inputs=list_inputs(sheet, implicit),
+        inner=np.concatenate((inner, implicit), axis=2),
+        equations=np.concatenate((equations, balances), axis=2),
         continuity=continuity,
         common=list_common(sheet),
         rows=np.concatenate(sheet.stages),
@@ -94,12 +95,24 @@ def write_program(sheet: Sheet) -> tuple[Rows, Program]:
     return rows, program
 
 
-def list_inputs(sheet: Sheet) -> Indices:
-    """List the variables (N, ...) of each interval that no equation of the interval gives."""
+def list_implicit(sheet: Sheet, rows: Sequence[Indices]) -> tuple[Indices, Indices]:
+    """List the controls (N, S, c) that constraints determine, and the rows of these; none where others are eliminated."""
+    controls = sheet.layout.extras.point_controls
+    N, S, _ = controls.shape
+    is_chosen = controls.size > 0 and sheet.shape.form is Form.STANDARD
+    chosen = [(i, control) for i, control in sheet.shape.implicit if is_chosen and rows[i].size == N * S]
+    balances = np.array([rows[i] for i, _ in chosen], dtype=np.int64).reshape(len(chosen), N, S)
+    return controls[:, :, [control for _, control in chosen]], np.moveaxis(balances, 0, 2)
+
+
+def list_inputs(sheet: Sheet, implicit: Indices) -> Indices:
+    """List the variables (N, ...) of each interval that no equation of the interval gives; `implicit` are given."""
     free = [i for i, text in enumerate(sheet.components) if text is None and i not in sheet.held]
     wrenches = sheet.layout.extras.wrenches[:, :, free]
     N, S, size = wrenches.shape
-    return np.concatenate((sheet.layout.every_input, wrenches.reshape(N, S * size)), axis=1)
+    inputs = sheet.layout.every_input
+    inputs = inputs[~np.isin(inputs, implicit)].reshape(N, -1)
+    return np.concatenate((inputs, wrenches.reshape(N, S * size)), axis=1)
 
 
 def list_common(sheet: Sheet) -> Indices:
