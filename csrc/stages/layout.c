@@ -237,6 +237,31 @@ static int count_unread(const mbs_stages_stage *t)
     return j / MBS_STAGES_LANES * MBS_STAGES_LANES;
 }
 
+static int is_empty(const mbs_stages_matrix *A, int j)
+{
+    return A->begin[j] == A->end[j];
+}
+
+/* Whether column j of the dynamics gives state j alone, and is all of variable j. */
+static int is_carried(const mbs_stages_stage *t, int j)
+{
+    const mbs_stages_matrix *F = &t->F;
+    return is_empty(&t->E, j) && is_empty(&t->G, j) && is_empty(&t->H, j) && F->end[j] == F->begin[j] + 1 &&
+           F->row[F->begin[j]] == j;
+}
+
+/* Count the first states that the next stage gets as they are, in whole lanes. */
+static int count_carried(const mbs_stages_stage *t)
+{
+    int j, l, count = 0;
+    while (t->F.begin && count < t->nx && is_carried(t, count))
+        ++count;
+    for (j = count; t->F.begin && j < t->n; ++j)
+        for (l = t->F.begin[j]; l < t->F.end[j]; ++l)
+            count = smaller(count, t->F.row[l]);
+    return count / MBS_STAGES_LANES * MBS_STAGES_LANES;
+}
+
 /* Whether H has nonzeros of inner variables. */
 static int is_curved(const mbs_stages_stage *t)
 {
@@ -314,6 +339,7 @@ static void lay_stage(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     lay_matrix(a, &t->H, t->n, t->n, p ? &p->h : NULL);
     lay_inner(a, s, problem, k, lane, t);
     lay_dense(a, t);
+    t->carried = count_carried(t);
 }
 
 /* Equal bounds of a stage, each of which is a row that holds exactly. */

@@ -108,13 +108,28 @@ static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage 
     mbs_stages_gram(soft, width, width, 1, 1, rows, width, scaled, width, Q, width);
 }
 
-/* Q += FT P F, with the cost P of the next state. */
+/* Q += FT P F, with the cost P of the next state. With the first states x1 that are carried alone,
+ *
+ *     F = (f 0; 0 F2),   P = (P11 P12; P21 P22),   FT P F = (f P11 f, f P12 F2; F2T P21 f, F2T P22 F2). */
 static void add_next_cost(const mbs_stages_stage *s, const entrance *next, real *Q, real *product)
 {
-    const int m = s->next, width = s->dense.width;
-    memset(product, 0, (size_t)next->width * (size_t)width * sizeof *product);
-    mbs_stages_gram(m, next->width, width, 0, 1, next->P, next->width, s->dense.F, width, product, width);
-    mbs_stages_gram(m, width, width, 1, 1, s->dense.F, width, product, width, Q, width);
+    const int first = s->carried, m = s->next - first, width = s->dense.width, columns = width - first;
+    const size_t ld = (size_t)width, ldp = (size_t)next->width, from = (size_t)first;
+    const real *F = s->dense.F, *F2 = F + from * (ld + 1);
+    real *below = product + from * ld, *corner = Q + from * (ld + 1);
+    size_t i, j;
+    memset(product, 0, ldp * ld * sizeof *product);
+    mbs_stages_gram(m, next->width - first, columns, 0, 1, next->P + from * (ldp + 1), next->width, F2, width,
+                    below + from, width);
+    mbs_stages_gram(m, columns, columns, 1, 1, F2, width, below + from, width, corner, width);
+    for (i = from; i < (size_t)s->next; ++i)
+        for (j = 0; j < from; ++j)
+            product[i * ld + j] = next->P[i * ldp + j] * F[j * (ld + 1)];
+    if (first > 0)
+        mbs_stages_gram(m, columns, first, 0, 1, F2, width, below, width, Q + from * ld, width);
+    for (i = 0; i < from; ++i)
+        for (j = 0; j <= i; ++j)
+            Q[i * ld + j] += F[i * (ld + 1)] * next->P[i * ldp + j] * F[j * (ld + 1)];
 }
 
 /* Add a row that holds exactly: derivatives, or a unit vector where there are none. */

@@ -44,6 +44,8 @@ typedef struct {
     int nx, nv, n, ne, ng, next; /* n = nx + nv; next: states of the next stage, 0 of the last one */
     int w, e, d, g, s;           /* where they begin */
     int equal;                   /* equal bounds that have room */
+    int carried;                 /* first states that the next stage gets, each multiplied by a number, and that nothing
+                                  * else here reads; in whole lanes */
     real curvature;              /* added to the cost of the recursion's variables */
     mbs_stages_matrix E, F, G, H; /* ne, next, ng, n rows; n columns each */
     mbs_stages_dense dense;       /* the same numbers without inner variables */

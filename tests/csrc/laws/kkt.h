@@ -14,8 +14,9 @@
 #include <stdlib.h>
 
 enum { KINDS = 3, STAGES = 12, MOST = 26, ALL = STAGES * MOST * 2, WORKERS = 3 };
-/* APART: sparse, no inner equation reads the first 5 states, no inner variable is curved */
-enum { DENSE, SPARSE, APART };
+/* APART: sparse, no inner equation reads the first 5 states, no inner variable is curved. CARRIED: sparse, the dynamics
+ * alone read the first 5 states, and multiply each by a number. */
+enum { DENSE, SPARSE, APART, CARRIED };
 
 /* A kind of stages. The first `inner` rows of e give as many of the first v. */
 typedef struct {
@@ -115,6 +116,8 @@ static int draw_mask(const kkt_kind *z, int which, int i, int j)
         return 0;
     if (z->entries == DENSE)
         return 1;
+    if (z->entries == CARRIED && (j < 5 || (which == 1 && i < 5)))
+        return which == 1 && i == j;
     if (which == 0 && i < z->inner && z->entries == APART && j < 5)
         return 0;
     if (which == 3 && z->entries == APART && (inner || (i >= z->nx && i < z->nx + z->inner)))

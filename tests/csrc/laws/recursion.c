@@ -13,8 +13,11 @@ static const kkt_shape dense_inner = {{{2, 9, 5, 1, 4, DENSE}, {2, 4, 1, 1, 0, S
 static const kkt_shape full_stages = {{{2, 4, 1, 2, 0, DENSE}, {0}, {0}}, 6, {0}};
 static const kkt_shape no_states = {{{0, 5, 2, 2, 1, DENSE}, {0}, {0}}, 1, {0}};
 static const kkt_shape one_state = {{{1, 5, 2, 1, 1, DENSE}, {1, 4, 1, 1, 0, SPARSE}, {0}}, 6, {0, 0, 0, 0, 0, 1}};
+static const kkt_shape carried_states = {{{7, 4, 2, 1, 0, CARRIED}, {7, 8, 6, 2, 5, CARRIED}, {7, 3, 1, 1, 0, DENSE}}, 8,
+    {0, 0, 1, 1, 1, 1, 1, 2}};
 static const kkt_shape tight_stages = {{{4, 1, 1, 1, 0, DENSE}, {4, 1, 2, 1, 0, DENSE}, {0}}, 2, {0, 1}};
-static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states, &one_state};
+static const kkt_shape *const shapes[] = {&plain_stages, &inner_stages, &dense_inner, &no_states, &one_state,
+    &carried_states};
 
 /* Vary all stages, let dynamics give where they may, and fix some variables: inner ones too, and first states. */
 static void vary(int turn)
@@ -188,6 +191,18 @@ static void pass_rows(void)
     }
 }
 
+/* States that the dynamics alone read, each to give itself, are known by the pattern: whole lanes of them. */
+static void carry(void)
+{
+    int k;
+    open_kkt(&carried_states, 0);
+    for (k = 0; k < shape.stages; ++k)
+        LAW("states that are carried are counted", kkt->recursion.stage[k].carried == (k == 7 ? 0 : 4));
+    open_kkt(&plain_stages, 0);
+    for (k = 0; k < shape.stages; ++k)
+        LAW("where there are some", kkt->recursion.stage[k].carried == 0);
+}
+
 /* A row that repeats another one depends on it; where it asks for something else, what is left is its lack. */
 static void depend(void)
 {
@@ -222,13 +237,14 @@ static void depend(void)
 int main(void)
 {
     int i, turn;
-    for (i = 0; i < 5; ++i)
+    for (i = 0; i < 6; ++i)
         for (turn = 0; turn < 2; ++turn) {
             open_kkt(shapes[i], turn);
             solve_all();
             respond();
             multiply();
         }
+    carry();
     open_kkt(&dense_inner, 0);
     defer();
     open_kkt(&dense_inner, 1);

@@ -36,7 +36,8 @@ class Numbering:
     """Where the local numbers of each group of variables of a stage begin, and of rows."""
 
     states: int
-    common: int  # with copies
+    common: int  # with copies, which come last
+    copied: int
     carried: int  # inputs of the stage before
     inner: int
     inputs: int
@@ -536,6 +537,7 @@ def _count(chain: Chain) -> tuple[Numbering, ...]:
             Numbering(
                 states=part.states.size,
                 common=chain.common.size + chain.copied.size,
+                copied=chain.copied.size,
                 carried=(parts[k - 1] if follows else part).inputs.size,
                 inner=part.inner.size,
                 inputs=part.inputs.size,

@@ -122,7 +122,8 @@ class _Lifting:
         uses += self.write_lifted(linear, at, len(rows))
         nx = numbering.before + len(self.functions.carried)
         known = np.where(variables < numbering.size, variables, -1)
-        nd = 0 if self.functions.is_last else self.first_state + numbering.following + numbering.common
+        shared = numbering.common - numbering.copied
+        nd = 0 if self.functions.is_last else self.first_state + numbering.following + shared
         rows_d = np.full(nd, -1)
         for row, (place, _) in explicit.items():
             rows_d[place] = row
@@ -209,8 +210,8 @@ class _Lifting:
 
     @property
     def first_state(self) -> int:
-        """Where the next states begin among the dynamics: inputs that are carried come first."""
-        return len(self.functions.next_carried)
+        """Where the next states begin among the dynamics: copies and inputs that are carried come first."""
+        return self.numbering.copied + len(self.functions.next_carried)
 
     def choose_dynamics(self) -> tuple[list[int], dict[int, tuple[int, float]]]:
         """Choose the next states that are inner variables too.
@@ -259,10 +260,13 @@ class _Lifting:
     def order_variables(self, copied: Sequence[int]) -> Indices:
         """List the variables: states, inner ones, inputs.
 
-        Inputs that are carried come first: few equations of an interval read them, and the solver skips such columns.
+        Copies of states come first, as nothing within the horizon reads them, then inputs that are carried: few equations
+        of an interval read these. The solver skips such columns.
         """
         numbering = self.numbering
-        states = [*(numbering.before + self.functions.carried), *range(numbering.before)]
+        shared = numbering.before - numbering.copied
+        copies = range(shared, numbering.before)
+        states = [*copies, *(numbering.before + self.functions.carried), *range(shared)]
         inner = [*range(numbering.inside, numbering.now)]
         lifted = range(numbering.size, numbering.size + self.lifted)
         inputs = [*range(numbering.now, numbering.after)]
@@ -331,9 +335,11 @@ class _Lifting:
             return
         numbering = self.numbering
         first = self.first_state
-        pairs = [(r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
+        copies, shared = numbering.copied, numbering.common - numbering.copied
+        pairs = [(i, numbering.states + shared + i) for i in range(copies)]
+        pairs += [(copies + r, numbering.now + int(i)) for r, i in enumerate(self.functions.next_carried)]
         pairs += [(first + state - numbering.after, state) for state in copied]
-        pairs += [(first + numbering.following + i, numbering.states + i) for i in range(numbering.common)]
+        pairs += [(first + numbering.following + i, numbering.states + i) for i in range(shared)]
         linear[Vector.DYNAMICS].append(_gather([(row, int(at[variable]), 1.0) for row, variable in pairs]))
 
     def write_lifted(self, linear: dict[Vector, list[Triplets]], at: Indices, first: int) -> list[Use]:
