@@ -260,8 +260,8 @@ class _Lifting:
     def order_variables(self, copied: Sequence[int]) -> Indices:
         """List the variables: states, inner ones, inputs.
 
-        Copies of states come first, as nothing within the horizon reads them, then inputs that are carried: few equations
-        of an interval read these. The solver skips such columns.
+        Copies of states come first, as nothing within the horizon reads them, then inputs that are carried: few
+        equations of an interval read these. The solver skips such columns.
         """
         numbering = self.numbering
         shared = numbering.before - numbering.copied

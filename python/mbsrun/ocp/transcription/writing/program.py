@@ -96,7 +96,7 @@ def write_program(sheet: Sheet) -> tuple[Rows, Program]:
 
 
 def list_implicit(sheet: Sheet, rows: Sequence[Indices]) -> tuple[Indices, Indices]:
-    """List the controls (N, S, c) that constraints determine, and the rows of these; none where others are eliminated."""
+    """List the controls (N, S, c) that constraints determine, and their rows; none in forms other than standard."""
     controls = sheet.layout.extras.point_controls
     N, S, _ = controls.shape
     is_chosen = controls.size > 0 and sheet.shape.form is Form.STANDARD
