@@ -86,8 +86,8 @@ class Matrix(Generic[T]):
     @staticmethod
     def of(rows: Iterable[Iterable[U]]) -> Matrix[U]:
         """Make a matrix of three rows of three numbers."""
-        a, b, c = (Vector.of(row) for row in rows)
-        return Matrix((a, b, c))
+        a, b, c = rows
+        return Matrix((Vector.of(a), Vector.of(b), Vector.of(c)))
 
     def __getitem__(self, index: tuple[int, int]) -> T:
         return self.rows[index[0]][index[1]]

@@ -67,10 +67,10 @@ class _Brackets:
         self.factors: dict[int, _Product] = {}
         kinds = [(value, draft.operations[value][0]) for value in draft.order]
         for value, op in kinds:
-            if op is Op.MUL:
+            if op is Op.MUL and draft.count_uses(value) > 1:
                 self._list_product(value)
         for value, op in kinds:
-            if op in _SUMS:
+            if op in _SUMS and not draft.is_inner(value):
                 self._list_sum(value)
 
     # -- a change -------------------------------------------------------------------------------------------------
@@ -178,22 +178,25 @@ class _Brackets:
         self.sums[value] = terms
         found, everywhere = self.found.setdefault(value, []), self.places
         for bracket, i, j in self._find_brackets(terms):
-            places = everywhere.setdefault(bracket, {})
-            if value in places:
-                places[value].append((value, i, j))
-            else:
-                places[value] = [(value, i, j)]
+            known = everywhere.get(bracket)
+            if known is None:
+                everywhere[bracket] = {value: [(value, i, j)]}
                 found.append(bracket)
-                if len(places) == 2:
-                    self.shared.add(bracket)
+            elif value in known:
+                known[value].append((value, i, j))
+            else:
+                known[value] = [(value, i, j)]
+                found.append(bracket)
+                self.shared.add(bracket)
 
     def _find_brackets(self, terms: Sequence[tuple[int, int]]) -> Iterator[tuple[_Bracket, int, int]]:
         """Find the rests of each two products without their common factors, at least a factor each; and the two."""
         products, is_constant = [self._take_apart(x) for x, _ in terms], self.draft.is_constant
         are_constant = [all(map(is_constant.__getitem__, product)) for product in products]
+        factors = [*map(set, products)]
         for i, j in combinations(range(len(terms)), 2):
             rest, left = products[i], products[j]
-            if set(rest).isdisjoint(left):
+            if factors[i].isdisjoint(left):
                 is_fixed = are_constant[i] and are_constant[j]
             else:
                 rest, left = _subtract(rest, left), _subtract(left, rest)
@@ -218,7 +221,9 @@ class _Brackets:
         """List the factors of a product; of another value, itself."""
         known = self.factors.get(value)
         if known is None:
-            factors = self._list_factors(value)
+            found, factors = self.draft.operations.get(value), [value]
+            if found is not None and found[0] is Op.MUL:
+                factors = self._list_factors(value)
             known = self.factors[value] = tuple(sorted(factors)) if len(factors) <= MOST_FACTORS else (value,)
         return known
 

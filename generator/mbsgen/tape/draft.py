@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from math import inf
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from mpmath import mpf
 
@@ -152,12 +152,15 @@ class Draft(Arithmetic):
 
     def count_uses(self, number: int) -> int:
         """Count the uses of a stored value by operations, a change of its sign among them, outputs and guards."""
-        asking = self.users.get(number, {}).keys() & self._asking.keys()
-        turned = sum(self.operations[user].count(-number) for user in asking) if asking else 0
+        count, turned = self._counts.get(number, 0), 0
+        if count < 2:  # a change of its sign is one of them
+            return count
+        if self._asking and (asking := self.users.get(number, {}).keys() & self._asking.keys()):
+            turned = sum(self.operations[user].count(-number) for user in asking)
         if roots := self._root_uses.get(number, ()):
             kept = number * self._kept[number]
             turned += sum(k in self._signed and self._roots[k] != kept for k in roots)
-        return self._counts.get(number, 0) - turned + bool(turned)
+        return count - turned + bool(turned)
 
     def is_inner(self, number: int) -> bool:
         """Return whether a value is a sum that is written only as part of another sum."""
@@ -648,7 +651,9 @@ class Draft(Arithmetic):
         places |= {-number: -place for number, place in places.items()}
         for place, number in enumerate(self._order, len(nodes)):
             places[number], places[-number] = place, -place
-            op, a, b = cast("Key", self._nodes[number])
+            key = self._nodes[number]
+            assert isinstance(key, tuple)
+            op, a, b = key
             nodes.append((op, places[a], places[b]))
         literals = len(leaves) - len(self._literals) + 1
         bases = [*range(literals), *(0 for _ in self._literals), *range(len(leaves) + 1, len(nodes))]

@@ -146,12 +146,15 @@ class Movement:
         """Form U v for v across the axis, less what w and wp add across the axis."""
         j, k = segment.across
         pp, pq, qq = self.p * self.p, self.p * self.q, self.q * self.q
-        parts = {
-            j: pq * v[k] - qq * v[j],
-            k: pq * v[j] - pp * v[k],
-            segment.axis: self.U[segment.axis, j] * v[j] + self.U[segment.axis, k] * v[k],
-        }
-        return Vector.of(parts[t] for t in range(3))
+        first, second = pq * v[k] - qq * v[j], pq * v[j] - pp * v[k]
+        return by_axis(segment, self.U[segment.axis, j] * v[j] + self.U[segment.axis, k] * v[k], first, second)
+
+
+def by_axis(segment: Segment, along: Scalar, first: Scalar, second: Scalar) -> Vector[Scalar]:
+    """Make a vector of its components along a joint's axis, and across it in cyclic order."""
+    if segment.axis == 0:
+        return Vector(along, first, second)
+    return Vector(second, along, first) if segment.axis == 1 else Vector(first, second, along)
 
 
 class Kinematics:
@@ -292,27 +295,22 @@ class Kinematics:
         """Write U from a body's state."""
         j, k = segment.across
         a, ww, pq, wp_, wq_ = segment.axis, w * w, p * q, w * p, w * q
-        columns: list[list[Scalar]] = [[], [], []]
         if before is None:
             along, spin = (wp_ + (wp_ - A[j]), wq_ + (wq_ - A[k])), (wq_ - A[k], A[j] - wp_)
         else:
             qd, first, second = before
             twice = w + qd
             along, spin = (twice * p - second, twice * q + first), (first + qd * q, second - qd * p)
-        columns[j] = self._by_axis(segment, -(q * q + ww), pq + wp, along[0])
-        columns[k] = self._by_axis(segment, pq - wp, -(p * p + ww), along[1])
-        columns[a] = list(A)
+        columns = {j: by_axis(segment, along[0], -(q * q + ww), pq + wp)}
+        columns[k] = by_axis(segment, along[1], pq - wp, -(p * p + ww))
+        columns[a] = A
         i = segment.number
         self.builder.label((w, wp, *a0), (f"w_{i}", f"wp_{i}", *(f"a{r}_{i}" for r in "123")))
-        return Movement(p, q, w, wp, A, a0, Matrix.of(columns).transposed, carried, spin)
-
-    @staticmethod
-    def _by_axis(segment: Segment, first: Scalar, second: Scalar, along: Scalar) -> list[Scalar]:
-        a = segment.axis
-        return [along, first, second] if a == 0 else [second, along, first] if a == 1 else [first, second, along]
+        U = Matrix((columns[0], columns[1], columns[2])).transposed
+        return Movement(p, q, w, wp, A, a0, U, carried, spin)
 
     def _across(self, segment: Segment, p: Scalar, q: Scalar) -> Vector[Scalar]:
-        return Vector.of(self._by_axis(segment, p, q, self.builder.zero))
+        return by_axis(segment, self.builder.zero, p, q)
 
     def _axis_before(self, segment: Segment) -> Vector[Scalar]:
         """The joint's axis in the parent's own frame."""
@@ -343,11 +341,11 @@ class Kinematics:
 
     def angular_velocity(self, segment: Segment, movement: Movement) -> Vector[Scalar]:
         """Form a body's own angular velocity, where it is written."""
-        return Vector.of(self._by_axis(segment, movement.p, movement.q, movement.w))
+        return by_axis(segment, movement.w, movement.p, movement.q)
 
     def angular_acceleration(self, segment: Segment, movement: Movement) -> Vector[Scalar]:
         """Form a body's own angular acceleration, where it is written."""
-        return Vector.of(self._by_axis(segment, *movement.spin, movement.wp))
+        return by_axis(segment, movement.wp, *movement.spin)
 
     def _axial_acceleration(self, segment: Segment, parent: Movement) -> Scalar:
         """Form the component of the parent's angular acceleration along the joint's axis."""
@@ -360,4 +358,4 @@ class Kinematics:
         """Form the parent's angular acceleration, where it is written."""
         if not segment.parent:
             return Vector(*parent.spin, parent.wp)
-        return Vector.of(self._by_axis(self.segments[segment.parent - 1], *parent.spin, parent.wp))
+        return by_axis(self.segments[segment.parent - 1], parent.wp, *parent.spin)

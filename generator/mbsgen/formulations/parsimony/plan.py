@@ -24,6 +24,8 @@ class Mass(Enum):
     KEPT = "kept"  # nothing moves, nor any other inertia that the joint cannot feel
     POINT = "point"  # the remainder is a point mass at the centre of percussion; divides by the body's inertia
 
+    __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower, also below
+
 
 class Meeting(Enum):
     """The place where M meets the first and second moments of a body, and the loads of the joints from there on."""
@@ -31,6 +33,8 @@ class Meeting(Enum):
     PASSED = "passed"  # at each joint before it: they are carried down
     BEYOND = "beyond"  # at the body: the motions of all joints before it are carried up
     SPLIT = "split"  # displacements without rotation at the body, as of levers in a group; others before its joint
+
+    __hash__ = object.__hash__
 
 
 _T = TypeVar("_T", "Choice", "Plan")

@@ -10,7 +10,7 @@ all of P moves to the parent. Moments that reach the base are dropped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import add
@@ -61,8 +61,14 @@ def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, RegroupedIn
     }
 
 
-def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> dict[int, RegroupedInertia]:
+def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> Mapping[int, RegroupedInertia]:
     """Regroup from the leaves to the base. Raises NoSuchPlanError for a plan that does not fit."""
+    moved = ((choice.mass, choice.spin_from) for choice in plan.choices)  # all that this depends on
+    write = partial(_regroup, builder, segments, plan)
+    return builder.remember(("regrouped", plan.by_runtime, *moved), (segments,), write)
+
+
+def _regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> Mapping[int, RegroupedInertia]:
     inertias: dict[int, RegroupedInertia] = {}
     gathered = {s.number: s.moments for s in segments}
     total = reduce(add, (s.moments.m for s in segments))

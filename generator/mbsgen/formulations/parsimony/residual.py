@@ -25,7 +25,7 @@ from itertools import product
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.links import AppliedWrench
-from mbsgen.formulations.parsimony.motion import Kinematics, Movement
+from mbsgen.formulations.parsimony.motion import Kinematics, Movement, by_axis
 from mbsgen.formulations.parsimony.regrouping import RegroupedInertia, guard_divisor
 from mbsgen.formulations.parsimony.segments import Segment, children, unit_vector
 from mbsgen.formulations.parsimony.writing import Writing
@@ -257,23 +257,17 @@ def _double(x: Scalar) -> Scalar:
 
 def _turn_spin(segment: Segment, movement: Movement, spin: Scalar) -> Vector[Scalar]:
     """Form the moment of the spin inertia across the axis: spin w OM x e."""
-    j, k = segment.across
-    parts = {
-        segment.axis: spin.builder.zero,
-        j: spin * (movement.w * movement.q),
-        k: -(spin * (movement.w * movement.p)),
-    }
-    return Vector.of(parts[t] for t in range(3))
+    first = spin * (movement.w * movement.q)
+    return by_axis(segment, spin.builder.zero, first, -(spin * (movement.w * movement.p)))
 
 
 def _turn(
     kinematics: Kinematics, segment: Segment, movement: Movement, along: Scalar, others: Vector[Scalar]
 ) -> Vector[Scalar]:
     """Form the moment OM x h of momenta that turn with a body."""
-    j, k = segment.across
-    across = {segment.axis: kinematics.builder.zero, j: along * movement.q, k: -(along * movement.p)}
+    across = by_axis(segment, kinematics.builder.zero, along * movement.q, -(along * movement.p))
     OM = kinematics.angular_velocity(segment, movement)
-    return Vector.of(across[t] for t in range(3)) + OM.cross(kinematics.fixed(segment.number, others))
+    return across + OM.cross(kinematics.fixed(segment.number, others))
 
 
 def _inertial_load(

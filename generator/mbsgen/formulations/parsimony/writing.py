@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mbsgen.formulations.chain import Chain
@@ -19,7 +19,7 @@ class Writing:
 
     chain: Chain
     kinematics: Kinematics
-    inertias: dict[int, RegroupedInertia]
+    inertias: Mapping[int, RegroupedInertia]
 
 
 def begin(chain: Chain, segments: Sequence[Segment], plan: Plan, reductions: Reductions) -> Writing:
