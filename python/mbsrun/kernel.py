@@ -178,7 +178,7 @@ class Kernels:
         """Call a kernel as `attempt` does, in several threads, and into arrays that are there.
 
         Many states are computed several at once, in lanes of the processor's vectors; the kernel is compiled for that
-        at its first batch of 1000 states, or more where it is long. `lanes` decides otherwise. Digits are a single
+        at its first batch of 2000 states, or more where it is long. `lanes` decides otherwise. Digits are a single
         state's, except for the last ones where a kernel divides by pivots; they depend neither on other states nor on
         `threads`, the number of parts that are computed side by side. `out`, the results of an earlier call, is
         written over: new memory often takes longer than a kernel. Inputs are read where they lie, whatever their

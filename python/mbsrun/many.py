@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import cffi
 
 # Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
-# states, and a state for this many bytes of the kernel's source. The batch alone decides: earlier calls must not change
-# last digits.
-FEWEST, BYTES_PER_STATE = 1000, 100
+# states, and a state for this many bytes of the kernel's source; the 1001 states of a motion by default take less than a
+# millisecond without. The batch alone decides: earlier calls must not change last digits.
+FEWEST, BYTES_PER_STATE = 2000, 100
 LAID = 16  # descriptions of arguments that are kept for a kernel, by their shapes and strides
 # Macros of compilers, each with how many doubles fill a register, the most first.
 _WIDTHS = (("__AVX512F__", 8), ("__AVX__", 4), ("__SSE2__", 2), ("__ARM_NEON", 2))
