@@ -15,16 +15,19 @@ import pytest
 from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.kernel import ArgumentError
+from tests import late
 from tests.mbsgen.targets.guarded import guarded_tape
 from tests.mbsrun.face_cases import CASES, draw, load_case
 from tests.sample import PARAMETERS, family, write_sample
 
-jax = pytest.importorskip("jax")
-jnp = jax.numpy
-jax.config.update("jax_enable_x64", True)
-check_grads = pytest.importorskip("jax.test_util").check_grads
+jax, jnp, testing = (late.find(name, "jax") for name in ("jax", "jax.numpy", "jax.test_util"))
+faces = late.find("mbsrun.jax", "jax")
 
-import mbsrun.jax  # noqa: E402
+
+@pytest.fixture(autouse=True, scope="module")
+def compute_with_doubles() -> None:
+    """Let JAX compute with numbers of 64 bits."""
+    jax.config.update("jax_enable_x64", True)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +56,7 @@ def test_values_are_those_of_numpy(case: tuple[Mechanism, str]) -> None:
     kernels, name = case
     for batch in ((), (7,)):
         inputs = draw(kernels, name, 1, *batch)
-        face, expected = mbsrun.jax.load(kernels), kernels(name, **inputs)
+        face, expected = faces.load(kernels), kernels(name, **inputs)
         for found in (face(name, **inputs), jax.jit(lambda x, face=face: face(name, **x))(inputs)):
             assert found.keys() == expected.keys()
             assert all(np.array_equal(found[key], expected[key]) for key in expected)
@@ -63,21 +66,21 @@ def test_first_and_second_derivatives_are_those_of_differences(case: tuple[Mecha
     """In all inputs at once, theta included, in every order of forward and reverse mode."""
     kernels, name = case
     inputs = draw(kernels, name, 2)
-    function = as_function(mbsrun.jax.load(kernels), name, inputs)
-    check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2, modes=["fwd", "rev"])
+    function = as_function(faces.load(kernels), name, inputs)
+    testing.check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2, modes=["fwd", "rev"])
 
 
 def test_derivatives_of_a_sparse_result_with_parameters(sample: Mechanism) -> None:
     inputs = draw(sample, "impl", 3)
-    for face in (mbsrun.jax.load(sample), mbsrun.jax.load(sample).with_parameters(length=0.9)):
+    for face in (faces.load(sample), faces.load(sample).with_parameters(length=0.9)):
         function = as_function(face, "impl", inputs)
         assert function(*inputs.values())[1].shape == (2, 2)
-        check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2)
+        testing.check_grads(function, tuple(map(jnp.asarray, inputs.values())), order=2)
 
 
 def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
     """Also with a batch inside and outside of the derivative, and with arguments that all its states share."""
-    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 4, 5)
+    face, inputs = faces.load(sample), draw(sample, "impl", 4, 5)
     x, y, z = (jnp.asarray(inputs[name]) for name in "xyz")
 
     def energy(x: Any, y: Any, z: Any) -> Any:
@@ -103,7 +106,7 @@ def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
 
 def test_batches_of_batches_are_one_call(sample: Mechanism) -> None:
     """Nested vmap, along any axis, over some of the inputs: one call in the compiled program."""
-    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 5, 4)
+    face, inputs = faces.load(sample), draw(sample, "impl", 5, 4)
     y = np.random.default_rng(6).uniform(0.5, 1.0, (2, 3))
     nested = jax.vmap(
         jax.vmap(lambda x, y, z: face.impl(x=x, y=y, z=z)["f"], (0, None, 0)), (None, 1, None), out_axes=1
@@ -119,7 +122,7 @@ def test_batches_of_batches_are_one_call(sample: Mechanism) -> None:
 
 def test_a_loop_carries_states(sample: Mechanism) -> None:
     """Scan and its gradient; the reference is the same loop, written out."""
-    face, y, z = mbsrun.jax.load(sample), np.array([0.7, 1.1]), np.zeros(1)
+    face, y, z = faces.load(sample), np.array([0.7, 1.1]), np.zeros(1)
 
     def step(x: Any) -> Any:
         return x + 0.1 * face.impl(x=x, y=y, z=z)["f"]
@@ -137,7 +140,7 @@ def test_a_loop_carries_states(sample: Mechanism) -> None:
 
 def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -> None:
     """In values and derivatives, beside states that succeed."""
-    face = mbsrun.jax.load(guarded)
+    face = faces.load(guarded)
     x, y = np.ones((3, 2)), np.array([[2.0, 1.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1e-30, 1.0]])
     results, status = jax.jit(lambda x, y: face.attempt("impl", x=x, y=y))(x, y)
     assert status.tolist() == [0, 2, 3]
@@ -153,7 +156,7 @@ def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -
 
 def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> None:
     """Several states are computed at once, and the batch in parts: 1003 states are no multiple of either."""
-    face, rng = mbsrun.jax.load(guarded), np.random.default_rng(8)
+    face, rng = faces.load(guarded), np.random.default_rng(8)
     x, y = rng.uniform(1, 2, (1003, 2)), rng.uniform(1, 2, (1003, 3))
     wrong = rng.choice(1003, 50, replace=False)
     y[wrong, 0] = 0.0
@@ -168,7 +171,7 @@ def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> No
 
 def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
     """`p` gives each state its own; the reference is the NumPy face with these parameters."""
-    face, inputs = mbsrun.jax.load(sample), draw(sample, "impl", 7, 2)
+    face, inputs = faces.load(sample), draw(sample, "impl", 7, 2)
     p = np.array([[0.7, 2.5], [1.2, 0.3]])
     found, status = face.attempt("impl", **inputs, p=p)
     assert status.tolist() == [0, 0]
@@ -180,7 +183,7 @@ def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
 
 def test_kernels_can_be_loaded_twice(sample: Mechanism) -> None:
     """Two faces of the same folder are the same function to JAX, and nothing is compiled again."""
-    first, second = (mbsrun.jax.load(sample.folder) for _ in range(2))
+    first, second = (faces.load(sample.folder) for _ in range(2))
     assert first._find("impl") == second._find("impl")
     assert hash(first._find("impl")) == hash(second._find("impl"))
 
@@ -244,24 +247,24 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
 @pytest.mark.parametrize(("misuse", "message"), MISUSES.values(), ids=MISUSES.keys())
 def test_misuse_has_one_clear_sentence(sample: Mechanism, misuse: Callable[[Any], object], message: str) -> None:
     with pytest.raises(ArgumentError) as caught:
-        misuse(mbsrun.jax.load(sample))
+        misuse(faces.load(sample))
     assert message in str(caught.value)
 
 
 def test_single_precision_by_default_is_refused(sample: Mechanism) -> None:
-    face = mbsrun.jax.load(sample)
+    face = faces.load(sample)
     with jax.enable_x64(False), pytest.raises(ArgumentError, match="jax_enable_x64"):
         face.impl(x=X, y=Y, z=Z)
 
 
 def test_an_array_on_a_gpu_is_refused(sample: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mbsrun.jax.functions, "_find_platforms", lambda _: {"gpu"})
+    monkeypatch.setattr(faces.functions, "_find_platforms", lambda _: {"gpu"})
     with pytest.raises(ArgumentError, match=r"an array on gpu given; .* or compute batches on a GPU by mbsrun.cuda"):
-        mbsrun.jax.load(sample).impl(x=X, y=Y, z=Z)
+        faces.load(sample).impl(x=X, y=Y, z=Z)
 
 
 def test_derivatives_that_are_not_generated_are_named(tmp_path: Path) -> None:
-    face = mbsrun.jax.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
+    face = faces.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
     with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):
         jax.grad(lambda x: face.impl(x=x, y=X)["f"].sum())(jnp.ones(2))
 
@@ -274,7 +277,7 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_functions_describe_themselves(sample: Mechanism) -> None:
-    face = mbsrun.jax.load(sample)
+    face = faces.load(sample)
     assert repr(face).startswith("mbsrun.jax.Functions(sample: coordinates")
     assert "impl" in dir(face)
     assert "x (3,)" in str(face.impl.__doc__)

@@ -14,13 +14,12 @@ import pytest
 from mbsgen.targets.contract import Family
 from mbsrun import Mechanism, load
 from mbsrun.kernel import ArgumentError
+from tests import late
 from tests.mbsgen.targets.guarded import guarded_tape
 from tests.mbsrun.face_cases import CASES, draw, load_case
 from tests.sample import PARAMETERS, family, write_sample
 
-torch = pytest.importorskip("torch")
-
-import mbsrun.torch  # noqa: E402
+torch, faces = late.find("torch", "torch"), late.find("mbsrun.torch", "torch")
 
 Tensors = dict[str, Any]
 
@@ -53,7 +52,7 @@ def as_function(face: Any, name: str, inputs: Tensors) -> Callable[..., tuple[An
 def test_values_are_those_of_numpy(case: tuple[Mechanism, str]) -> None:
     """Bit by bit, alone and in batches of one and two axes."""
     kernels, name = case
-    face = mbsrun.torch.load(kernels)
+    face = faces.load(kernels)
     for batch in ((), (6,)):
         inputs = draw(kernels, name, 1, *batch)
         expected, found = kernels(name, **inputs), face(name, **as_tensors(inputs))
@@ -70,14 +69,14 @@ def test_first_and_second_derivatives_are_those_of_differences(case: tuple[Mecha
         inputs = as_tensors(draw(kernels, name, 2, *batch), moving=True)
         if batch:
             inputs |= as_tensors({"q": draw(kernels, name, 3)["q"]}, moving=True)
-        function = as_function(mbsrun.torch.load(kernels), name, inputs)
+        function = as_function(faces.load(kernels), name, inputs)
         assert torch.autograd.gradcheck(function, tuple(inputs.values()), check_forward_ad=True)
         assert torch.autograd.gradgradcheck(function, tuple(inputs.values()))
 
 
 def test_derivatives_of_a_sparse_result_with_parameters(sample: Mechanism) -> None:
     inputs = as_tensors(draw(sample, "impl", 3), moving=True)
-    for face in (mbsrun.torch.load(sample), mbsrun.torch.load(sample).with_parameters(length=0.9)):
+    for face in (faces.load(sample), faces.load(sample).with_parameters(length=0.9)):
         function = as_function(face, "impl", inputs)
         assert function(*inputs.values())[1].shape == (2, 2)
         assert torch.autograd.gradcheck(function, tuple(inputs.values()))
@@ -94,7 +93,7 @@ def make_energy(face: Any) -> Callable[..., Any]:
 
 def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
     """Also in a batch, along any axis, with arguments that its states share; the reference is one state at a time."""
-    energy, func = make_energy(mbsrun.torch.load(sample)), torch.func
+    energy, func = make_energy(faces.load(sample)), torch.func
     inputs = as_tensors(draw(sample, "impl", 4, 5))
     x, y, z = inputs["x"], inputs["y"][0], inputs["z"]
     ways = [func.hessian(energy), func.jacrev(func.jacrev(energy)), func.jacrev(func.jacfwd(energy))]
@@ -108,7 +107,7 @@ def test_all_ways_to_a_hessian_agree(sample: Mechanism) -> None:
 
 def test_forward_mode_passes_batches(sample: Mechanism) -> None:
     """Outside and inside of vmap, with run-time parameters for each state; reverse mode is the reference."""
-    face, func = mbsrun.torch.load(sample), torch.func
+    face, func = faces.load(sample), torch.func
     inputs, p = as_tensors(draw(sample, "impl", 9, 3)), torch.rand(3, 2, dtype=torch.float64) + 0.5
     y, z = inputs["y"], inputs["z"]
 
@@ -129,7 +128,7 @@ def test_forward_mode_passes_batches(sample: Mechanism) -> None:
 
 def test_compiled_functions_are_whole_graphs(sample: Mechanism) -> None:
     """Values, gradients and statuses, also of a function that was not called before."""
-    face, inputs = mbsrun.torch.load(sample), as_tensors(draw(sample, "impl", 5, 3), moving=True)
+    face, inputs = faces.load(sample), as_tensors(draw(sample, "impl", 5, 3), moving=True)
 
     def energy(x: Any, y: Any, z: Any) -> Any:
         results, status = face.attempt("impl", x=x, y=y, z=z)
@@ -146,7 +145,7 @@ def test_the_operator_keeps_the_rules_of_operators(sample: Mechanism) -> None:
     """PyTorch's own check: schema, fake tensors, gradients, and what compilation makes of them."""
     from mbsrun.torch import calls
 
-    operator = mbsrun.torch.load(sample)._find("impl")
+    operator = faces.load(sample)._find("impl")
     arrays = [torch.rand(2, port.argument.nnz, dtype=torch.float64) + 0.5 for port in operator.value.given]
     for moving in arrays[:3]:
         moving.requires_grad_()
@@ -155,7 +154,7 @@ def test_the_operator_keeps_the_rules_of_operators(sample: Mechanism) -> None:
 
 def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -> None:
     """In values and gradients, beside states that succeed."""
-    face = mbsrun.torch.load(guarded)
+    face = faces.load(guarded)
     x = torch.ones(3, 2, dtype=torch.float64, requires_grad=True)
     y = torch.tensor([[2.0, 1.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1e-30, 1.0]], dtype=torch.float64)
     results, status = face.attempt("impl", x=x, y=y)
@@ -169,7 +168,7 @@ def test_a_failed_state_is_not_a_number_and_has_its_status(guarded: Mechanism) -
 
 def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> None:
     """Several states are computed at once; 1003 states are no multiple of them."""
-    face, rng = mbsrun.torch.load(guarded), np.random.default_rng(8)
+    face, rng = faces.load(guarded), np.random.default_rng(8)
     x, y = rng.uniform(1, 2, (1003, 2)), rng.uniform(1, 2, (1003, 3))
     y[rng.choice(1003, 50, replace=False), 0] = 0.0
     results, status = face.attempt("impl", x=torch.from_numpy(x), y=torch.from_numpy(y))
@@ -181,7 +180,7 @@ def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> No
 
 def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
     """`p` gives each state its own; the reference is the NumPy face with these parameters."""
-    face, inputs = mbsrun.torch.load(sample), draw(sample, "impl", 7, 2)
+    face, inputs = faces.load(sample), draw(sample, "impl", 7, 2)
     p = np.array([[0.7, 2.5], [1.2, 0.3]])
     found, status = face.attempt("impl", **as_tensors(inputs), p=torch.from_numpy(p))
     assert status.tolist() == [0, 0]
@@ -190,30 +189,43 @@ def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
         assert np.array_equal(found["f"][i], kernels.impl(**{k: x[i] for k, x in inputs.items()})["f"])
 
 
-X, Y, Z = (torch.ones(n, dtype=torch.float64) for n in (3, 2, 1))
+def ones(n: int) -> Any:
+    return torch.ones(n, dtype=torch.float64)
+
+
 GRADIENT = "no derivatives by run-time parameters (p); declare the parameter `kind: differentiated`"
-func = torch.func
 MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
-    "shape": (lambda f: f.impl(x=Y, y=Y, z=Z), "impl: x: shape (2,) given, (3,) or (batch, 3) expected"),
-    "missing": (lambda f: f.impl(x=X, y=Y), "impl: z: missing, shape (1,)"),
+    "shape": (
+        lambda f: f.impl(x=ones(2), y=ones(2), z=ones(1)),
+        "impl: x: shape (2,) given, (3,) or (batch, 3) expected",
+    ),
+    "missing": (lambda f: f.impl(x=ones(3), y=ones(2)), "impl: z: missing, shape (1,)"),
     "single precision": (
-        lambda f: f.impl(x=torch.ones(3), y=Y, z=Z),
+        lambda f: f.impl(x=torch.ones(3), y=ones(2), z=ones(1)),
         "impl: x: torch.float32 given, torch.float64 expected; convert it by .double()",
     ),
     "device": (
-        lambda f: f.impl(x=X.to("meta"), y=Y, z=Z),
+        lambda f: f.impl(x=ones(3).to("meta"), y=ones(2), z=ones(1)),
         "move it by .cpu(), or compute batches on a GPU by mbsrun.cuda",
     ),
-    "text": (lambda f: f.impl(x="abc", y=Y, z=Z), "impl: x: not a tensor or an array of real numbers: str"),
-    "gradient by p": (lambda f: f.impl(x=X, y=Y, z=Z, p=Y.clone().requires_grad_()), GRADIENT),
-    "functional gradient by p": (lambda f: func.grad(lambda p: f.impl(x=X, y=Y, z=Z, p=p)["f"].sum())(Y), GRADIENT),
-    "forward mode by p": (lambda f: func.jvp(lambda p: f.impl(x=X, y=Y, z=Z, p=p)["f"], (Y,), (Y,)), GRADIENT),
+    "text": (lambda f: f.impl(x="abc", y=ones(2), z=ones(1)), "impl: x: not a tensor or an array of real numbers: str"),
+    "gradient by p": (lambda f: f.impl(x=ones(3), y=ones(2), z=ones(1), p=ones(2).clone().requires_grad_()), GRADIENT),
+    "functional gradient by p": (
+        lambda f: torch.func.grad(lambda p: f.impl(x=ones(3), y=ones(2), z=ones(1), p=p)["f"].sum())(ones(2)),
+        GRADIENT,
+    ),
+    "forward mode by p": (
+        lambda f: torch.func.jvp(lambda p: f.impl(x=ones(3), y=ones(2), z=ones(1), p=p)["f"], (ones(2),), (ones(2),)),
+        GRADIENT,
+    ),
     "third": (
-        lambda f: func.jacrev(func.hessian(lambda x: f.impl(x=x, y=Y, z=Z)["f"].sum()))(X),
+        lambda f: torch.func.jacrev(torch.func.hessian(lambda x: f.impl(x=x, y=ones(2), z=ones(1))["f"].sum()))(
+            ones(3)
+        ),
         "impl: a third derivative is taken",
     ),
     "forward within forward": (
-        lambda f: func.jacfwd(func.jacfwd(lambda x: f.impl(x=x, y=Y, z=Z)["f"]))(X),
+        lambda f: torch.func.jacfwd(torch.func.jacfwd(lambda x: f.impl(x=x, y=ones(2), z=ones(1))["f"]))(ones(3)),
         "PyTorch has no forward mode within forward mode",
     ),
     "tensor for a number": (
@@ -226,7 +238,7 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
 @pytest.mark.parametrize(("misuse", "message"), MISUSES.values(), ids=MISUSES.keys())
 def test_misuse_has_one_clear_sentence(sample: Mechanism, misuse: Callable[[Any], object], message: str) -> None:
     with pytest.raises(ArgumentError) as caught:
-        misuse(mbsrun.torch.load(sample))
+        misuse(faces.load(sample))
     assert message in str(caught.value)
 
 
@@ -236,11 +248,11 @@ def test_kernels_of_numpy_refuse_tensors_that_require_a_gradient(sample: Mechani
 
 
 def test_tensors_that_require_a_gradient_that_is_not_generated_are_refused(tmp_path: Path) -> None:
-    face = mbsrun.torch.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
+    face = faces.load(write_sample(tmp_path, "bare", (Family(guarded_tape()),)))
     x = torch.ones(2, dtype=torch.float64, requires_grad=True)
     with pytest.raises(ArgumentError, match="bare: impl has no generated derivatives"):
-        face.impl(x=x, y=X)
-    assert face.impl(x=x.detach(), y=X)["f"].tolist() == [1.0, 1.0]
+        face.impl(x=x, y=ones(3))
+    assert face.impl(x=x.detach(), y=ones(3))["f"].tolist() == [1.0, 1.0]
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,6 +263,6 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_functions_describe_themselves(sample: Mechanism) -> None:
-    face = mbsrun.torch.load(sample)
+    face = faces.load(sample)
     assert repr(face).startswith("mbsrun.torch.Functions(sample: coordinates")
     assert "x (3,)" in str(face.impl.__doc__)

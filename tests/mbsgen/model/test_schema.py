@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,11 @@ from tests.mbsgen.model.files import GOOD, ROOT, WALKER
 from tests.shipped import MODELS
 
 FILE = ROOT / "models" / "model.schema.json"
-VALIDATOR = Draft202012Validator(json.loads(write_schema()))
+
+
+@cache
+def find_validator() -> Draft202012Validator:
+    return Draft202012Validator(json.loads(write_schema()))
 
 
 def test_the_file_is_up_to_date() -> None:
@@ -34,12 +39,12 @@ def test_it_is_a_schema() -> None:
 
 @pytest.mark.parametrize("file", MODELS, ids=lambda file: file.stem)
 def test_models_that_ship_are_valid(file: Path) -> None:
-    assert [*VALIDATOR.iter_errors(read_document(file).data)] == []
+    assert [*find_validator().iter_errors(read_document(file).data)] == []
 
 
 @pytest.mark.parametrize("text", [GOOD, WALKER], ids=["crane", "walker"])
 def test_models_of_many_parts_are_valid(text: str) -> None:
-    assert [*VALIDATOR.iter_errors(yaml.safe_load(text))] == []
+    assert [*find_validator().iter_errors(yaml.safe_load(text))] == []
 
 
 def list_mappings(data: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -58,7 +63,7 @@ def test_unknown_keys_are_not(place: tuple[Any, ...]) -> None:
     for step in place:
         inner = inner[step]
     inner["colour"] = "red" if place[-1:] != ("axes",) else {}
-    assert not VALIDATOR.is_valid(data)
+    assert not find_validator().is_valid(data)
 
 
 WRONG = {
@@ -81,13 +86,13 @@ def test_wrong_values_are_not(place: tuple[Any, ...], value: Any) -> None:
     for step in place[:-1]:
         inner = inner[step]
     inner[place[-1]] = value
-    assert not VALIDATOR.is_valid(data)
+    assert not find_validator().is_valid(data)
 
 
 def test_what_must_be_given_is_missed() -> None:
     data = yaml.safe_load(WALKER)
     for key in ("name", "gravity", "bodies"):
-        assert not VALIDATOR.is_valid({k: v for k, v in data.items() if k != key})
+        assert not find_validator().is_valid({k: v for k, v in data.items() if k != key})
 
 
 def test_defaults_are_as_a_file_has_them() -> None:
@@ -99,4 +104,4 @@ def test_defaults_are_as_a_file_has_them() -> None:
     data = yaml.safe_load(WALKER)
     defaults = {k: x["default"] for k, x in described["BodySection"]["properties"].items() if "default" in x}
     data["bodies"][0] = defaults | data["bodies"][0]
-    assert VALIDATOR.is_valid(data)
+    assert find_validator().is_valid(data)
