@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -47,6 +47,12 @@ class Mechanism(Kernels):
         self._origin = origin
         self._more: dict[str, Mechanism] = {}  # functions and derivatives that were generated since
 
+    def with_parameters(self, **parameters: float) -> Self:
+        """Return the same kernels with other values of the named parameters."""
+        other = super().with_parameters(**parameters)
+        other._more = {name: more.with_parameters(**other.parameters) for name, more in self._more.items()}
+        return other
+
     def __call__(self, name: str, /, *, sparse: bool = False, **inputs: ArrayLike) -> dict[str, Array]:
         """Call a kernel, as `Kernels.__call__` does; what is not there yet is generated at its first call."""
         more = self._find_more(name)
@@ -67,6 +73,14 @@ class Mechanism(Kernels):
         more = self._find_more(name)
         batch = super().batch if more is None else more.batch
         return batch(name, sparse=sparse, threads=threads, lanes=lanes, out=out, **inputs)
+
+    def list_missing(self, names: Iterable[str]) -> list[str]:
+        """List the kernels among some that cannot be called; derivatives may be generated at their first call."""
+        return [name for name in super().list_missing(names) if not self._is_bare(split_kernel(name)[0])]
+
+    def _is_bare(self, function: str) -> bool:
+        """Return whether a function was written without its derivatives, which a call generates."""
+        return self._origin is not None and function in self._origin.extent.values and function in self._binder.kernels
 
     def find_holder(self, name: str) -> Kernels:
         """Return the kernels of one folder, with a kernel among them."""
@@ -94,15 +108,14 @@ class Mechanism(Kernels):
         base, extent = split_kernel(name)[0], self._origin.extent
         known = self._binder.kernels.get(base)
         base = base if known is None else known.base  # of a name for the quickest form
-        is_bare = known is not None and base in extent.values
+        is_bare = self._is_bare(base)
         if (name in self._binder.kernels and not (is_bare and derived)) or not (is_bare or base in ON_REQUEST):
             return None
         if base not in self._more:
             order = extent.derivatives if is_bare else 2
             alone = replace(extent, functions=(base,), derivatives=order, optional=(), values=())
-            self._more[base] = Mechanism(find_folder(self._origin.path, alone))
-        found = self._more[base]
-        return found.with_parameters(**self.parameters) if self.parameters else found
+            self._more[base] = Mechanism(find_folder(self._origin.path, alone), self.parameters)
+        return self._more[base]
 
     def symbolic(self, *, numbers: bool = False) -> Any:
         """Return the equations of motion as SymPy's objects: an `mbsgen.equations.Motion` with the present parameters.

@@ -6,7 +6,7 @@ import copy
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import Parameter, Signature
@@ -108,6 +108,10 @@ class Kernels:
         This is optional: it gathers compilations that first calls would do one by one.
         """
         return self._binder.compile([self._binder.describe(name) for name in names])
+
+    def list_missing(self, names: Iterable[str]) -> list[str]:
+        """List the kernels among some that cannot be called, by name."""
+        return sorted({*names} - self._binder.kernels.keys())
 
     def find_holder(self, name: str) -> Kernels:
         """Return the kernels of one folder, with a kernel among them: these."""

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import cffi
 
 # Lanes want a kernel compiled once more, which takes long for a long one. They are worth it where a batch has this many
-# states, and a state for this many bytes of the kernel's source; the 1001 states of a motion by default take less than a
-# millisecond without. The batch alone decides: earlier calls must not change last digits.
+# states, and a state for this many bytes of the kernel's source; the 1001 states that a motion has by default take less
+# than a millisecond without. The batch alone decides: earlier calls must not change last digits.
 FEWEST, BYTES_PER_STATE = 2000, 100
 LAID = 16  # descriptions of arguments that are kept for a kernel, by their shapes and strides
 # Macros of compilers, each with how many doubles fill a register, the most first.

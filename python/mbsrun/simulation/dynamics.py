@@ -166,7 +166,7 @@ class Dynamics(Equations):
         given["tau"] = np.zeros(len(self.kernels.manifest.driven))
         taken = self._taken.get(name)
         if taken is None:
-            inputs = self.kernels.manifest.kernel(name).inputs
+            inputs = self.kernels.describe(name).inputs
             taken = self._taken[name] = frozenset(a.name for a in inputs if a.nnz)
         wanted: dict[str, Any] = {key: x for key, x in given.items() if key in taken and x is not None}
         return self.kernels(name, **wanted)
@@ -203,7 +203,7 @@ class Dynamics(Equations):
     def _mass_result(self) -> str:
         """Name the mass matrix among the results of its kernel."""
         assert self._evaluated.mass is not None, "a formulation of accelerations has no mass matrix"
-        kernel = self.kernels.manifest.kernel(self._evaluated.mass)
+        kernel = self.kernels.describe(self._evaluated.mass)
         return find_mass_matrix(kernel).name
 
     def _pick(

@@ -192,8 +192,7 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
             needed |= {"touching", "jac_touching"} if is_explicit else {"touching"}
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
-    missing = sorted(needed - {kernel.name for kernel in kernels.manifest.kernels})
-    if missing:
+    if missing := kernels.list_missing(needed):
         raise ArgumentError(
             f"{kernels.manifest.model} was generated without {', '.join(missing)}; generate all functions, "
             "with first derivatives"

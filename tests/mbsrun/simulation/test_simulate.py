@@ -21,6 +21,7 @@ from mbsgen.expressions import FLOATS, FUNCTIONS, evaluate, parse
 from mbsgen.resources import folder
 from mbsrun import Mechanism, cli, load
 from mbsrun.kernel import ArgumentError
+from mbsrun.models import INTEGRATED, WHOLE
 from mbsrun.recordings import read_recording
 from mbsrun.simulation import METHODS, Formulation, Settings, simulate
 from mbsrun.simulation.drive import ARRAYS, DriveError, express, hold, hold_steps
@@ -436,6 +437,17 @@ def test_parameters_of_both_kinds_reach_the_steps_in_c(falling: Path, formulatio
         stone = load(falling).with_parameters(m=m, drag=d)
         motion = simulate(stone, hold([0.0]), [0], [0], Settings(1.0, "rk4", formulation, step=1e-2))
         assert motion.qd[-1, 0] == pytest.approx(-m * 9.81 / d * (1 - np.exp(-d / m)), abs=1e-10)
+
+
+@pytest.mark.parametrize("method", ["radau-iia", "gauss", "generalized-alpha", "bdf"])
+def test_derivatives_that_are_generated_late_change_no_bit(falling: Path, method: str) -> None:
+    """Implicit methods differentiate accelerations by default, with parameters that are not the model's."""
+    settings, parameters = Settings(0.1, method, step=1e-2), {"m": 3.0, "drag": 1.5}
+    plants = [load(falling, parameters, extent) for extent in (INTEGRATED, WHOLE)]
+    late, whole = (simulate(plant, hold([0.5]), [0], [0], settings) for plant in plants)
+    assert late.qd[-1, 0] < -0.5
+    assert np.array_equal(late.q, whole.q)
+    assert np.array_equal(late.qd, whole.qd)
 
 
 def test_kernels_that_were_left_out_are_named(falling: Path, tmp_path: Path) -> None:
