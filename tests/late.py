@@ -17,7 +17,7 @@ class Late:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        """Return what the module has by this name; pytest asks all that a file names for marks of its own."""
+        """Return what the module has by this name; pytest asks every name of a file for marks."""
         if attribute.startswith("_"):
             raise AttributeError(attribute)
         return getattr(import_module(self._name), attribute)

@@ -26,7 +26,7 @@ faces = late.find("mbsrun.jax", "jax")
 
 @pytest.fixture(autouse=True, scope="module")
 def compute_with_doubles() -> None:
-    """Let JAX compute with numbers of 64 bits."""
+    """Compute with numbers of 64 bits."""
     jax.config.update("jax_enable_x64", True)
 
 
