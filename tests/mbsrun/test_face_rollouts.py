@@ -196,6 +196,12 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
         "four_bar: midpoint steps trees without quaternions and driven joints; take rk4",
     ),
     "dynamics": (lambda f: f.step(Q, Q, 0.1, dynamics="sensors", u=[0.0]), "sensors gives no acceleration"),
+    "negative steps": (lambda f: f.rollout(Q, Q, 0.1, steps=-3, u=[0.0]), "steps: -3; give a whole number, 0 or more"),
+    "half a step": (lambda f: f.rollout(Q, Q, 0.1, steps=2.5, u=[0.0]), "steps: 2.5; give a whole number, 0 or more"),
+    "input twice": (
+        lambda f: f.rollout(Q, Q, 0.1, u=[0.0], along={"u": np.zeros((4, 1))}),
+        "u: given for all steps, and along them; give one of the two",
+    ),
     "no steps": (lambda f: f.rollout(Q, Q, 0.1, u=[0.0]), "give the number of steps, or inputs along them"),
     "lengths": (
         lambda f: f.rollout(Q, Q, 0.1, steps=3, along={"u": np.zeros((4, 1))}),

@@ -23,6 +23,7 @@ from mbsgen.roles import QUICKEST, Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces.face import VALUES, Face
 from mbsrun.faces.operators import Operator
+from mbsrun.kernel import is_count
 from mbsrun.simulation.integration.tableaus import FIXED, Tableau
 
 A = TypeVar("A")  # an array of the library
@@ -103,7 +104,14 @@ class SteppingFace(Face[A]):
             )
         return _ClosedFlow(self, FIXED[method], dynamics or "exp1_red", inputs)
 
-    def _count_steps(self, steps: int | None, along: Mapping[str, Any]) -> int:
+    def _count_steps(self, steps: int | None, along: Mapping[str, Any], inputs: Mapping[str, Any]) -> int:
+        if not (steps is None or is_count(steps, 0)):
+            raise ArgumentError(f"rollout: steps: {steps}; give a whole number, 0 or more")
+        twice = sorted(set(along) & set(inputs))
+        if twice:
+            raise ArgumentError(
+                f"rollout: {', '.join(twice)}: given for all steps, and along them; give one of the two"
+            )
         lengths = {f"along[{name!r}]": int(array.shape[0]) for name, array in along.items()}
         if steps is not None:
             lengths["steps"] = steps

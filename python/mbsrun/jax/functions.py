@@ -83,7 +83,7 @@ class Functions(SteppingFace[Any]):
     ) -> tuple[Any, Any]:
         """Return q and qd at the start and after each of some steps, along a leading axis: see `SteppingFace`."""
         rows = {name: jnp.asarray(array) for name, array in (along or {}).items()}
-        count = self._count_steps(steps, rows)
+        count = self._count_steps(steps, rows, inputs)
 
         def advance(state: tuple[Any, Any], row: tuple[Any, Mapping[str, Any]]) -> tuple[Any, Any]:
             number, given = row

@@ -59,7 +59,7 @@ class Functions(SteppingFace[torch.Tensor]):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return q and qd at the start and after each of some steps, along a leading axis: see `SteppingFace`."""
         rows = {name: self._read(array) for name, array in (along or {}).items()}
-        count = self._count_steps(steps, rows)
+        count = self._count_steps(steps, rows, inputs)
 
         def advance(first: int, last: int, q: torch.Tensor, qd: torch.Tensor) -> list[torch.Tensor]:
             states = [(q, qd)]
@@ -74,7 +74,7 @@ class Functions(SteppingFace[torch.Tensor]):
         keeps_all = not torch.is_grad_enabled() or torch._C._are_functorch_transforms_active()
         _, length, _ = (0, count, 0) if keeps_all else divide(count)
         parts = [[x[None] for x in (self._read(q), self._read(qd))]]
-        for first in range(0, count, length):
+        for first in range(0, count, max(length, 1)):
             given = first, min(first + length, count), *(x[-1] for x in parts[-1])
             block = advance(*given) if keeps_all else checkpoint(advance, *given, use_reentrant=False)
             parts.append([x[1:] for x in block])
