@@ -23,7 +23,7 @@ from mbsrun.ocp.solution.solution import Failure, Margin, Solution, write_soluti
 from mbsrun.ocp.solution.table import measure, write_table
 from mbsrun.optimal import display
 from mbsrun.optimal.display import Page, Picture
-from mbsrun.results import Numbers
+from mbsrun.results import Numbers, UnknownNameError
 
 Array = NDArray[np.float64]
 
@@ -134,6 +134,8 @@ class Solved:
 
     def __getitem__(self, name: str) -> Array:
         """Return a quantity, or a number that follows from the motion, at all rows. Raises UnknownNameError."""
+        if not isinstance(name, str):
+            raise UnknownNameError(f"a quantity has a name, such as {self.names[-1]}; found {name!r}")
         if name in _KINDS and name not in self._numbers.names:
             return self._numbers.whole(name)
         return self._numbers[name]

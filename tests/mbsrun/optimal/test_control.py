@@ -134,6 +134,9 @@ def test_quantities_have_names(solved: Solved, tmp_path: Path) -> None:
     assert solved.evaluate("T - t")[0] == solved.horizon == 2.0
     assert "u_cart" in solved
     assert "q_x" not in solved
+    place: Any = 0
+    with pytest.raises(UnknownNameError, match=r"a quantity has a name, such as \w+; found 0"):
+        solved[place]
     with pytest.raises(UnknownNameError, match=r"^there is no quantity \"q_pol\"; did you mean q_pole\?$"):
         solved["q_pol"]
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import mbsrun
+from mbsgen.errors import InputError
 from mbsrun import OptimalControl, ProblemError
 from mbsrun.optimal.phases import SolvedPhases
-from mbsrun.optimal.result import Solved
+from mbsrun.optimal.result import Solved, Unsolved
 
 MODELS = Path(__file__).parents[3] / "models"
 N, DEGREE, T, BOUND = 12, 3, 1.5, 20.0
@@ -105,6 +106,20 @@ def test_a_guess_of_other_phases_is_refused() -> None:
     ):
         with pytest.raises(ProblemError, match=finding):
             scenarios.solve(guess=given)
+
+
+def test_a_file_of_the_other_kind_is_named(tmp_path: Path) -> None:
+    """A motion in phases is no solution of one problem, and the other way round."""
+    alone, scenarios = make_problem(), make_problem().with_scenarios([{}])
+    for problem, other, finding in (
+        (alone, scenarios, "it is a solution in phases; give a solution of a problem without phases"),
+        (scenarios, alone, "it is a solution without phases; give a solution of a problem in phases"),
+    ):
+        solution = other.solve(check=False)
+        assert not isinstance(solution, Unsolved)
+        solution.save(tmp_path / "solution.json")
+        with pytest.raises(InputError, match=finding):
+            problem.load(tmp_path / "solution.json")
 
 
 def test_what_scenarios_cannot_share_is_named() -> None:

@@ -7,7 +7,7 @@ solve writes the same file, except for the times.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -26,6 +26,12 @@ from mbsrun.ocp.solution.record import SAME
 F = TypeVar("F")
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
+OTHER_KINDS: Mapping[
+    object, tuple[str, str]
+] = {  # findings and remedies where the file has the format of the other kind
+    FORMAT: ("it is a solution without phases", "give a solution of a problem in phases"),
+    "mbsrun phases 1": ("it is a solution in phases", "give a solution of a problem without phases"),
+}
 SOLUTION, TRAJECTORIES, MECHANISM = "solution.json", "trajectories.png", "mechanism.png"  # files of a folder
 TABLE, ANIMATION = "solution.csv", "animation.html"
 MESH = "mesh.png"  # of a refinement
@@ -372,6 +378,8 @@ def read_file(adapter: TypeAdapter[F], path: Path, remedy: str) -> F:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
+        if place == "format" and first["input"] in OTHER_KINDS:
+            raise InputError([Fault(str(path), 0, "", *OTHER_KINDS[first["input"]])]) from None
         raise InputError([Fault(str(path), 0, place, first["msg"], remedy)]) from None
 
 
