@@ -154,7 +154,7 @@ class System:
         """Release bounds until the gradients of held rows and bounds are independent. Raises RuntimeError."""
         program = self.program
         J = self._differentiate(np.array(self.second(point.x, point.lam)[1].nonzeros()))
-        gradient = np.array(self.gradient(point.x, 0 * point.lam)[0]).ravel()
+        gradient = np.array(self.gradient(point.x, 0 * point.lam)[0]).ravel()  # of the cost
         bounded = np.concatenate([program.lower < program.upper, program.g_lower < program.g_upper])
         while (y := find_dependence(Matrix(J[point.kept][:, point.free]))) is not None:
             along = np.zeros(len(point.lam))
@@ -167,9 +167,16 @@ class System:
             point = point.release(release.place, point.lam + release.step * along)
         return point
 
-    def step(self, point: Point) -> Point:
-        """Take a step of Newton's method, with a residual of more digits than its matrix. Raises RuntimeError."""
-        right, _ = _evaluate_residual(self, point)
+    def step(self, point: Point, *, is_exact: bool = True) -> Point:
+        """Take a step of Newton's method, with a residual of more digits than its matrix. Raises RuntimeError.
+
+        Without `is_exact`, the residual has the digits of doubles, and takes far less time.
+        """
+        if is_exact:
+            right, _ = _evaluate_residual(self, point)
+        else:
+            gradient, g = self._evaluate(point)
+            right = np.concatenate([gradient[point.free], g[point.kept] - self.bound_rows(point)])
         H, J = (np.array(part.nonzeros()) for part in self.second(point.x, point.lam))
         step = splu(_border(*self.assemble(point, H, J))).solve(right)
         x, lam, free = point.x.copy(), point.lam.copy(), point.free
@@ -177,12 +184,22 @@ class System:
         lam[point.kept] -= step[len(free) :]
         return Point(x, lam, point.held, point.rows)
 
-    def change(self, point: Point) -> Point:
+    def _evaluate(self, point: Point) -> tuple[Array, Array]:
+        """Return the gradient of the Lagrangian, and g, in doubles."""
+        gradient, g = self.gradient(point.x, point.lam)
+        return np.array(gradient).ravel(), np.array(g).ravel()
+
+    def change(self, point: Point, *, is_exact: bool = True) -> Point:
         """Hold numbers beyond bounds, and release bounds that would have to pull; the same point if there are none."""
         program = self.program
-        gradient, g = ([float(y.mid()) for y in part] for part in self.balls[0].evaluate(_box(point, 0.0)))
-        held = _revise(point.x, -np.array(gradient), point.held, program.lower, program.upper)
-        rows = _revise(np.array(g), point.lam, point.rows, program.g_lower, program.g_upper)
+        if is_exact:
+            gradient, g = (
+                np.array([float(y.mid()) for y in part]) for part in self.balls[0].evaluate(_box(point, 0.0))
+            )
+        else:
+            gradient, g = self._evaluate(point)
+        held = _revise(point.x, -gradient, point.held, program.lower, program.upper)
+        rows = _revise(g, point.lam, point.rows, program.g_lower, program.g_upper)
         if np.array_equal(held, point.held) and np.array_equal(rows, point.rows):
             return point
         x = np.where(held < 0, program.lower, np.where(held > 0, program.upper, point.x))
@@ -197,17 +214,20 @@ def _revise(values: Array, multipliers: Array, signs: NDArray[np.int8], lower: A
 
 
 def settle(system: System, point: Point, rounds: int = 20) -> Point:
-    """Find the active set and the zero of F near a point. Raises ArithmeticError."""
+    """Find the active set and the zero of F near a point, in doubles first. Raises ArithmeticError."""
     before, ctx.prec = ctx.prec, BITS
     try:
-        for _ in range(rounds):
-            point = system.loosen(point)
-            for _ in range(3):
-                point = system.step(point)
-            changed = system.change(point)
-            if changed is point:
-                return point
-            point = changed
+        for is_exact in (False, True):
+            for _ in range(rounds):
+                point = system.loosen(point)
+                for _ in range(3):
+                    point = system.step(point, is_exact=is_exact)
+                changed = system.change(point, is_exact=is_exact)
+                if changed is point:
+                    break
+                point = changed
+        if changed is point:
+            return point
     except RuntimeError as error:
         raise ArithmeticError("the matrix of the conditions is singular: no isolated optimum") from error
     finally:
