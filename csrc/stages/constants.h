@@ -13,6 +13,7 @@
 #define MBS_STAGES_LOW 1e-5f       /* a barrier parameter to begin with near a solution */
 #define MBS_STAGES_REFINED 1.5e-5f /* residual of a step beside its right-hand side */
 #define MBS_STAGES_SOFT 4.9e-3f    /* compliance of softened rows, beside the inverse of the curvature */
+#define MBS_STAGES_SOFTER 4e-2f    /* the same, where rows that give as little take digits */
 #define MBS_STAGES_EXACT 1e-4f     /* compliance, beside the inverse of the curvature, that takes digits */
 #define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
 #define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
@@ -32,6 +33,7 @@
 #define MBS_STAGES_LOW 1e-7
 #define MBS_STAGES_REFINED 1e-4
 #define MBS_STAGES_SOFT 6e-8
+#define MBS_STAGES_SOFTER 1e-5
 #define MBS_STAGES_EXACT 1e-10
 #define MBS_STAGES_ZERO 1.5e-8
 #define MBS_STAGES_GROWTH 5e4

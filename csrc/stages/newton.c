@@ -3,7 +3,8 @@
  * Hard rows that v of their stage cannot meet are met by earlier stages, at once and at any price. Many such rows at
  * the end of a horizon need so high a price that digits are lost. Then hard rows are softened in the factorisation:
  * they get a small compliance, which refinement takes back (Bertsekas: Constrained optimization and Lagrange multiplier
- * methods, 1982, the method of multipliers). Where that does not converge, rows are hard again.
+ * methods, 1982, the method of multipliers). Where that does not converge, they get more of it; at last rows are hard
+ * again.
  *
  * Near a solution, rows of g that bind hardly give: they have slacks near their bounds, whose curvature takes the digits of
  * the rows' stage. Where a step has no digits, such rows are exact in the factorisation; refinement gives them back what
@@ -117,7 +118,7 @@ static void soften_rows(mbs_stages *s)
         const mbs_stages_stage *t = &r->stage[k];
         for (i = t->e + t->inner.n; i < t->g + t->ng; ++i)
             if ((i < t->d || i >= t->g) && !(r->compliance[i] > 0)) {
-                r->compliance[i] = MBS_STAGES_SOFT / curvature;
+                r->compliance[i] = (s->softer ? MBS_STAGES_SOFTER : MBS_STAGES_SOFT) / curvature;
                 s->softened[i] = 1;
                 ++count;
             }
@@ -371,6 +372,10 @@ static int solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
     if (s->softening == MBS_STAGES_HARD && (passes < 0 || passes >= MANY_REFINEMENTS)) {
         s->softening = MBS_STAGES_SOFTENED;
         passes = passes < 0 ? solve_again(s, p, c) : passes;
+    }
+    if (s->softening == MBS_STAGES_SOFTENED && passes < 0 && !s->softer) {
+        s->softer = 1;
+        passes = solve_again(s, p, c);
     }
     if (s->softening == MBS_STAGES_SOFTENED && passes < 0) {
         s->softening = MBS_STAGES_HARD_FOR_GOOD;

@@ -499,6 +499,7 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->options = options ? *options : mbs_stages_default_options();
     s->failed_stage = -1;
     s->softening = MBS_STAGES_HARD;
+    s->softer = 0;
     s->exact = s->unhelped = s->is_sharper = 0;
     s->giving = s->options.bound_relax_factor;
     s->cost_before = s->options.warm_start_init_point ? s->cost_before : 0;

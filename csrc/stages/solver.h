@@ -105,6 +105,7 @@ struct mbs_stages {
     real *rw, *rc, *dw, *dy, *residual_w, *residual_c, *best_w, *best_y;
     real left;     /* what its dependent rows lack to agree with the others */
     mbs_stages_softening softening;
+    int softer; /* softened rows give more */
     char *softened; /* rows that the factorisation lets give, although they are hard */
     real *gives;    /* compliances of rows of the main problem: also of the rows that the factorisation takes as exact */
     real giving;    /* part of their size by which bounds give */

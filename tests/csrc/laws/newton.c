@@ -146,6 +146,26 @@ static void hardening(void)
     LAW("other rows stay as they are", s->recursion.compliance[0] == 0.9 * little);
 }
 
+/* Each of two equal residuals ends a solution without digits. */
+static void giving(void)
+{
+    const real bad[] = {1, 1, 1, 1, 1, 1, 1, 1}, soft[] = {1, 1, 0}, softer[] = {1, 1, 1, 1, 0};
+    const real *const errors[] = {soft, softer, bad};
+    mbs_stages *s = &solver;
+    real zeros[1] = {0};
+    int i;
+    for (i = 0; i < 3; ++i) {
+        anew(s);
+        stages[0].d = stages[0].g = stages[1].e = stages[1].d = stages[1].g = 1, given.most = 0.1;
+        given.errors = errors[i];
+        LAW("hard rows without digits give, and then give more", solve_well(s, &phase, zeros) == (i < 2 ? 0 : -1));
+        LAW("as little as has digits", s->softer == (i > 0));
+        LAW("else they are hard for good", s->softening == (i < 2 ? MBS_STAGES_SOFTENED : MBS_STAGES_HARD_FOR_GOOD));
+        if (i < 2)
+            LAW("beside the curvature", near(s->recursion.compliance[0], i ? MBS_STAGES_SOFTER : MBS_STAGES_SOFT));
+    }
+}
+
 static void choosing(void)
 {
     const real good[] = {1, 1, 0, 0}, bad[] = {1, 1, 1, 1, 1, 1, 1, 1};
@@ -247,6 +267,7 @@ int main(void)
     refining();
     softening();
     hardening();
+    giving();
     choosing();
     stepping();
     return broken > 0;
