@@ -159,6 +159,8 @@ def _spread(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, parameters: Mappi
     if len(counts) > 1:
         raise ArgumentError(f"arrays are of {sorted(counts)} starts; give all the same number, or one for all")
     count = counts.pop() if counts else 1
+    if not count:
+        raise ArgumentError("arrays are of no starts; give one start at least")
     found = {name: np.ascontiguousarray(np.broadcast_to(x, (count, x.shape[1]))) for name, x in states.items()}
     return _Starts(found["q"], found["qd"], columns)
 

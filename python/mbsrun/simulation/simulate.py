@@ -134,6 +134,8 @@ def check_start(kernels: Kernels, q: ArrayLike, qd: ArrayLike) -> tuple[Array, A
 def check_settings(kernels: Kernels, drive: Drive, settings: Settings) -> None:
     """Check that a model can be simulated with some settings. Raises ValueError, and ArgumentError for kernels."""
     manifest = kernels.manifest
+    if not isinstance(drive, Drive):
+        raise ValueError(f"inputs: found a value of type {type(drive).__name__}; give a Drive, such as hold([0, 1])")
     if settings.method not in METHODS:
         raise ValueError(f"no method {settings.method!r}; there are {', '.join(METHODS)}")
     lengths = {"duration": settings.duration, "step": settings.step, "rtol": settings.rtol, "atol": settings.atol}

@@ -130,6 +130,11 @@ def test_misuse_is_told(pendulum: Mechanism) -> None:
         simulate_many(pendulum, drive, [0.0], [0.0], settings, parameters={"m": 1.0})
     with pytest.raises(ArgumentError, match=r"q: shape \(2,\) given, \(states, 1\) expected"):
         simulate_many(pendulum, drive, [0.0, 0.0], [0.0], settings)
+    with pytest.raises(ArgumentError, match="arrays are of no starts; give one start at least"):
+        simulate_many(pendulum, drive, np.zeros((0, 1)), [0.0], settings)
+    bare: Any = np.zeros(1)
+    with pytest.raises(ValueError, match=r"inputs: found a value of type ndarray; give a Drive, such as hold"):
+        simulate_many(pendulum, bare, [0.0], [0.0], settings)
 
 
 def test_sampled_feedback_of_each(pendulum: Mechanism) -> None:
