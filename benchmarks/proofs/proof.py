@@ -39,13 +39,15 @@ from scipy.sparse.linalg import splu
 
 from benchmarks.proofs.intervals import Instructions
 from benchmarks.proofs.steps import ROOM, UNIT, Array, Matrix, bound_curvature, find_steps
-from benchmarks.proofs.vertices import choose_release, find_dependence
+from benchmarks.proofs.vertices import SHIFT, choose_release, find_dependence
 
 Indices = NDArray[np.int64]
 
 BITS = 90
 LEAST, LARGEST = 1e-13, 1e-8  # radius
 LOT = 64  # rows of the inverse at once
+NEAR = 1e-6  # of a bound that may hold a number, relative
+FAR = 1e-3  # relative: another optimum than the one that was found
 WEIGHTS = (1e4, 1e6, 1e2, 1.0, 1e8)  # w
 SHIFTS = tuple(10.0**-k for k in range(2, 13))  # s
 
@@ -167,6 +169,41 @@ class System:
             point = point.release(release.place, point.lam + release.step * along)
         return point
 
+    def hold_near(self, x: Array) -> Point:
+        """Hold numbers and rows near their bounds, with the multipliers that fit best. Raises RuntimeError."""
+        program = self.program
+        g = np.array(program.constraint(x)).ravel()
+        held, rows = _find_near(x, program.lower, program.upper), _find_near(g, program.g_lower, program.g_upper)
+        x = np.where(held < 0, program.lower, np.where(held > 0, program.upper, x))
+        point = Point(x, np.zeros(len(g)), held, rows)
+        gradient, _ = self._evaluate(point)
+        _, A = self.assemble(point, *(np.array(part.nonzeros()) for part in self.second(x, point.lam)))
+        m, n = A.shape
+        fit = splu(Matrix(sparse.block_array([[sparse.eye_array(n), A.T], [A, -SHIFT * sparse.eye_array(m)]])))
+        lam = point.lam.copy()
+        lam[point.kept] = fit.solve(np.concatenate([-gradient[point.free], np.zeros(m)]))[n:]
+        return replace(point, lam=lam)
+
+    def improve(self, point: Point) -> Point:
+        """Release the bound that would have to pull the most, else hold the number that is the farthest beyond one."""
+        program = self.program
+        gradient, g = self._evaluate(point)
+        signs, values = np.concatenate([point.held, point.rows]), np.concatenate([point.x, g])
+        multipliers = np.concatenate([-gradient, point.lam])
+        lower = np.concatenate([program.lower, program.g_lower])
+        upper = np.concatenate([program.upper, program.g_upper])
+        pulls = np.where((signs != 0) & (lower < upper), -signs * multipliers, 0.0)
+        beyond = np.where(signs == 0, np.maximum(lower - values, values - upper) / np.maximum(1.0, np.abs(values)), 0.0)
+        if pulls.max() > 0:
+            return point.release(int(pulls.argmax()), point.lam)
+        if beyond.max() <= 0:
+            return point
+        place = int(beyond.argmax())
+        signs[place] = -1 if values[place] < lower[place] else 1
+        held, rows = signs[: len(point.x)], signs[len(point.x) :]
+        x = np.where(held < 0, program.lower, np.where(held > 0, program.upper, point.x))
+        return Point(x, point.lam, held, rows)
+
     def step(self, point: Point, *, is_exact: bool = True) -> Point:
         """Take a step of Newton's method, with a residual of more digits than its matrix. Raises RuntimeError.
 
@@ -211,6 +248,30 @@ def _revise(values: Array, multipliers: Array, signs: NDArray[np.int8], lower: A
     pulled = (signs != 0) & (signs * multipliers < 0) & (lower < upper)
     beyond = np.where(values < lower, -1, np.where(values > upper, 1, 0))
     return np.where(signs == 0, beyond, np.where(pulled, 0, signs)).astype(np.int8)
+
+
+def _find_near(values: Array, lower: Array, upper: Array) -> NDArray[np.int8]:
+    """Return the sides of the bounds that values are near, relative to the values; equations are 1."""
+    room = NEAR * np.maximum(1.0, np.abs(values))
+    signs = np.where(values - lower < room, -1, np.where(upper - values < room, 1, 0))
+    return np.where(lower == upper, 1, signs).astype(np.int8)
+
+
+def approach(system: System, x: Array, rounds: int = 40) -> Point | None:
+    """Find an active set from an optimum in doubles, with one change at a time; None where it is not found."""
+    try:
+        point = system.hold_near(x)
+        for _ in range(rounds):
+            point = system.loosen(point)
+            for _ in range(3):
+                point = system.step(point, is_exact=False)
+            improved = system.improve(point)
+            if improved is point:
+                return point if np.abs(point.x - x).max() < FAR * max(1.0, float(np.abs(x).max())) else None
+            point = improved
+    except (RuntimeError, ArithmeticError):
+        pass
+    return None
 
 
 def settle(system: System, point: Point, rounds: int = 20) -> Point:

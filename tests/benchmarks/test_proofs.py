@@ -14,7 +14,7 @@ from benchmarks.proofs.__main__ import POINTS, PROBLEMS, RECORD, Row, check_row,
 from benchmarks.proofs.intervals import Instructions, UnknownOperationError
 from benchmarks.proofs.monotone import find_monotone
 from benchmarks.proofs.programs import drop_implied, find_point, write_program
-from benchmarks.proofs.proof import Nonlinear, Point, Proof, Rest, System, enclose_cost, level, prove, settle
+from benchmarks.proofs.proof import Nonlinear, Point, Proof, Rest, System, approach, enclose_cost, level, prove, settle
 from benchmarks.proofs.rest import balance, drop_limits, find_rest
 from benchmarks.proofs.steps import Matrix, bound_curvature, find_steps
 from benchmarks.proofs.vertices import Release, choose_release, find_dependence
@@ -37,6 +37,10 @@ def test_a_bounded_minimum_is_proved_and_its_cost_enclosed() -> None:
     system = System(program)
     point = settle(system, find_point(program, np.array([0.6, 0.9, 1.1])))
     assert point.held.tolist() == [-1, 0, -1]
+    near = approach(system, point.x + np.array([1e-7, 1e-7, 1e-7]))
+    assert near is not None
+    assert near.held.tolist() == [-1, 0, -1]
+    assert np.abs(near.x - point.x).max() < 1e-14
     proof = prove(system, point)
     assert proof.reason == ""
     assert proof.radius < 1e-8
