@@ -356,6 +356,12 @@ class Search:
         across = motion - (n * motion).sum(axis=1)[:, None] * n
         return along + self.touch.pull[0], across
 
+    def _find_rounding(self, k: int) -> float:
+        """Return a normal force [N] of a point that may be rounding of 0, by the largest acceleration."""
+        row = self.touch.normal[0, k] @ self.touch.slide[0, k]
+        terms = float(np.abs(row).sum() * np.abs(self.free[0]).max() + np.abs(self.touch.pull[0, k]))
+        return NEAR * terms / max(float(row @ np.linalg.solve(self.M[0], row)), 1e-300)
+
     def _holds(self, mode: Mode, loads: Loads, turning: Sequence[int]) -> bool:
         """Return whether the conditions of all points that touch hold."""
         if not (np.isfinite(loads.qdd).all() and loads.miss[0] <= 1e-8):
@@ -375,7 +381,8 @@ class Search:
             breaks = state == State.STICK and most < T
             turns_back = k in turning and across[k] @ mode.ways[k] < -NEAR * reach[k]
             lowest = 0.0 if self.given is None else self.given[k]
-            pulls = room * least + N < lowest and k not in self.held
+            lowest += self._find_rounding(k) if k in self.released else -least
+            pulls = lowest > N and k not in self.held
             enters = k in mode.leaving and along[k] < -NEAR * reach[k]
             if pulls or enters or breaks or turns_back:
                 return False

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-11  # m: a point that is as near touches
 STILL = 1e-11  # of the fastest velocity of a point, by its terms: a slower one is at rest
-CREEP = 1e-9  # the same, where the slip has just turned round: in a plane it turns ever faster, and seldom vanishes
+CREEP = 1e-9  # the same of the velocity itself, where the slip has just turned round: in a plane it seldom vanishes
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
@@ -113,7 +113,8 @@ class _Course(Course):
         self.torn: set[int] = set()  # points that latches no longer hold
         self.turned: set[int] = set()  # points whose slip has just turned round
         self.length = 0.0  # of the next step; 0: not known
-        self.fastest = 0.0
+        self.fastest = 0.0  # velocity of a point, so far,
+        self.reach = 0.0  # and the same by its terms
         self.passed: tuple[Event, ...] = ()
         self.loss = 0.0
         self.fired: tuple[Guard, ...] = ()  # at the last event
@@ -129,11 +130,12 @@ class _Course(Course):
         M = self.dynamics.mass_matrix(q, qd, piece.at(time, q, qd))
         for number in range(MOST):
             touch = contacts.touch(q[None], qd[None])
-            self.fastest = max(self.fastest, float(touch.reach.max()))
+            self.fastest = max(self.fastest, float(np.abs(touch.velocity).max()))
+            self.reach = max(self.reach, float(touch.reach.max()))
             near = np.flatnonzero(touch.gap[0] <= TOUCH)
             qd = self.still(touch, M, qd, near)
             touch = contacts.touch(q[None], qd[None])
-            speed = np.where(np.abs(touch.speed[0]) <= STILL * self.fastest, 0.0, touch.speed[0])
+            speed = np.where(np.abs(touch.speed[0]) <= STILL * self.reach, 0.0, touch.speed[0])
             if not (speed[near] < 0).any():
                 break
             qd, found = self.hit(time, piece, q, qd, M, touch, near, speed, bounces=number < MANY)
@@ -164,7 +166,7 @@ class _Course(Course):
         rows = []
         for k in near:
             n, S, v = touch.normal[0, k], touch.slide[0, k], touch.velocity[0, k]
-            if abs(n @ v) > STILL * self.fastest:
+            if abs(n @ v) > STILL * self.reach:
                 continue
             sticks = self.contacts.coefficient[k] > 0 and self.is_still(k, v - (n @ v) * n)
             rows += list(S) if sticks else [n @ S]
@@ -193,7 +195,7 @@ class _Course(Course):
         if rebounding:
             inertia = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])
             found = self.contacts.touch(q[None], after[None])
-            rest = [k for k in points if rebound[k] <= STILL * self.fastest]  # they hold while others rebound
+            rest = [k for k in points if rebound[k] <= STILL * self.reach]  # they hold while others rebound
             slipping, held = self.find_slipping(found, rest), self.find_held(rest)
             qdd = Search(self.contacts, found, inertia, rest, slipping, held=held).find()[1].qdd[0]
             fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], qdd) + found.pull[0]
@@ -261,7 +263,7 @@ class _Course(Course):
 
     def is_still(self, point: int, slip: Array) -> bool:
         """Return whether a slip (3,) counts as none."""
-        return bool(np.linalg.norm(slip) <= (CREEP if point in self.turned else STILL) * self.fastest)
+        return bool(np.linalg.norm(slip) <= max(STILL * self.reach, CREEP * self.fastest * (point in self.turned)))
 
     def compare(self, time: float, touch: Touch, mode: Mode) -> Iterator[Event]:
         """List the changes of modes, impacts aside."""
@@ -410,7 +412,7 @@ class _Course(Course):
     def measure(self, piece: Piece, mode: Mode, guards: list[Guard], t: Array, x: Array) -> Array:
         """Return the guards at states, (K, guards)."""
         _, touch, loads = self.rate(piece, mode, t, x)
-        self.fastest = max(self.fastest, float(touch.reach.max()))
+        self.reach = max(self.reach, float(touch.reach.max()))
         slack = SLACK * np.abs(loads.normal).max(axis=1)
         columns = []
         for guard in guards:
