@@ -128,7 +128,7 @@ class OwnRunner:
         """Solve once."""
         workspace = self._workspace
         assert workspace is not None, "solves are prepared"
-        workspace.memory[:], workspace.w[:] = self._kept
+        workspace.memory[:], workspace.point.w[:] = self._kept
         begin = time.process_time()
         result = self._tables.lib.mbs_stages_solve(workspace.solver, self._options)
         seconds = time.process_time() - begin
@@ -200,7 +200,7 @@ class OwnRunner:
         assert self._workspace is not None, "a solve has a workspace"
         x = np.zeros(self._task.intervals * SIZE + STATES)
         known = self._tables.data.variables >= 0
-        x[self._tables.data.variables[known]] = self._workspace.w[known]
+        x[self._tables.data.variables[known]] = self._workspace.point.w[known]
         stages = x[:-STATES].reshape(-1, SIZE)
         iterate = Iterate(np.vstack([stages[:, :STATES], x[-STATES:]]), stages[:, STATES : STATES + JOINTS])
         status = self._tables.ffi.typeof("mbs_stages_status").elements[result.status]

@@ -156,7 +156,9 @@ typedef struct {
                                       * tolerance asks for (in real time: 1e-4) */
     int adaptive;                    /* 1: choose the first barrier parameter by an affine step */
     int warm_start_init_point;       /* 1: the point holds multipliers too; start from all of it, with the scales of the
-                                      * solve before, if there was one */
+                                      * solve before, if there was one; 2: it is the solution of another problem, and
+                                      * nothing else of solves before counts: scales are found anew, and the solution gets
+                                      * all its digits, which one of a loop's samples does not */
     int by_stage;                    /* 1: add curvature only from the stage on that lacks it: 0 */
     int scaled;                      /* 1: scale the cost and rows by their first gradients: 1 */
     int scale_by_bounds;             /* 1: variables without given scales take the larger of two bounds: 0 */

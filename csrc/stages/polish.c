@@ -185,7 +185,7 @@ static int sharpen(mbs_stages *s, mbs_stages_phase *p, real before, real after, 
 static int is_off(const mbs_stages *s, const mbs_stages_phase *p, real part, real most)
 {
     const real cost = real_abs(p->cost), off = find_share(s, p, part).all;
-    if (s->options.warm_start_init_point)
+    if (mbs_stages_continues(s))
         return off > MBS_STAGES_SIZABLE * mbs_stages_larger(cost, s->cost_before);
     return off > most * mbs_stages_larger(cost, POLISHED_COST);
 }

@@ -419,7 +419,7 @@ int mbs_stages_start(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     const mbs_stages_options *o = &s->options;
-    const int keeps = o->warm_start_init_point && s->has_scales;
+    const int keeps = mbs_stages_continues(s) && s->has_scales;
     if ((!keeps && set_scales(s)) || mbs_stages_set_bounds(s))
         return MBS_STAGES_BAD_PROBLEM;
     start_variables(s);
@@ -444,6 +444,11 @@ int mbs_stages_start(mbs_stages *s)
         return MBS_STAGES_CALLBACK_FAILED;
     mbs_stages_begin(s, p);
     return MBS_STAGES_RUNNING;
+}
+
+int mbs_stages_continues(const mbs_stages *s)
+{
+    return s->options.warm_start_init_point == 1;
 }
 
 void mbs_stages_write_point(mbs_stages *s)
@@ -502,10 +507,10 @@ mbs_stages_result mbs_stages_solve(mbs_stages *s, const mbs_stages_options *opti
     s->softer = 0;
     s->exact = s->unhelped = s->is_sharper = 0;
     s->giving = s->options.bound_relax_factor;
-    s->cost_before = s->options.warm_start_init_point ? s->cost_before : 0;
+    s->cost_before = mbs_stages_continues(s) ? s->cost_before : 0;
     s->began = s->problem->clock ? s->problem->clock(s->problem->context) : 0;
     s->live = s->ready = 0;
-    if (!s->options.warm_start_init_point)
+    if (!mbs_stages_continues(s))
         mbs_stages_forget_orders(&s->recursion);
     status = mbs_stages_start(s);
     if (status == MBS_STAGES_RUNNING)

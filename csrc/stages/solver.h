@@ -194,6 +194,9 @@ int mbs_stages_set_bounds(mbs_stages *s);
 void mbs_stages_centre(mbs_stages_phase *p, int i);
 void mbs_stages_write_point(mbs_stages *s);
 
+/* Whether a warm start goes on with the solve before, as in a loop, and not with another problem's solution. */
+int mbs_stages_continues(const mbs_stages *s);
+
 /* Begin a warm start anew with its larger barrier parameter; 1: done, 0: it has no larger one, -1: no values. */
 int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p);
 real mbs_stages_least_barrier(const mbs_stages *s);

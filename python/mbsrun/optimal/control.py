@@ -41,7 +41,7 @@ from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
 from mbsrun.optimal.layers import Differentiable, check_reads
-from mbsrun.optimal.many import Family, Over, Show, SolvedMany, list_cases, solve_family
+from mbsrun.optimal.many import Family, Over, Show, SolvedMany, Way, list_cases, solve_family
 from mbsrun.optimal.naming import Numbered, Source, list_left_out
 from mbsrun.optimal.phases import PhasedControl, load, make_phases
 from mbsrun.optimal.plain import make_plain, merge
@@ -207,6 +207,7 @@ class OptimalControl(Numbered):
         *,
         guesses: Sequence[GuessLike | None] | None = None,
         threads: int = 1,
+        neighbours: bool = False,
         watch: Show | None = None,
         check: bool = True,
     ) -> SolvedMany:
@@ -216,8 +217,12 @@ class OptimalControl(Numbered):
         are paths as in a problem file: `end.pose.cart`, `constants.k`, `parameters.l`, `constraints[0].range`. No
         result depends on other cases, nor on `threads`; a case without a solution is an Unsolved. `watch` sees the
         number and the outcome of each case as it ends. Raises ProblemError with the faults of the first cases.
+
+        With `neighbours`, cases start from the solutions of cases nearby, in an order that depends on the set of cases
+        alone; one that is not solved soon from there starts from its own guess. Where a problem has several minima, a
+        case may end in another one.
         """
-        return solve_family(self.family, over, guesses, threads, watch, check=check)
+        return solve_family(self.family, over, guesses, Way(threads, neighbours, check), watch)
 
     def with_scenarios(self, over: Over) -> PhasedControl:
         """Return the problem of several scenarios that begin with the same inputs, for control that is robust.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from mbsgen.documents import Data, abbreviate
 from mbsrun.kernel import is_count
 from mbsrun.ocp.cases.cases import Case, Outcome, solve_cases
+from mbsrun.ocp.cases.neighbours import solve_neighbours
+from mbsrun.ocp.cases.programs import identify
+from mbsrun.ocp.cases.tree import Place, find_trees
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
 from mbsrun.ocp.statement.checks import Line, ProblemError
@@ -157,6 +161,38 @@ def _refuse(name: str, place: str, finding: str, remedy: str) -> Any:
     raise ProblemError(name, [(place, finding, remedy)])
 
 
+def list_places(values: Sequence[Values], cases: Sequence[Case]) -> list[Place]:
+    """Return what distinguishes cases: the numbers among their values; texts and structures make kinds."""
+    return [_place(own, case) for own, case in zip(values, cases, strict=True)]
+
+
+def _place(values: Values, case: Case) -> Place:
+    numbers, texts = dict[str, float](), dict[str, str]()
+    for key, value in values.items():
+        for path, entry in _list_entries(key, value):
+            is_number = isinstance(entry, int | float | np.number) and not isinstance(entry, bool)
+            if is_number and math.isfinite(entry):
+                numbers[path] = float(entry)
+            else:
+                texts[path] = repr(entry)
+    names = sorted(numbers)
+    kind = (tuple(names), tuple(sorted(texts.items())), identify(case.problem))
+    return Place(kind, tuple(numbers[name] for name in names))
+
+
+def _list_entries(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """List the single values within a value, with their paths."""
+    if isinstance(value, Mapping):
+        parts = [(f"{path}.{key}", part) for key, part in value.items()]
+    elif isinstance(value, list | tuple | np.ndarray) and np.ndim(value):
+        parts = [(f"{path}[{k}]", part) for k, part in enumerate(value)]
+    else:
+        yield path, value
+        return
+    for inner, part in parts:
+        yield from _list_entries(inner, part)
+
+
 @dataclass(frozen=True, eq=False)
 class Family:
     """A problem whose keys take many values: how it becomes one case."""
@@ -188,15 +224,28 @@ class Family:
         return found
 
 
-def solve_family(
-    family: Family, over: Over, guesses: Sequence[Any] | None, threads: int, watch: Show | None, *, check: bool
-) -> SolvedMany:
+@dataclass(frozen=True)
+class Way:
+    """How cases are solved."""
+
+    threads: int = 1
+    neighbours: bool = False  # from each other's solutions
+    check: bool = True
+
+
+def solve_family(family: Family, over: Over, guesses: Sequence[Any] | None, way: Way, watch: Show | None) -> SolvedMany:
     """Solve a problem for many values of its keys; see `OptimalControl.solve_many`."""
     values = list_cases(family.name, over)
-    if not is_count(threads):
-        _refuse(family.name, "threads", f"found {threads}", "give a whole number, 1 or more")
-    cases, found = family.list_cases(values, guesses, check=check), dict[int, Any]()
-    for k, outcome in solve_cases(cases, family.plants, threads):
+    if not is_count(way.threads):
+        _refuse(family.name, "threads", f"found {way.threads}", "give a whole number, 1 or more")
+    if way.neighbours and guesses is not None:
+        _refuse(family.name, "guesses", "cases start from their neighbours", "leave out guesses, or neighbours")
+    cases, found = family.list_cases(values, guesses, check=way.check), dict[int, Any]()
+    if way.neighbours:
+        outcomes = solve_neighbours(cases, find_trees(list_places(values, cases)), family.plants, way.threads)
+    else:
+        outcomes = solve_cases(cases, family.plants, way.threads)
+    for k, outcome in outcomes:
         found[k] = family.read(cases[k], outcome)
         if watch is not None:
             watch(k, found[k])

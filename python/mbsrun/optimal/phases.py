@@ -50,7 +50,7 @@ from mbsrun.optimal.describing import describe_problem
 from mbsrun.optimal.display import Page, Picture
 from mbsrun.optimal.expressions import Expressions, Stretch, check_stretch
 from mbsrun.optimal.guessing import GuessLike, read_motion
-from mbsrun.optimal.many import Family, Over, Show, SolvedMany, solve_family
+from mbsrun.optimal.many import Family, Over, Show, SolvedMany, Way, solve_family
 from mbsrun.optimal.naming import Numbered, Source
 from mbsrun.optimal.plain import make_plain, merge
 from mbsrun.optimal.progress import show_progress
@@ -303,6 +303,7 @@ class PhasedControl(Numbered):
         *,
         guesses: Sequence[PhasedGuess | None] | None = None,
         threads: int = 1,
+        neighbours: bool = False,
         watch: Show | None = None,
         check: bool = True,
     ) -> SolvedMany:
@@ -310,7 +311,7 @@ class PhasedControl(Numbered):
 
         A key of a phase is `phases[0].horizon`, by its place in the list.
         """
-        return solve_family(self.family, over, guesses, threads, watch, check=check)
+        return solve_family(self.family, over, guesses, Way(threads, neighbours, check), watch)
 
     @property
     def family(self) -> Family:

@@ -17,7 +17,7 @@ from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.searching.refinement import refine_phases
 from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution
 from mbsrun.ocp.solution.solution import Failure, Run
-from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.solving.phases import Neighbour, Note, prepare_phases, resimulate_phases, solve_phases
 from mbsrun.ocp.statement.checks import ProblemError
 
 Outcome = PhasedSolution | Failure
@@ -39,16 +39,28 @@ class CaseSolver:
     plants: Plants
     programs: Programs = field(default_factory=Programs)
 
-    def solve(self, case: Case) -> Outcome:
-        """Solve a case; its faults are a failure, too."""
+    def solve(self, case: Case, note: Note | None = None) -> Outcome:
+        """Solve a case; its faults are a failure, too. `note` gets a solution from which neighbours may start."""
         try:
-            return self._solve(case)
+            found = solve_phases(case.problem, self.plants, None, case.guess, self.programs.find, note)
+            return self._check(case, found)
         except ProblemError as error:
             place, finding, remedy = error.findings[0]
             return Failure(case.problem, Run(BAD_PROBLEM, 0, 0.0, 0.0), finding, remedy, place)
 
-    def _solve(self, case: Case) -> Outcome:
-        found = solve_phases(case.problem, self.plants, None, case.guess, self.programs.find)
+    def solve_near(self, case: Case, own: Neighbour, most_iterations: int, note: Note) -> Outcome | None:
+        """Solve a case from a neighbour's solution; None where that does not succeed soon."""
+        try:
+            ready = prepare_phases(case.problem, self.plants, own.guess, self.programs.find)
+            if isinstance(ready, Failure):
+                return None
+            found = ready.solver.solve_near(ready.problem, own, most_iterations, note)
+            return None if found is None else self._check(case, found)
+        except ProblemError:
+            return None
+
+    def _check(self, case: Case, found: Outcome) -> Outcome:
+        """Re-simulate a solution, and refine it if the problem asks for that, where the case is checked."""
         if isinstance(found, Failure) or not case.is_checked:
             return found
         plants = equip_phases(case.problem, self.plants)

@@ -19,14 +19,14 @@ class Programs:
 
     def look(self, problem: PhasedProblem) -> PhasedSolver | None:
         """Return the solver of a structure, if it was made."""
-        return self._solvers.get(_identify(problem))
+        return self._solvers.get(identify(problem))
 
     def find(self, problem: PhasedProblem, plants: Plants) -> PhasedSolver:
         """Return the solver of a structure, and make it where there is none.
 
         Raises ProblemError as `PhasedSolver` does.
         """
-        key = _identify(problem)
+        key = identify(problem)
         if key not in self._solvers:
             self._solvers[key] = PhasedSolver(problem, plants)
         self._solvers.move_to_end(key)
@@ -35,5 +35,6 @@ class Programs:
         return self._solvers[key]
 
 
-def _identify(problem: PhasedProblem) -> tuple[tuple[Structure, ...], tuple[Link, ...]]:
+def identify(problem: PhasedProblem) -> tuple[tuple[Structure, ...], tuple[Link, ...]]:
+    """Return what problems of one program share."""
     return tuple(structure(phase.problem) for phase in problem.phases), problem.links

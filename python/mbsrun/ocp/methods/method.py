@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.evaluation.stages.binding import Point
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.methods.options import Option, Settings
 
@@ -36,6 +37,14 @@ class Iterate:
 Watch = Callable[[Iterate], None]  # an exception in it ends the solver, and is raised again
 
 
+@dataclass(frozen=True, eq=False)
+class Near:
+    """Where a solve ended, in the method's own variables, for the solve of a problem nearby."""
+
+    layout: bytes  # names the order of these variables
+    point: Point
+
+
 @dataclass(frozen=True)
 class Instance:
     """The numbers of one solve."""
@@ -49,6 +58,8 @@ class Instance:
     watch: Watch | None = None
     scales: Array | None = None  # usual sizes of x; None: 1
     cost_scale: float = 1.0  # of the cost, as a method in scaled variables sees it, beside the one of its weights
+    near: Near | None = None  # where to start instead of x
+    most_iterations: int = 0  # of a start near a solution; 0: as many as the method has
 
     def measure(self, g: Array) -> float:
         """Return by how much constraints leave their bounds: the largest."""
@@ -66,6 +77,7 @@ class Answer:
     cpu_evaluating: float = 0.0
     multipliers: Array | None = None  # of the constraints, where the method returns them: L = f + multipliers' g
     clash: tuple[int, ...] = ()  # of a failure: rows of the program that stay violated, the worst first
+    near: Near | None = None  # for solves of problems nearby, where the method can start so
     preparing: float = 0.0  # s before the first iterate that serve later solves too, such as a structure laid in memory
     cpu_preparing: float = 0.0
 

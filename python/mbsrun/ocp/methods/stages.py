@@ -20,7 +20,7 @@ from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.ground.memory import Memory
 from mbsrun.ocp.ground.program import Program
 from mbsrun.ocp.ground.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNumbersError
-from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Solver
+from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Near, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Option, Settings
 
 # Fields of mbs_stages_options in mbs_stages.h, which states what they mean, and their defaults.
@@ -75,6 +75,7 @@ STAGES_OPTIONS: Mapping[str, Option] = {
 }
 
 INFEASIBLE, OVERDETERMINED = "Infeasible_Problem_Detected", "Not_Enough_Degrees_Of_Freedom"
+OTHER_LAYOUT = "Not_Near"  # a start near a solution whose variables have another order
 STATUSES = {
     "MBS_STAGES_SOLVED": SOLVED,
     "MBS_STAGES_ACCEPTABLE": ACCEPTABLE,
@@ -115,6 +116,8 @@ def make_stages(order: Assignment) -> Solver:
         crossed = binding.find_crossed(tables[key].data, numbers)
         if crossed:
             return Answer(start.x, INFEASIBLE, 0, clash=crossed)
+        if start.near is not None and start.near.layout != key:
+            return Answer(start.x, OTHER_LAYOUT, 0)
         with lock:
             solver = free[key].pop() if free[key] else binding.Solver(tables[key], order.threads)
 
@@ -124,14 +127,18 @@ def make_stages(order: Assignment) -> Solver:
 
         try:
             watch = None if start.watch is None else show
-            outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
+            if start.near is None:
+                outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
+            else:
+                outcome = solver.solve(start.near.point, numbers, _start_near(settings, start.most_iterations), watch)
         finally:
             with lock:
                 free[key].append(solver)
         answer = _answer(program, tables[key].data, outcome, order.scaling)
         if answer.status == INFEASIBLE and _count_equations(start) > np.count_nonzero(start.lower < start.upper):
             answer = replace(answer, status=OVERDETERMINED)
-        return replace(answer, preparing=preparing[0], cpu_preparing=preparing[1])
+        near = Near(key, outcome.point)
+        return replace(answer, near=near, preparing=preparing[0], cpu_preparing=preparing[1])
 
     return solve
 
@@ -148,6 +155,12 @@ def _read_settings(order: Assignment) -> binding.Settings:
     limits = {"tol": order.tolerance, "max_iter": float(order.max_iterations)}
     limits["follow"] = float(len(program.kept) < program.variables)
     return binding.Settings({**limits, **numbers}, float(given.get("max_wall_time", 0.0)))
+
+
+def _start_near(settings: binding.Settings, most_iterations: int) -> binding.Settings:
+    """Return the options of a start from the solution of another problem, with its multipliers."""
+    most = min(settings.values["max_iter"], float(most_iterations or np.inf))
+    return replace(settings, values={**settings.values, "warm_start_init_point": 2.0, "max_iter": most})
 
 
 def _expand(program: Program, start: Instance, scaling: float) -> binding.Numbers:
@@ -181,7 +194,7 @@ def _complete(program: Prepared, x: Array) -> Array:
 def _answer(program: Program, tables: StageProgram, outcome: binding.Outcome, scaling: float) -> Answer:
     x = np.zeros(program.variables)
     known = tables.variables >= 0
-    x[tables.variables[known]] = outcome.w[known]
+    x[tables.variables[known]] = outcome.point.w[known]
     status = STATUSES.get(outcome.status, outcome.status)
     clash = tuple(row for clash in outcome.clashes if (row := _find_row(tables, clash)) >= 0)
     return Answer(
@@ -202,7 +215,7 @@ def _read_multipliers(program: Program, tables: StageProgram, outcome: binding.O
     that is a first state gives bounds of it, which have its multiplier.
     """
     places, rows, factors = _MULTIPLIERS.find(lambda: _place_multipliers(program, tables), tables, program)
-    weights = factors * outcome.y[places]
+    weights = factors * outcome.point.y[places]
     found = np.asarray(np.bincount(rows, weights, minlength=program.constraints), dtype=np.float64)
     variable, row = tables.fixed.T
     found[row] += outcome.z[variable]

@@ -18,7 +18,7 @@ from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.ground.status import ACCEPTABLE, ELSEWHERE, JUMPED, NOT_FEASIBLE, NOT_OPTIMAL, SOLVED, STALLED, explain
-from mbsrun.ocp.methods import Instance
+from mbsrun.ocp.methods import Instance, Near
 from mbsrun.ocp.problem.problem import SolverOptions
 from mbsrun.ocp.solution.solution import Run
 from mbsrun.ocp.solving.optimality import Judgement, judge, linearise
@@ -45,6 +45,7 @@ class Outcome:
     clash: tuple[int, ...]  # rows that stay violated
     multipliers: Array | None  # of the rows, where the method returns them
     start: Instance  # the numbers of the program
+    near: Near | None = None  # for solves of problems nearby, where the method can start so
 
 
 def appeal(program: Prepared, outcome: Outcome, solver: SolverOptions, weight: float) -> Outcome:

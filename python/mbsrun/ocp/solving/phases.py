@@ -39,7 +39,7 @@ from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.phases import Unreached, adapt_guess, carry_states, guess_phases, solve_links
 from mbsrun.ocp.guessing.sizes import size_added
 from mbsrun.ocp.guessing.state_guess import complete, guess_largest
-from mbsrun.ocp.methods import METHODS, Assignment, Instance
+from mbsrun.ocp.methods import METHODS, Assignment, Instance, Near
 from mbsrun.ocp.problem.phases import Phase, PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.problem.problem import Loops, Problem, SolverOptions
 from mbsrun.ocp.problem.structure import structure
@@ -71,6 +71,20 @@ SHARPER = 1e-4  # of the tolerance: what it goes on with
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
 
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """A solved problem, from which solves of problems nearby start: from its motions and all of its multipliers."""
+
+    guess: Guess  # its motions
+    x: Array
+    near: Near
+    scales: Array | None  # usual sizes of x
+    cost_scale: float
+
+
+Note = Callable[[Neighbour], None]
+
+
 class PhasedSolver:
     """A transcribed problem of phases, to be solved for any starts, targets, bounds and weights."""
 
@@ -94,11 +108,17 @@ class PhasedSolver:
         self._solvers: dict[SolverOptions, methods.Solver] = {}
 
     def solve(
-        self, problem: PhasedProblem, guess: Guess, watch: Watch | None = None, usual: Guess | None = None
+        self,
+        problem: PhasedProblem,
+        guess: Guess,
+        watch: Watch | None = None,
+        usual: Guess | None = None,
+        note: Note | None = None,
     ) -> PhasedSolution | Failure:
         """Solve a problem of the same structure from a guess on its grids; `watch` is called in every iteration.
 
-        `usual` holds motions of usual sizes, by default the guess: an answer to a looser problem is none.
+        `usual` holds motions of usual sizes, by default the guess: an answer to a looser problem is none. `note` gets a
+        solution from which neighbours may start.
 
         A guess in which the solver finds nothing to improve may be a saddle or a maximum as well, so it is moved a
         little and solved again. A judge refuses answers whose cost can still fall. Where `mbs` has no answer, IPOPT is
@@ -106,21 +126,59 @@ class PhasedSolver:
         Raises ProblemError for a problem with faults, ValueError for one of another structure.
         """
         usual = guess if usual is None else usual
-        first = self._solve(problem, guess, watch, usual)
+        first = self._solve(problem, guess, watch, usual, note)
         if isinstance(first, PhasedSolution) or not wants_other(problem.solver, first.run):
             return first
         found = tell_both(first, self._solve(problem.with_solver(OTHER), guess, watch, usual))
         return found.with_solver(problem.solver) if isinstance(found, PhasedSolution) else found
 
-    def _solve(
-        self, problem: PhasedProblem, guess: Guess, watch: Watch | None, usual: Guess
-    ) -> PhasedSolution | Failure:
-        """Solve by one method."""
+    def solve_near(
+        self, problem: PhasedProblem, own: Neighbour, most_iterations: int, note: Note | None = None
+    ) -> PhasedSolution | None:
+        """Solve a problem of the same structure from a neighbour's solution; None where that does not succeed soon.
+
+        The first step of Newton's method is the tangential prediction. Scales are the neighbour's. `note` gets the
+        solution as a neighbour. Raises ProblemError, or ValueError, as `solve` does.
+        """
         problem = self._check(problem)
+        if self._find_crossed(problem) is not None:
+            return None
+        freed, numbers = self._free_targets(problem, own.guess), self.transcription
+        start = Instance(
+            own.x,
+            numbers.parameters(problem),
+            *numbers.variable_bounds(freed),
+            *numbers.constraint_bounds(freed),
+            scales=own.scales,
+            cost_scale=own.cost_scale,
+            near=own.near,
+            most_iterations=most_iterations,
+        )
+        outcome = self._call(problem, start)
+        if outcome.run.status != SOLVED or not np.isfinite(outcome.x).all():
+            return None
+        found = self._answer(problem, outcome)
+        if isinstance(found, Failure):
+            return None
+        if note is not None and outcome.near is not None:
+            note(replace(own, guess=found.guess, x=outcome.x, near=outcome.near))
+        return self._sharpen(problem, outcome, found)
+
+    def _find_crossed(self, problem: PhasedProblem) -> Failure | None:
+        """Return a failure where bounds cross."""
         for phase, plant in zip(problem.phases, self.plants.phases, strict=True):
             if crossed := find_crossed_bounds(phase.problem, plant.manifest):
                 run = Run(BAD_BOUNDS, 0, 0.0, 0.0)
                 return Failure(problem, run, f"{phase.title}{crossed}", "give bounds that leave room")
+        return None
+
+    def _solve(
+        self, problem: PhasedProblem, guess: Guess, watch: Watch | None, usual: Guess, note: Note | None = None
+    ) -> PhasedSolution | Failure:
+        """Solve by one method."""
+        problem = self._check(problem)
+        if crossed := self._find_crossed(problem):
+            return crossed
         known = self._complete(problem, guess)
         try:
             start = self._begin(problem, known, known if usual is guess else self._complete(problem, usual), watch)
@@ -132,6 +190,8 @@ class PhasedSolver:
             return self._explain(problem, outcome, known)
         found = self._answer(problem, outcome)
         if isinstance(found, PhasedSolution):
+            if note is not None and outcome.near is not None:
+                note(Neighbour(found.guess, outcome.x, outcome.near, start.scales, start.cost_scale))
             return self._sharpen(problem, outcome, found)
         return self._insist(problem, outcome, found) if found.run.status == NOT_OPTIMAL else found
 
@@ -581,7 +641,7 @@ class Ready:
     problem: PhasedProblem
     guess: Guess
 
-    def solve(self, watch: Watch | None = None) -> PhasedSolution | Failure:
+    def solve(self, watch: Watch | None = None, note: Note | None = None) -> PhasedSolution | Failure:
         """Solve; contacts by complementarity are relaxed in steps, and a step that fails is left out."""
         guess = self.guess
         for phases in [*list_relaxed([phase.problem for phase in self.problem.phases])][:-1]:
@@ -590,7 +650,7 @@ class Ready:
             found = self.solver.solve(relaxed, guess, watch, self.guess)
             if isinstance(found, PhasedSolution):
                 guess = found.guess
-        return self.solver.solve(self.problem, guess, watch, self.guess)
+        return self.solver.solve(self.problem, guess, watch, self.guess, note)
 
 
 def solve_phases(
@@ -599,13 +659,15 @@ def solve_phases(
     watch: Watch | None = None,
     guess: Guess | PartialGuess | None = None,
     make: Make = PhasedSolver,
+    note: Note | None = None,
 ) -> PhasedSolution | Failure:
     """Solve a problem of phases from a guess, by default the one that it describes; a guess may be on any grids.
 
-    `make` may return an earlier solver of the same structure. Raises ProblemError with every fault of the problem.
+    `make` may return an earlier solver of the same structure. `note` gets a solution from which neighbours may start.
+    Raises ProblemError with every fault of the problem.
     """
     ready = prepare_phases(problem, plants, guess, make)
-    return ready if isinstance(ready, Failure) else ready.solve(watch)
+    return ready if isinstance(ready, Failure) else ready.solve(watch, note)
 
 
 def prepare_phases(

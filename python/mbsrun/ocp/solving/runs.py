@@ -48,7 +48,7 @@ def call(solver: methods.Solver, start: Instance) -> Outcome:
     seconds = time.perf_counter() - begin - answer.preparing
     cpu_seconds = time.process_time() - cpu_begin - answer.cpu_preparing
     run = Run(answer.status, answer.iterations, seconds, answer.evaluating, cpu_seconds, answer.cpu_evaluating)
-    return Outcome(run, answer.x, answer.clash, answer.multipliers, start)
+    return Outcome(run, answer.x, answer.clash, answer.multipliers, start, answer.near)
 
 
 def join(first: Run, last: Run) -> Run:

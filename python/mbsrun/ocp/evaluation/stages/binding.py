@@ -260,19 +260,41 @@ class Clash:
     row: int
 
 
+@dataclass(frozen=True, eq=False)
+class Point:
+    """An iterate of the solver with its multipliers, in the order of the tables."""
+
+    w: Array  # variables
+    below: Array  # multipliers of lower bounds of variables
+    above: Array  # and of upper ones
+    y: Array  # of rows: of each stage's equations, dynamics and inequalities
+
+    @property
+    def parts(self) -> tuple[Array, ...]:
+        """Return the arrays."""
+        return self.w, self.below, self.above, self.y
+
+    def fits(self, other: Point) -> bool:
+        """Return whether another point has as many numbers of each kind."""
+        return all(own.size == x.size for own, x in zip(self.parts, other.parts, strict=True))
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The result of a solve."""
 
-    w: Array  # variables of the tables
+    point: Point
     status: str  # of the C enumeration
     stage: int
     iterations: int
     evaluating: float  # s in functions and derivatives, of the thread that took most
     cpu_evaluating: float  # of all threads
     clashes: tuple[Clash, ...]
-    y: Array  # multipliers of rows: of each stage's equations, dynamics and inequalities
-    z: Array  # multipliers of bounds of variables: of upper ones, less of lower ones
+
+    @property
+    def z(self) -> Array:
+        """Return the multipliers of bounds of variables: of upper ones, less of lower ones."""
+        return self.point.above - self.point.below
 
 
 class Evaluator:
@@ -339,12 +361,16 @@ class Solver:
         self._made: tuple[bytes, Workspace] | None = None
         self._options: tuple[Settings, Any] | None = None
 
-    def solve(self, start: Array, numbers: Numbers, settings: Settings, watch: Watch | None = None) -> Outcome:
-        """Solve from the program's variables; an exception in `watch` ends the solve, and is raised again."""
+    def solve(self, start: Array | Point, numbers: Numbers, settings: Settings, watch: Watch | None = None) -> Outcome:
+        """Solve from the program's variables, or from a point; an exception in `watch` ends it, and is raised again."""
         memory = self._prepare(numbers)
         evaluator = memory.evaluator
         evaluator.parameters[: numbers.parameters.size] = numbers.parameters
-        memory.w[:] = fill(evaluator, start)
+        if isinstance(start, Point):
+            for own, given in zip(memory.point.parts, start.parts, strict=True):
+                own[:] = given
+        else:
+            memory.point.w[:] = fill(evaluator, start)
         options = self._write_options(settings)
         options.max_wall_time = settings.seconds or (0.0 if watch is None else _NEVER)
         # without a watch or a limit of time, C calls no Python, for which a thread would wait
@@ -362,8 +388,8 @@ class Solver:
             for clash in (result.clash[i] for i in range(min(result.clashes, len(result.clash))))
         )
         seconds, stage = memory.team.seconds, result.stage
-        z = memory.above - memory.below
-        return Outcome(memory.w.copy(), status, stage, result.iterations, *seconds, clashes, memory.y.copy(), z)
+        point = Point(*(part.copy() for part in memory.point.parts))
+        return Outcome(point, status, stage, result.iterations, *seconds, clashes)
 
     def _write_options(self, settings: Settings) -> Any:
         """Return the options in C's structure, which is written once for the same settings."""
@@ -438,13 +464,12 @@ class Workspace:
         self.memory = make_memory(size)
         self.solver = lib.mbs_stages_create(problem, ffi.cast("void *", self.memory.ctypes.data), size)
         point = lib.mbs_stages_iterate(self.solver)
-        self.w, self.below, self.above, self.y = (
-            np.frombuffer(ffi.buffer(part, 8 * size), dtype=np.float64)
-            for part, size in (
-                (point.w, point.variables),
-                (point.below, point.variables),
-                (point.above, point.variables),
-                (point.y, point.rows),
+        sizes = point.variables, point.variables, point.variables, point.rows
+        pointers = point.w, point.below, point.above, point.y
+        self.point = Point(
+            *(
+                np.frombuffer(ffi.buffer(part, 8 * size), dtype=np.float64)
+                for part, size in zip(pointers, sizes, strict=True)
             )
         )
 
