@@ -1,6 +1,6 @@
 """Solve many problems of one kind: `python -m benchmarks.ocp.many -o FILE`; one by one, as cases, in C, and by IPOPT.
 
-All start from their own guesses, on one core, to the default tolerance; solutions are neither re-simulated nor refined.
+Cases are solved from their own guesses, and from neighbours. All others start from their own guesses, on one core, to the default tolerance; solutions are neither re-simulated nor refined.
 IPOPT has the same kernels and the project's linear solver, and solves a part of the problems: each K-th.
 """
 
@@ -58,6 +58,9 @@ class Measured:
     solver: float  # of these, in the solver in C
     ipopt: float
     agree: str  # of IPOPT's optima, how many are the same
+    beside: float  # as cases, from neighbours
+    ratio: float  # of processor time one by one and from neighbours
+    minima: str  # from neighbours: the same, lower and higher ones
 
 
 def swing_ups(count: int) -> Family:
@@ -123,13 +126,18 @@ def measure(family: Family) -> Measured:
     named = problem.family
     copies = [named.restate(change(named.name, named.data, dict(zip(keys, row, strict=True)))) for row in rows]
     copies[0].solve(check=False)  # fills all caches
-    begin = time.perf_counter()
+    begin, cpu_begin = time.perf_counter(), time.process_time()
     alone = [copy.solve(check=False) for copy in copies]
-    middle = time.perf_counter()
+    middle, cpu_middle = time.perf_counter(), time.process_time()
     found = problem.solve_many(over, check=False)
     after = time.perf_counter()
     problem.solve_many(over, check=False, threads=2)
     end = time.perf_counter()
+    cpu_end = time.process_time()
+    beside = problem.solve_many(over, check=False, neighbours=True)
+    last, cpu_last = time.perf_counter(), time.process_time()
+    changes = (beside.cost - found.cost) / np.abs(found.cost)
+    minima = [np.abs(changes) <= AGREED, changes < -AGREED, changes > AGREED]
     assert [one.is_solved for one in alone] == found.is_solved.tolist(), "no result depends on the others"
     step = -(-family.count // PART)
     by_ipopt = problem.with_solver("ipopt").solve_many(
@@ -152,18 +160,24 @@ def measure(family: Family) -> Measured:
         1e3 * float(np.mean([run.seconds for run in runs])),
         1e3 * float(np.mean(of_ipopt)),
         f"{int(same.sum())} of {len(others)}",
+        1e3 * (last - end) / family.count,
+        (cpu_middle - cpu_begin) / (cpu_last - cpu_end),
+        " / ".join(str(int(part.sum())) for part in minima),
     )
 
 
 def write(rows: Sequence[Measured], machine: str) -> str:
     """Write the page."""
     first = ["problems", "", "solved", "variables", "iterations"]
-    columns = [*first, "one by one", "cases", "two threads", "solver", "IPOPT", "by ours", "same optimum"]
+    times = ["one by one", "cases", "two threads", "solver", "neighbours", "times", "minima"]
+    columns = [*first, *times, "IPOPT", "by ours", "same optimum"]
     lines = [
         "# Many problems of one kind",
         "",
         f"`python -m benchmarks.ocp.many` wrote this page: {machine}. Times are in ms a problem, by the clock, without",
-        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, and of these in the solver.",
+        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, of these in the solver, and as cases",
+        "that start from neighbours; `times` is how often one by one takes their processor time, and `minima` counts the same",
+        "costs, lower and higher ones.",
         "IPOPT has the same kernels and the project's linear solver, and solves some of the problems: its time is the",
         "solver's, and its optima are compared.",
         "",
@@ -171,14 +185,14 @@ def write(rows: Sequence[Measured], machine: str) -> str:
         "|---" + "|---:" * (len(columns) - 1) + "|",
     ]
     for row in rows:
-        numbers = (row.alone, row.cases, row.threads, row.solver, row.ipopt)
-        shown = " | ".join(f"{x:.3g}" for x in numbers)
+        numbers = (row.alone, row.cases, row.threads, row.solver, row.beside, row.ratio)
+        shown = f"{' | '.join(f'{x:.3g}' for x in numbers)} | {row.minima} | {row.ipopt:.3g}"
         counts = f"{row.count} | {row.solved} | {row.variables} | {row.iterations:.0f}"
         lines.append(f"| {row.family} | {counts} | {shown} | {row.ipopt / row.solver:.3g} | {row.agree} |")
     lines += [
         "",
-        "Each case is solved anew, so cases take as long as single solves. The solver computes with vectors within a",
-        "problem, over stages and columns, and not over problems.",
+        "Without neighbours, each case is solved anew, so cases take as long as single solves. The solver computes with",
+        "vectors within a problem, over stages and columns, and not over problems.",
     ]
     return "\n".join(lines) + "\n"
 

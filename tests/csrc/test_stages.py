@@ -470,6 +470,26 @@ def test_a_warm_start_takes_few_iterations(either: Library) -> None:
         assert np.array_equal(loop.w[:4], solver.lower[:4])
 
 
+def test_a_start_from_another_solution_knows_nothing_of_solves_before(either: Library) -> None:
+    """Its bits do not depend on solves in the workspace; it ends as a solve from a guess, in fewer iterations."""
+    first, found = Solver(either, cart_pole()).solve(), list[Answer]()
+    for earlier in (0, 2):
+        solver = Solver(either, cart_pole())
+        for _ in range(earlier):
+            solver.solve()
+        solver.lower[:4] = solver.upper[:4] = [0.002, -0.002, 0.01, 0.01]
+        solver.set(w=first.w, y=first.y, below=first.below, above=first.above)
+        found.append(solver.solve(warm_start_init_point=2))
+    cold = Solver(either, cart_pole())
+    cold.lower[:4] = cold.upper[:4] = [0.002, -0.002, 0.01, 0.01]
+    expected = cold.solve()
+    for answer in found:
+        assert answer.status == "solved"
+        assert answer.result.iterations < expected.result.iterations
+        assert answer.result.cost == pytest.approx(expected.result.cost, rel=1e-9 if either.real == "double" else 1e-3)
+        assert all(own.tobytes() == x.tobytes() for own, x in zip(answer.point, found[0].point, strict=True))
+
+
 def test_a_closed_loop_at_its_target_takes_few_iterations(library: Library) -> None:
     """The cost falls by eight orders of magnitude, below what the tolerance decides of it: no sample goes on."""
     start, rest = np.array([1.0, 0.0]), np.zeros(2)

@@ -9,7 +9,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,14 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import print_table, say, show_progress
 from mbsrun.ocp.cases.cases import Case, CaseSolver, solve_cases
 from mbsrun.ocp.cases.dispatch import solve_elsewhere
+from mbsrun.ocp.cases.neighbours import Origin, follow, solve_beside, solve_neighbours
 from mbsrun.ocp.cases.told import Told, name_case, read_told, tell, write_told
+from mbsrun.ocp.cases.tree import Edge, find_trees, keep_paths
 from mbsrun.ocp.searching.cluster import open_client
 from mbsrun.ocp.searching.multistart import end_at_interrupt
 from mbsrun.ocp.solution.record import open_record
 from mbsrun.optimal.control import read_problem
-from mbsrun.optimal.many import Family, Values
+from mbsrun.optimal.many import Family, Values, list_places
 from mbsrun.recordings.tables import read_cells
 
 MANY_CASES = 100_000
@@ -49,6 +51,7 @@ class Wish:
     minutes: float
     folder: Path | None  # for the solutions
     scheduler: str | None = None  # the address of a Dask cluster, in place of threads and workers
+    neighbours: bool = False  # cases start from each other's solutions
 
 
 def sweep_cases(file: Path, record: Path, wish: Wish) -> bool:
@@ -141,7 +144,8 @@ def read_table(path: Path) -> tuple[Values, ...]:
 def _solve(file: Path, family: Family, values: Sequence[Values], path: Path, wish: Wish) -> dict[int, Told]:
     """Solve the cases that the record does not know, until the time is over or an interrupt comes."""
     cases = family.list_cases(values, check=True)
-    keys, found = [name_case(case, family.plants) for case in cases], dict[int, Told]()
+    names = [name_case(case, family.plants) for case in cases]
+    keys, found = [f"{name}, from neighbours" if wish.neighbours else name for name in names], dict[int, Told]()
     begun, ends = time.monotonic(), list[bool]()
     with open_record(path, keys[0]) as record, show_progress() as show, end_at_interrupt(lambda: ends.append(True)):
         for k, key in enumerate(keys):
@@ -149,10 +153,10 @@ def _solve(file: Path, family: Family, values: Sequence[Values], path: Path, wis
                 found[k] = read_told(text)
         left = [k for k in range(len(cases)) if k not in found]
         show("solving", len(found), len(cases))
-        with closing(_outcomes(file, family, [(values[k], cases[k]) for k in left], wish)) as outcomes:
+        with closing(_outcomes(file, family, values, cases, left, wish)) as outcomes:
             for number, told in outcomes:
-                found[left[number]] = told
-                record.keep(keys[left[number]], write_told(told))
+                found[number] = told
+                record.keep(keys[number], write_told(told))
                 show(f"solving; {sum(x.cost is not None for x in found.values())} solved", len(found), len(cases))
                 if ends or time.monotonic() - begun > 60 * wish.minutes:
                     break
@@ -162,22 +166,52 @@ def _solve(file: Path, family: Family, values: Sequence[Values], path: Path, wis
 Outcomes = Iterator[tuple[int, Told]]
 
 
-def _outcomes(file: Path, family: Family, cases: Sequence[tuple[Values, Case]], wish: Wish) -> Any:
-    """Yield the number and the outcome of each case as it ends."""
-    if wish.scheduler is not None and cases:
+def _outcomes(
+    file: Path, family: Family, values: Sequence[Values], cases: Sequence[Case], left: Sequence[int], wish: Wish
+) -> Any:
+    """Yield the number and the outcome of each case that is left, as it ends."""
+    if not left:
+        return
+    if wish.neighbours:
+        yield from _outcomes_beside(file, family, values, cases, left, wish)
+    elif wish.scheduler is not None:
         with open_client(0, wish.scheduler) as client:
-            yield from solve_elsewhere(client, family.plants, [case for _, case in cases])
-        return
-    if wish.workers == 0 or not cases:
-        for k, outcome in solve_cases([case for _, case in cases], family.plants, wish.threads):
-            yield k, tell(outcome)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(wish.workers, context, initializer=_begin, initargs=(file,)) as pool:
-        under_way = {pool.submit(_solve_there, values): k for k, (values, _) in enumerate(cases)}
-        try:
+            for k, told in solve_elsewhere(client, family.plants, [cases[k] for k in left]):
+                yield left[k], told
+    elif wish.workers == 0:
+        for k, outcome in solve_cases([cases[k] for k in left], family.plants, wish.threads):
+            yield left[k], tell(outcome)
+    else:
+        with _open_pool(file, wish.workers) as pool:
+            under_way = {pool.submit(_solve_there, values[k]): k for k in left}
             for future in as_completed(under_way):
                 yield under_way[future], future.result()
+
+
+def _outcomes_beside(
+    file: Path, family: Family, values: Sequence[Values], cases: Sequence[Case], left: Sequence[int], wish: Wish
+) -> Outcomes:
+    """Solve along trees of all cases. The ones that the record knows are solved again where others start from them."""
+    edges = keep_paths(find_trees(list_places(values, cases)), left)
+    asked = set(left)
+    if wish.workers == 0:
+        for k, outcome in solve_neighbours(cases, edges, family.plants, wish.threads):
+            if k in asked:
+                yield k, tell(outcome)
+        return
+    with _open_pool(file, wish.workers) as pool:
+        for k, told in follow(edges, lambda edge, origin: pool.submit(_solve_beside, values[edge.case], edge, origin)):
+            if k in asked:
+                yield k, told
+
+
+@contextmanager
+def _open_pool(file: Path, workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Start processes that solve cases of a problem; cases that have not begun are dropped at the end."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(file,)) as pool:
+        try:
+            yield pool
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
@@ -193,6 +227,12 @@ def _begin(file: Path) -> None:
 def _solve_there(values: Values) -> Told:
     (case,) = _HERE["family"].list_cases([values], check=True)
     return tell(_HERE["solver"].solve(case))
+
+
+def _solve_beside(values: Values, edge: Edge, origin: Origin | None) -> tuple[Told, Origin]:
+    (case,) = _HERE["family"].list_cases([values], check=True)
+    outcome, own = solve_beside(_HERE["solver"], case, edge, origin)
+    return tell(outcome), own
 
 
 # --- results ---

@@ -80,7 +80,7 @@ Exit codes
 
 SECTIONS = {
     "Targets": ("protocol", "radius", "azimuths", "heights", "every", "costs", "names", "bumped"),
-    "Values of keys": ("over", "cases", "threads", "workers", "scheduler", "solutions"),
+    "Values of keys": ("over", "cases", "threads", "workers", "scheduler", "neighbours", "solutions"),
 }
 
 
@@ -171,6 +171,12 @@ SECTIONS = {
     "--scheduler", metavar="tcp://…", help="With --over or --cases: the address of a Dask cluster that solves."
 )
 @click.option(
+    "--neighbours",
+    is_flag=True,
+    help="With --over or --cases: start each case from the solution of a case nearby, or from its own guess where that "
+    "fails. With several minima, a case may end in another one.",
+)
+@click.option(
     "--solutions",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
@@ -193,6 +199,7 @@ def sweep_command(
     threads: int,
     workers: int,
     scheduler: str | None,
+    neighbours: bool,
     solutions: Path | None,
     **grid: Any,
 ) -> None:
@@ -201,7 +208,7 @@ def sweep_command(
         _check_options(context, over, cases)
         from mbsrun.commands.cases import Wish, sweep_cases  # takes longer to load
 
-        wish = Wish(over, cases, threads, workers, minutes, solutions, scheduler)
+        wish = Wish(over, cases, threads, workers, minutes, solutions, scheduler, neighbours)
         context.exit(0 if sweep_cases(file, out or Path(f"{name_problem(file)}.sweep"), wish) else NOT_SOLVED)
     if given := [f"--{name}" for name in OF_CASES if _is_given(context, name)]:
         raise click.UsageError(f"{', '.join(given)} needs --over or --cases; give one of them too")
@@ -247,7 +254,7 @@ def sweep_command(
     context.exit(0 if is_through and (protocol == "paper" or not list_open_tasks(study, attempts)) else NOT_SOLVED)
 
 
-OF_CASES = ("threads", "workers", "scheduler", "solutions")
+OF_CASES = ("threads", "workers", "scheduler", "neighbours", "solutions")
 SHARED = ("file", "out", "minutes", "over", "cases", *OF_CASES)
 
 
@@ -259,6 +266,10 @@ def _check_options(context: click.Context, over: Sequence[object], cases: Path |
         raise click.UsageError("--over and --cases both list cases; give one of them")
     if "scheduler" in given and {"threads", "workers"} & set(given):
         raise click.UsageError("a cluster has its own workers; give --scheduler alone, without --threads and --workers")
+    if "scheduler" in given and "neighbours" in given:
+        raise click.UsageError(
+            "--neighbours takes no cluster, where cases know nothing of each other; leave one of both out"
+        )
     if strange:
         raise click.UsageError(f"{', '.join(strange)}: for a grid of targets; leave it out with --over or --cases")
 

@@ -109,6 +109,21 @@ def test_a_cluster_solves_cases(sweep: Sweep) -> None:
     assert costs[0] == costs[1]
 
 
+def test_neighbours_give_the_same_costs_in_any_way(sweep: Sweep) -> None:
+    """In this process and in two, and where the record goes on in the middle of a tree."""
+    over = ("--over", "end.pose.cart", "0.9:1.1:3")
+    assert sweep(*over, "-o", "cold.sweep").exit_code == 0
+    assert sweep(*over, "--neighbours", "-o", "one.sweep").exit_code == 0
+    assert sweep(*over, "--neighbours", "--workers", "2", "-o", "two.sweep").exit_code == 0
+    cold, one, two = (read_rows(f"{name}.sweep.csv") for name in ("cold", "one", "two"))
+    assert [float(x["cost"]) for x in one] == pytest.approx([float(x["cost"]) for x in cold], rel=1e-7)
+    assert [(x["cost"], x["iterations"]) for x in two] == [(x["cost"], x["iterations"]) for x in one]
+    middle = sweep("--over", "end.pose.cart", "1.0", "--neighbours", "-o", "again.sweep")
+    assert middle.exit_code == 0
+    assert sweep(*over, "--neighbours", "-o", "again.sweep").exit_code == 0
+    assert [x["cost"] for x in read_rows("again.sweep.csv")] == [x["cost"] for x in one]
+
+
 def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
     Path("cases.csv").write_text("horizon,end.pose.cart,solver.max_iterations\n,1.1,\n2,,\n,,3\n")
     result = sweep("--cases", "cases.csv")
@@ -138,6 +153,10 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
         "two kinds of workers": (
             ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"],
             "a cluster has its own workers",
+        ),
+        "neighbours on a cluster": (
+            ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--neighbours"],
+            "--neighbours takes no cluster",
         ),
         "options of cases": (["--workers", "2"], "--workers needs --over or --cases; give one of them"),
         "no table": (["--cases", "nowhere.csv"], "nowhere.csv: there is no such file"),

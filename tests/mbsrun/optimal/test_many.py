@@ -136,6 +136,60 @@ def test_guesses_belong_to_cases(swing: OptimalControl, alone: list[Solved]) -> 
         swing.solve_many({"end.pose.cart": PLACES[:2]}, guesses=[None])
 
 
+def test_neighbours_lead_to_the_optima_of_single_solves(swing: OptimalControl) -> None:
+    """In fewer iterations, but for the one in the middle, which starts from its own guess."""
+    places = [0.98, 1.0, 1.02]
+    expected = swing.solve_many({"end.pose.cart": places})
+    found = swing.solve_many({"end.pose.cart": places}, neighbours=True)
+    assert found.is_solved.all()
+    assert found.cost == pytest.approx(expected.cost, rel=1e-8)
+    assert found[1].cost == expected[1].cost
+    assert (found.iterations < expected.iterations).tolist() == [True, False, True]
+    for one, other in zip(found, expected, strict=True):
+        assert one["q"] == pytest.approx(other["q"], abs=1e-6)
+        assert one.defect == pytest.approx(other.defect, rel=1e-3)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_neighbours_depend_on_the_set_of_cases_alone(swing: OptimalControl, threads: int) -> None:
+    """Neither their order nor threads change a bit; a case that is there twice has one cost."""
+    places = [0.8, 1.0, 1.2, 0.9, 1.0]
+    first = swing.solve_many({"end.pose.cart": places}, check=False, neighbours=True)
+    order = [3, 1, 0, 4, 2]
+    again = swing.solve_many(
+        {"end.pose.cart": [places[k] for k in order]}, check=False, neighbours=True, threads=threads
+    )
+    assert again.cost == pytest.approx(first.cost[order], rel=1e-9)
+    for k in (0, 2, 3):
+        assert np.array_equal(again[order.index(k)]["q"], first[k]["q"])
+    assert first.cost[1] == pytest.approx(first.cost[4], rel=1e-9)
+
+
+def test_a_neighbour_without_a_solution_leaves_cases_to_their_guesses(
+    swing: OptimalControl, alone: list[Solved]
+) -> None:
+    """The case in the middle, from which the others would start, permits no motion; a single case has no neighbour."""
+    own = swing.with_changes(solver={"method": "mbs", "max_iterations": 40})
+    ranges = [[-1, 3], [-1, 0.5], [-1, 3]]
+    found = own.solve_many({"end.pose.cart": PLACES, "constraints[0].range": ranges}, check=False, neighbours=True)
+    assert found.is_solved.tolist() == [True, False, True]
+    assert found.cost[[0, 2]] == pytest.approx([alone[0].cost, alone[2].cost], rel=1e-7)
+    single = swing.solve_many({"end.pose.cart": PLACES[:1]}, check=False, neighbours=True)
+    assert (single.cost[0], single.iterations[0]) == (alone[0].cost, alone[0].solution.run.iterations)
+
+
+def test_cases_with_other_programs_are_no_neighbours(swing: OptimalControl, alone: list[Solved]) -> None:
+    """Another grid, or another method, has other variables."""
+    found = swing.solve_many({"intervals": [12, 13], "end.pose.cart": PLACES[:2]}, check=False, neighbours=True)
+    assert found.is_solved.all()
+    assert found.cost[0] == alone[0].cost
+    other = swing.with_solver("ipopt")
+    costs = [other.solve_many({"end.pose.cart": PLACES[:2]}, check=False, neighbours=x).cost for x in (False, True)]
+    assert costs[0].tolist() == costs[1].tolist()
+    with pytest.raises(ProblemError, match="guesses: cases start from their neighbours"):
+        swing.solve_many({"end.pose.cart": PLACES[:1]}, guesses=[None], neighbours=True)
+
+
 def test_phases_take_values_too() -> None:
     keys = {key: value for key, value in KEYS.items() if key not in ("horizon", "end", "constraints")}
     keys |= {"cost": {"inputs": 1}, "start": {"pose": {}}}

@@ -17,7 +17,7 @@ from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.searching.refinement import refine_phases
 from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution
 from mbsrun.ocp.solution.solution import Failure, Run
-from mbsrun.ocp.solving.phases import Neighbour, Note, prepare_phases, resimulate_phases, solve_phases
+from mbsrun.ocp.solving.phases import Neighbour, Note, prepare_near, resimulate_phases, solve_phases
 from mbsrun.ocp.statement.checks import ProblemError
 
 Outcome = PhasedSolution | Failure
@@ -51,7 +51,7 @@ class CaseSolver:
     def solve_near(self, case: Case, own: Neighbour, most_iterations: int, note: Note) -> Outcome | None:
         """Solve a case from a neighbour's solution; None where that does not succeed soon."""
         try:
-            ready = prepare_phases(case.problem, self.plants, own.guess, self.programs.find)
+            ready = prepare_near(case.problem, self.plants, own, self.programs.find)
             if isinstance(ready, Failure):
                 return None
             found = ready.solver.solve_near(ready.problem, own, most_iterations, note)

@@ -1,9 +1,10 @@
 """Many problems from neighbour to neighbour: cases in trees -> outcomes.
 
 A case starts from the solution of its parent in the tree, with all multipliers, so the first step of Newton's method is
-the tangential prediction. Where that has no solution soon, the case is solved from its own guess, and cases below it
-that are hardly nearer to their parents do not try. All of this depends on the ancestors of a case alone, so neither the
-order of the list nor the number of threads or processes changes a result.
+the tangential prediction. Where that has no solution soon, the case is solved from its own guess, and the next
+generations below it do not try unless they are nearer to their parents: one after the first failure, two after the
+second, then four. All of this depends on the ancestors of a case alone, so neither the order of the list nor the number
+of threads or processes changes a result.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -24,7 +25,7 @@ from mbsrun.ocp.solving.phases import Neighbour
 
 PART = 0.75  # of the iterations from a guess of its own: what a case tries from its neighbour
 FEWEST = 6  # iterations that it tries
-NEARER = 0.5  # of the distance at which a try failed, below which the next one is made
+NEARER = 0.5  # of the distance at which a try failed, below which the next one is made at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,17 +33,29 @@ class Origin:
     """What a solve leaves for its neighbours."""
 
     neighbour: Neighbour | None  # None: it has no solution, or its method leaves none
-    iterations: int  # of the last solve from a guess of its own
-    failed: float = np.inf  # the least distance at which a try failed, among it and its ancestors
+    iterations: int  # of the last solve from a guess of its own, among it and its ancestors
+    failures: int = 0  # tries that failed since the last one that succeeded
+    rest: int = 0  # generations that do not try
+    failed: float = np.inf  # the distance of the last failure
 
     def is_near(self, distance: float) -> bool:
         """Return whether a case at a distance tries to start here."""
-        return self.neighbour is not None and distance < NEARER * self.failed
+        return self.neighbour is not None and (self.rest == 0 or distance < NEARER * self.failed)
 
     @property
     def most_iterations(self) -> int:
         """Return the iterations that a case tries."""
         return max(FEWEST, int(PART * self.iterations))
+
+    def lead(self, found: Neighbour | None) -> Origin:
+        """Return what a try that succeeded leaves."""
+        return Origin(found, self.iterations)
+
+    def leave(self, found: Neighbour | None, iterations: int, distance: float, *, has_tried: bool) -> Origin:
+        """Return what a solve from a guess of its own leaves, after a try that failed or without one."""
+        if not has_tried:
+            return Origin(found, iterations, self.failures, max(0, self.rest - 1), self.failed)
+        return Origin(found, iterations, self.failures + 1, 2**self.failures, distance)
 
 
 Found = tuple[Outcome, Origin]
@@ -53,15 +66,16 @@ Begin = Callable[[Edge, Origin | None], "Future[tuple[T, Origin]]"]  # of a solv
 def solve_beside(solver: CaseSolver, case: Case, edge: Edge, origin: Origin | None) -> Found:
     """Solve a case from its parent's solution, or else from its own guess."""
     kept: list[Neighbour] = []
-    failed = np.inf if origin is None else origin.failed
-    if origin is not None and origin.is_near(edge.distance) and origin.neighbour is not None:
+    has_tried = origin is not None and origin.is_near(edge.distance)
+    if origin is not None and origin.neighbour is not None and has_tried:
         outcome = solver.solve_near(case, origin.neighbour, origin.most_iterations, kept.append)
         if outcome is not None:
-            return outcome, replace(origin, neighbour=kept[-1] if kept else None)
-        failed = min(failed, edge.distance)
+            return outcome, origin.lead(kept[-1] if kept else None)
     kept.clear()
     outcome = solver.solve(case, kept.append)
-    return outcome, Origin(kept[-1] if kept else None, outcome.run.iterations, failed)
+    found, iterations = kept[-1] if kept else None, outcome.run.iterations
+    before = Origin(None, iterations) if origin is None else origin
+    return outcome, before.leave(found, iterations, edge.distance, has_tried=has_tried)
 
 
 def solve_neighbours(

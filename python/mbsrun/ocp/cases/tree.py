@@ -42,6 +42,16 @@ def find_trees(places: Sequence[Place]) -> tuple[Edge, ...]:
     return tuple(edge for cases in kinds.values() for edge in _join(cases, places))
 
 
+def keep_paths(edges: Sequence[Edge], wanted: Sequence[int]) -> tuple[Edge, ...]:
+    """Return the edges of some cases and of all from which they come, in the same order."""
+    kept, found = set[int | None](wanted), list[Edge]()
+    for edge in reversed(edges):
+        if edge.case in kept:
+            kept.add(edge.parent)
+            found.append(edge)
+    return tuple(reversed(found))
+
+
 def _join(cases: Sequence[int], places: Sequence[Place]) -> list[Edge]:
     """Join cases of one kind, nearest first."""
     order = sorted(cases, key=lambda k: (places[k].numbers, k))

@@ -677,13 +677,26 @@ def prepare_phases(
     check_phases(problem, plants)
     plants = equip_phases(problem, plants)
     _check_states(problem, plants)
-    start = (
-        adapt_guess(problem, guess) if isinstance(guess, Guess) else guess_phases(problem, plants, guess or OWN_GUESS)
-    )
+    if isinstance(guess, Guess):
+        return _make_ready(problem, plants, adapt_guess(problem, guess), make)
+    start = guess_phases(problem, plants, guess or OWN_GUESS)
     if isinstance(start, Unreached):
         finding, remedy = describe_unreachable(start.pose)
         finding = f"{problem.phases[start.phase].title}{finding}"
         return Failure(problem, Run(UNREACHABLE, 0, 0.0, 0.0), finding, remedy)
+    return _make_ready(problem, plants, start, make)
+
+
+def prepare_near(problem: PhasedProblem, plants: Plants, own: Neighbour, make: Make = PhasedSolver) -> Ready | Failure:
+    """Return a problem as `prepare_phases` does, to be solved from a neighbour: it reads poses of its motions alone."""
+    check_phases(problem, plants)
+    plants = equip_phases(problem, plants)
+    _check_states(problem, plants)
+    return _make_ready(problem, plants, own.guess, make)
+
+
+def _make_ready(problem: PhasedProblem, plants: Plants, start: Guess, make: Make) -> Ready | Failure:
+    """Return a problem with its solver and a guess on its grids, or why a start cannot be."""
     for phase, plant in zip(problem.phases, plants.phases, strict=True):
         if wrong := find_wrong_start(phase.problem, plant):
             run, (finding, place) = Run(INFEASIBLE[0], 0, 0.0, 0.0), wrong
