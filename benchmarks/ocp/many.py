@@ -1,6 +1,7 @@
 """Solve many problems of one kind: `python -m benchmarks.ocp.many -o FILE`; one by one, as cases, in C, and by IPOPT.
 
-Cases are solved from their own guesses, and from neighbours. All others start from their own guesses, on one core, to the default tolerance; solutions are neither re-simulated nor refined.
+All start from their own guesses, on one core, to the default tolerance; solutions are neither re-simulated nor refined.
+Cases are also solved from neighbours.
 IPOPT has the same kernels and the project's linear solver, and solves a part of the problems: each K-th.
 """
 
@@ -175,9 +176,9 @@ def write(rows: Sequence[Measured], machine: str) -> str:
         "# Many problems of one kind",
         "",
         f"`python -m benchmarks.ocp.many` wrote this page: {machine}. Times are in ms a problem, by the clock, without",
-        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, of these in the solver, and as cases",
-        "that start from neighbours; `times` is how often one by one takes their processor time, and `minima` counts the same",
-        "costs, lower and higher ones.",
+        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, of these in the solver, and as",
+        "cases from neighbours. `times` is the processor time one by one over the one from neighbours, and `minima` counts",
+        "costs that are the same, lower and higher from there.",
         "IPOPT has the same kernels and the project's linear solver, and solves some of the problems: its time is the",
         "solver's, and its optima are compared.",
         "",
@@ -191,8 +192,8 @@ def write(rows: Sequence[Measured], machine: str) -> str:
         lines.append(f"| {row.family} | {counts} | {shown} | {row.ipopt / row.solver:.3g} | {row.agree} |")
     lines += [
         "",
-        "Without neighbours, each case is solved anew, so cases take as long as single solves. The solver computes with",
-        "vectors within a problem, over stages and columns, and not over problems.",
+        "Without neighbours, each case is solved anew, so cases take as long as single solves. The solver computes",
+        "with vectors within a problem, over stages and columns, and not over problems.",
     ]
     return "\n".join(lines) + "\n"
 
