@@ -137,7 +137,7 @@ def test_guesses_belong_to_cases(swing: OptimalControl, alone: list[Solved]) -> 
 
 
 def test_neighbours_lead_to_the_optima_of_single_solves(swing: OptimalControl) -> None:
-    """In fewer iterations, but for the one in the middle, which starts from its own guess."""
+    """In fewer iterations, except for the one in the middle, which starts from its own guess."""
     places = [0.98, 1.0, 1.02]
     expected = swing.solve_many({"end.pose.cart": places})
     found = swing.solve_many({"end.pose.cart": places}, neighbours=True)

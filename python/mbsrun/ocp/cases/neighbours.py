@@ -23,17 +23,17 @@ from mbsrun.ocp.cases.tree import Edge
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solving.phases import Neighbour
 
-PART = 0.75  # of the iterations from a guess of its own: what a case tries from its neighbour
+PART = 0.75  # of the iterations of a solve from a guess, the most that a case tries from its neighbour
 FEWEST = 6  # iterations that it tries
 NEARER = 0.5  # of the distance at which a try failed, below which the next one is made at once
 
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """What a solve leaves for its neighbours."""
+    """The end of a solve, as the start of its neighbours."""
 
     neighbour: Neighbour | None  # None: it has no solution, or its method leaves none
-    iterations: int  # of the last solve from a guess of its own, among it and its ancestors
+    iterations: int  # of the last solve from a guess, among it and its ancestors
     failures: int = 0  # tries that failed since the last one that succeeded
     rest: int = 0  # generations that do not try
     failed: float = np.inf  # the distance of the last failure
@@ -48,11 +48,11 @@ class Origin:
         return max(FEWEST, int(PART * self.iterations))
 
     def lead(self, found: Neighbour | None) -> Origin:
-        """Return what a try that succeeded leaves."""
+        """Return the origin after a try that succeeded."""
         return Origin(found, self.iterations)
 
     def leave(self, found: Neighbour | None, iterations: int, distance: float, *, has_tried: bool) -> Origin:
-        """Return what a solve from a guess of its own leaves, after a try that failed or without one."""
+        """Return the origin after a solve from a guess: after a try that failed, or without one."""
         if not has_tried:
             return Origin(found, iterations, self.failures, max(0, self.rest - 1), self.failed)
         return Origin(found, iterations, self.failures + 1, 2**self.failures, distance)

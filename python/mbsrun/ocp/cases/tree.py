@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Place:
-    """What distinguishes a case from others."""
+    """The values that distinguish a case from others."""
 
     kind: Hashable  # cases of different kinds are no neighbours
     numbers: tuple[float, ...]
