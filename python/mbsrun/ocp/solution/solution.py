@@ -26,9 +26,7 @@ from mbsrun.ocp.solution.record import SAME
 F = TypeVar("F")
 
 FORMAT: Literal["mbsrun solution 1"] = "mbsrun solution 1"
-OTHER_KINDS: Mapping[
-    object, tuple[str, str]
-] = {  # findings and remedies where the file has the format of the other kind
+OTHER_KINDS: Mapping[str, tuple[str, str]] = {  # findings and remedies for files of the other kind, by their formats
     FORMAT: ("it is a solution without phases", "give a solution of a problem in phases"),
     "mbsrun phases 1": ("it is a solution in phases", "give a solution of a problem without phases"),
 }
@@ -378,8 +376,9 @@ def read_file(adapter: TypeAdapter[F], path: Path, remedy: str) -> F:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
-        if place == "format" and first["input"] in OTHER_KINDS:
-            raise InputError([Fault(str(path), 0, "", *OTHER_KINDS[first["input"]])]) from None
+        found = first["input"]
+        if place == "format" and isinstance(found, str) and found in OTHER_KINDS:
+            raise InputError([Fault(str(path), 0, "", *OTHER_KINDS[found])]) from None
         raise InputError([Fault(str(path), 0, place, first["msg"], remedy)]) from None
 
 
