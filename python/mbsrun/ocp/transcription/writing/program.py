@@ -75,8 +75,8 @@ def write_program(sheet: Sheet) -> tuple[Rows, Program]:
     stages = Stages(
         states=np.concatenate((sheet.layout.mesh, extras.states), axis=1),
         inputs=list_inputs(sheet, implicit),
-        inner=np.concatenate((inner, implicit), axis=2),
-        equations=np.concatenate((equations, balances), axis=2),
+        inner=_join(inner, implicit),
+        equations=_join(equations, balances),
         continuity=continuity,
         common=list_common(sheet),
         rows=np.concatenate(sheet.stages),
@@ -103,6 +103,11 @@ def list_implicit(sheet: Sheet, rows: Sequence[Indices]) -> tuple[Indices, Indic
     chosen = [(i, control) for i, control in sheet.shape.implicit if is_chosen and rows[i].size == N * S]
     balances = np.array([rows[i] for i, _ in chosen], dtype=np.int64).reshape(len(chosen), N, S)
     return controls[:, :, [control for _, control in chosen]], np.moveaxis(balances, 0, 2)
+
+
+def _join(own: Indices, others: Indices) -> Indices:
+    """Return what each point has together; without others, forms that have a point for a whole interval stay as is."""
+    return np.concatenate((own, others), axis=2) if others.size else own
 
 
 def list_inputs(sheet: Sheet, implicit: Indices) -> Indices:
