@@ -61,14 +61,14 @@ def test_a_point_as_near_as_a_hundredth_of_a_nanometre_is_put_on_the_floor_and_h
 def test_a_point_at_rest_presses_and_rounding_of_its_velocity_goes() -> None:
     """As slow as 1e-11 of the fastest velocity so far is at rest: no impact; faster is an impact."""
     motion = course(drop(Floor()))
-    motion.fastest = 2.0
+    motion.fastest = motion.reach = 2.0
     _, qd = motion.settle(0.0, PIECE, np.zeros(2), np.array([1.0, -1.9e-11]))
     assert qd.tolist() == [1.0, 0.0]
     assert (motion.passed, motion.loss, motion.fastest) == ((), 0.0, 2.0)
     assert motion.mode is not None
     assert motion.mode.states == (SLIP,)
     motion = course(drop(Floor()))
-    motion.fastest = 2.0
+    motion.fastest = motion.reach = 2.0
     motion.settle(0.0, PIECE, np.zeros(2), np.array([1.0, -2.1e-11]))
     assert events(motion) == [(Kind.IMPACT, -2.1e-11, 0.0)]
     rising = course(drop(Floor()))
@@ -236,12 +236,12 @@ def test_rounding_is_taken_out_across_too_where_a_point_sticks() -> None:
     """Without friction it is taken out along the normal alone; by the change that is least in the mass matrix."""
     for coefficient, across in ((0.0, 0.9e-11), (0.5, 0.0)):
         motion = course(drop(Floor(along=(1.0, 0.0), coefficient=coefficient)))
-        motion.fastest = 1.0
+        motion.fastest = motion.reach = 1.0
         qd = np.array([0.9e-11, 0.8e-11])
         touch = motion.contacts.touch(np.zeros((1, 2)), qd[None])
         found = motion.still(touch, np.eye(2), qd, np.array([0]))
         assert found == pytest.approx([across, 0.0], abs=1e-26)
-    motion.fastest = 0.5  # both velocities are no rounding then
+    motion.fastest = motion.reach = 0.5  # both velocities are no rounding then
     assert motion.still(touch, np.eye(2), qd, np.array([0])).tolist() == qd.tolist()
     assert motion.still(touch, np.eye(2), qd, np.array([], dtype=np.intp)).tolist() == qd.tolist()
 
@@ -258,7 +258,7 @@ def test_a_change_is_the_least_one_in_the_mass_matrix() -> None:
 def test_slip_counts_as_none_up_to_a_share_of_the_fastest_velocity() -> None:
     """1e-11 of it, and 1e-9 where the point has just turned round."""
     motion = course(drop(Floor(along=(1.0, 0.0), coefficient=1.0), Floor(along=(1.0, 0.0), coefficient=1.0)))
-    motion.fastest, motion.turned = 2.0, {1}
+    motion.fastest, motion.reach, motion.turned = 2.0, 2.0, {1}
     for point, most in ((0, 2e-11), (1, 2e-9)):
         assert motion.is_still(point, np.array([most, 0.0, 0.0]))
         assert not motion.is_still(point, np.array([1.01 * most, 0.0, 0.0]))
