@@ -83,6 +83,21 @@ def test_half_a_stride_by_muscles_keeps_momentum(solved: SolvedPhases) -> None:
     assert float(np.trapezoid(weight, t)) / (t[-1] - t[0]) == pytest.approx(MASS * 9.81, rel=0.1)
 
 
+def test_half_a_stride_with_elastic_tendons_is_an_optimum_for_ipopt() -> None:
+    """Legs exchange the forces of their tendons, too; on 12 intervals."""
+    stated = read_problem(GAIT.with_name("tendon_gait.ocp.yaml"))
+    assert isinstance(stated, PhasedControl), "the motion is periodic"
+    problem = stated.with_phase("motion", intervals=12)
+    found = problem.solve(check=False)
+    assert isinstance(found, SolvedPhases), found
+    for name in LENGTHS:
+        right, left = (found["motion"][f"{name}_{side}_tendon"] for side in SIDES)
+        assert abs(right[-1] - left[0]) + abs(left[-1] - right[0]) < 1e-6
+    again = problem.with_solver("ipopt", objective_scaling=1.0).solve(guess=found, check=False)
+    assert isinstance(again, SolvedPhases), again
+    assert again.cost == pytest.approx(found.cost, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", LENGTHS)
 def test_lengths_of_muscles_are_opensims(name: str, solved: SolvedPhases) -> None:
     """To the 3 mm that polynomials of low order leave; knees of OpenSim flex by negative angles."""
