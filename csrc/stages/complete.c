@@ -64,7 +64,6 @@ static void exchange_numbers(int *a, int i, int j)
 static void exchange(mbs_stages_complete *c, int row, int column)
 {
     const int at = c->rank;
-    const real weight = c->work[at];
     real *a = c->a + (size_t)at * (size_t)c->n, *b = c->a + (size_t)row * (size_t)c->n;
     int i;
     for (i = 0; i < c->n; ++i) {
@@ -74,57 +73,53 @@ static void exchange(mbs_stages_complete *c, int row, int column)
     }
     exchange_numbers(c->row, at, row);
     exchange_numbers(c->column, at, column);
-    exchange_numbers(c->largest, at, row);
-    c->work[at] = c->work[row], c->work[row] = weight;
+    c->largest[row] = c->largest[at];
+    c->work[row] = c->work[at];
     for (i = 0; i < c->n; ++i) {
         real *e = c->a + (size_t)i * (size_t)c->n, t = e[at];
         e[at] = e[column];
         e[column] = t;
-        if (c->largest[i] == at)
-            c->largest[i] = column;
     }
 }
 
-/* List the columns of nonzeros right of the pivot; returns how many there are. */
+/* List the columns of nonzeros right of the last pivot; returns how many there are. */
 static int list_nonzeros(const mbs_stages_complete *c, const real *pivot)
 {
     int j, count = 0;
-    for (j = c->rank + 1; j < c->n; ++j)
+    for (j = c->rank; j < c->n; ++j)
         if (pivot[j] != 0)
             c->nonzero[count++] = j;
     return count;
 }
 
-/* Subtract the row of the pivot from the rows below that have an entry in its column. */
+/* Subtract the row of the next pivot from the rows below that have an entry in its column. */
 static void eliminate_below(mbs_stages_complete *c)
 {
-    const real *restrict pivot = c->a + (size_t)c->rank * (size_t)c->n;
+    const int at = c->rank++;
+    const real *restrict pivot = c->a + (size_t)at * (size_t)c->n;
     const int count = list_nonzeros(c, pivot);
     int i, t;
-    for (i = c->rank + 1; i < c->n; ++i) {
+    for (i = c->rank; i < c->n; ++i) {
         real *restrict a = c->a + (size_t)i * (size_t)c->n;
-        if (a[c->rank] == 0)
+        if (a[at] == 0 && c->largest[i] != at)
             continue;
-        a[c->rank] /= pivot[c->rank];
+        a[at] /= pivot[at];
         for (t = 0; t < count; ++t)
-            a[c->nonzero[t]] -= a[c->rank] * pivot[c->nonzero[t]];
+            a[c->nonzero[t]] -= a[at] * pivot[c->nonzero[t]];
+        find_largest(c, i);
     }
 }
 
 void mbs_stages_factorise_completely(mbs_stages_complete *c, const mbs_stages_matrix *A, int first,
                                      const mbs_stages_least_pivots *least)
 {
-    int i, row, column;
+    int row, column;
     c->rank = 0;
     read_block(c, A, first);
     weigh_rows(c);
     while (c->rank < c->n && find_pivot(c, least, &row, &column)) {
         exchange(c, row, column);
         eliminate_below(c);
-        ++c->rank;
-        for (i = c->rank; i < c->n; ++i)
-            if (c->a[(size_t)i * (size_t)c->n + (size_t)c->rank - 1] != 0)
-                find_largest(c, i);
     }
 }
 

@@ -250,13 +250,13 @@ static int is_carried(const mbs_stages_stage *t, int j)
            F->row[F->begin[j]] == j;
 }
 
-/* Count the first states that the next stage gets as they are, in whole lanes. */
+/* Count the first states that the next stage gets as they are, in whole lanes; steps alone have none of the code. */
 static int count_carried(const mbs_stages_stage *t)
 {
     int j, l, count = 0;
-    while (t->F.begin && count < t->nx && is_carried(t, count))
+    while (MBS_STAGES_SEARCHES && t->F.begin && count < t->nx && is_carried(t, count))
         ++count;
-    for (j = count; t->F.begin && j < t->n; ++j)
+    for (j = count; MBS_STAGES_SEARCHES && t->F.begin && j < t->n; ++j)
         for (l = t->F.begin[j]; l < t->F.end[j]; ++l)
             count = smaller(count, t->F.row[l]);
     return count / MBS_STAGES_LANES * MBS_STAGES_LANES;

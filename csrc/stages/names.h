@@ -24,7 +24,6 @@
 #define mbs_stages_condense mbs_stages_condense_float
 #define mbs_stages_condense_gradient mbs_stages_condense_gradient_float
 #define mbs_stages_condense_right mbs_stages_condense_right_float
-#define mbs_stages_continues mbs_stages_continues_float
 #define mbs_stages_correct_products mbs_stages_correct_products_float
 #define mbs_stages_descent mbs_stages_descent_float
 #define mbs_stages_deviate mbs_stages_deviate_float

@@ -113,7 +113,7 @@ static void add_soft_rows(const mbs_stages_recursion *r, const mbs_stages_stage 
  *     F = (f 0; 0 F2),   P = (P11 P12; P21 P22),   FT P F = (f P11 f, f P12 F2; F2T P21 f, F2T P22 F2). */
 static void add_next_cost(const mbs_stages_stage *s, const entrance *next, real *Q, real *product)
 {
-    const int first = s->carried, m = s->next - first, width = s->dense.width, columns = width - first;
+    const int first = MBS_STAGES_SEARCHES ? s->carried : 0, m = s->next - first, width = s->dense.width, columns = width - first;
     const size_t ld = (size_t)width, ldp = (size_t)next->width, from = (size_t)first;
     const real *F = s->dense.F, *F2 = F + from * (ld + 1);
     real *below = product + from * ld, *corner = Q + from * (ld + 1);

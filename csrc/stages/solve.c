@@ -446,11 +446,6 @@ int mbs_stages_start(mbs_stages *s)
     return MBS_STAGES_RUNNING;
 }
 
-int mbs_stages_continues(const mbs_stages *s)
-{
-    return s->options.warm_start_init_point == 1;
-}
-
 void mbs_stages_write_point(mbs_stages *s)
 {
     const mbs_stages_phase *p = &s->main;

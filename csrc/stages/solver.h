@@ -195,7 +195,10 @@ void mbs_stages_centre(mbs_stages_phase *p, int i);
 void mbs_stages_write_point(mbs_stages *s);
 
 /* Whether a warm start goes on with the solve before, as in a loop, and not with another problem's solution. */
-int mbs_stages_continues(const mbs_stages *s);
+static inline int mbs_stages_continues(const mbs_stages *s)
+{
+    return s->options.warm_start_init_point == 1;
+}
 
 /* Begin a warm start anew with its larger barrier parameter; 1: done, 0: it has no larger one, -1: no values. */
 int mbs_stages_start_farther(mbs_stages *s, mbs_stages_phase *p);
