@@ -100,7 +100,7 @@ def test_a_woodpecker_goes_through_its_published_cycle(tmp_path: Path) -> None:
     file = tmp_path / "model.yaml"
     file.write_text(WOODPECKER, encoding="utf-8")
     toy, start = load(file, extent=NEEDED), ([0, JAMMED * LEVER, -0.2788 * ARM], [-0.3411, 0, -7.4583 * ARM])
-    motion = simulate(toy, hold([]), *start, Settings(0.15, "rk45", rtol=1e-8, atol=1e-8, output_step=1e-4))
+    motion = simulate(toy, hold([]), *start, Settings(0.15, "rk45", rtol=1e-10, atol=1e-10, output_step=1e-4))
     assert motion.halt is None
     assert [(event.joint, event.kind) for event in motion.events] == CYCLE
     assert all(motion[f"gap_{name}"].min() > -1e-15 for name in ("beak", "top", "bottom"))
