@@ -5,7 +5,7 @@ random from the ones that move the motion, the problem is solved again at four v
 optima is continued to rounding with its active set, from the solution that is differentiated, since solves end at
 distances of up to 1e-6, and angles may come back with another turn; its cost has to be the solve's. Differences of
 order four of all variables have a largest deviation from the derivatives, over the largest derivative. Of steps of
-3e-4, 3e-5 and 3e-6 of a number the best one counts, since long steps meet changes of the active set. Times are
+3e-3 down to 3e-6 of a number the best one counts, since long steps meet changes of the active set. Times are
 processor time: of the solve by the project's method in C; of the optimum with its active set and factors, from the
 solution on, in Python; and of the adjoint of one function, by all numbers, with these factors.
 """
@@ -38,7 +38,7 @@ MODELS = Path(__file__).parents[1] / "models"
 TOLERANCE = 1e-13
 NEAR = {"method": "mbs", "tolerance": 1e-11}  # of solves beside it
 SAME = 1e-7  # of costs, over their size: they belong to one optimum
-STEPS = (3e-4, 3e-5, 3e-6)  # of a number, over its size
+STEPS = (3e-3, 3e-4, 3e-5, 3e-6)  # of a number, over its size
 CHOSEN = 3  # numbers of a problem
 ROUNDS = 5  # of a time, of which the shortest counts
 
