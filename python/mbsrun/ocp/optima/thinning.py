@@ -98,20 +98,18 @@ def _purify(y: Array, way: Array, sides: Sides) -> tuple[Array, Indices] | None:
     `sides` has the sign of each limit's multiplier, and 0 for equations. None where equations depend on each other.
     """
     gone: list[int] = []
-    limited = np.flatnonzero(sides)
-    while way.shape[1]:
-        way = way / np.abs(way).max(axis=0)
-        column = int(np.argmax(np.abs(way[limited]).max(axis=0, initial=0.0)))
-        if np.abs(way[limited, column]).max(initial=0.0) <= ENTRY:
+    limited, way = np.flatnonzero(sides), np.asfortranarray(way / np.abs(way).max(axis=0, initial=0.0))
+    for column in reversed(range(way.shape[1])):
+        own = way[:, column] / np.abs(way[:, column]).max()
+        if np.abs(own[limited]).max(initial=0.0) <= ENTRY:
             return None
-        above, rates = sides[limited] * y[limited], sides[limited] * way[limited, column]
+        above, rates = sides[limited] * y[limited], sides[limited] * own[limited]
         length, at, sign = min((*_find_first(above, sign * rates), sign) for sign in (1.0, -1.0))
         first = int(limited[at])
-        y = y + sign * length * way[:, column]
+        y = y + sign * length * own
         gone.append(first)
         y[first] = 0.0
-        others = np.delete(way, column, axis=1)
-        way = others - np.outer(way[:, column] / way[first, column], others[first])
+        way[:, :column] -= np.outer(own / own[first], way[first, :column])
         way[gone] = 0.0
     return y, np.array(gone, dtype=np.int64)
 
