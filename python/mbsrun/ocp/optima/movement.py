@@ -19,14 +19,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from mbsrun.ocp.evaluation.backends.numpy import Functions, build
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.lifting import lift_constants
-from mbsrun.ocp.optima.point import Optimum
+from mbsrun.ocp.optima.point import Optimum, complete
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, SMOOTH, SPLIT, STUCK
 
 SAME = 1e-9  # of derivatives that ought to be equal, over the largest
@@ -291,14 +290,11 @@ class Movement:
 
     def _curve_rows(self, multipliers: Array, dx: Array, constants: Array) -> Array:
         """Return the change of J' multipliers along a change of variables and constants."""
-        optimum, p = self.optimum, self.optimum.instance.parameters
-        if not constants.any():
-            upper = self.prepared.numpy.hessian(optimum.x, p, 0.0, multipliers)
-            return np.asarray(upper @ dx + sparse.triu(upper, 1).T @ dx)
-        functions, whole, weights = self._lifted
-        upper = functions.hessian(whole, weights, 0.0, multipliers)
-        change = np.concatenate((dx, constants))
-        return np.asarray(upper @ change + sparse.triu(upper, 1).T @ change)[: optimum.x.size]
+        functions, x, p, change = self.prepared.numpy, self.optimum.x, self.optimum.instance.parameters, dx
+        if constants.any():
+            functions, x, p = self._lifted
+            change = np.concatenate((dx, constants))
+        return np.asarray(complete(functions.hessian(x, p, 0.0, multipliers)) @ change)[: dx.size]
 
     def _parts_copies(self, change: Numbers, same: float) -> bool:
         """Return whether bounds of variables that are equal, and that are active together, move apart."""

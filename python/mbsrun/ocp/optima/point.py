@@ -277,8 +277,7 @@ class _Search:
         return _Values(x, self.functions.constraint(x, p), c, self.functions.jacobian(x, p).tocsr())
 
     def _curve(self, x: Array, lam: Array) -> Matrix:
-        upper = self.functions.hessian(x, self.start.parameters, self.scale, lam)
-        return Matrix(upper + sparse.triu(upper, 1).T)
+        return complete(self.functions.hessian(x, self.start.parameters, self.scale, lam))
 
     def _guess(self, x: Array, lam: Array) -> tuple[Array, Array, Active, Active] | str:
         """Go on to more digits; return point, multipliers, active limits and weak ones; or why that failed.
@@ -364,6 +363,11 @@ def _judge(factors: Factors, active: Active, weak: Active) -> str:
     if factors.negative != active.chosen.size:
         return FLAT
     return CHANGING if weak.variables.any() or weak.rows.any() else SMOOTH
+
+
+def complete(upper: Matrix) -> Matrix:
+    """Return the whole of a symmetric matrix of which the upper triangle is given."""
+    return Matrix(upper + sparse.triu(upper, 1).T)
 
 
 def assemble(hessian: Matrix, J: sparse.csr_array, active: Active) -> Matrix:

@@ -111,8 +111,14 @@ def ask(
         return _read(solver.number(fix(problem), guess)).parts
 
     start = outcome.start
-    if not _is_same(_read(start), Numbers(*count(_adapt(own, base)))):
-        remedy = "solve this problem, and differentiate its solution"
+    remedy = "solve this problem, and differentiate its solution"
+    try:
+        given = Numbers(*count(_adapt(own, base)))
+    except ProblemError:
+        raise
+    except ValueError:
+        raise ProblemError(base.name, [("solution", "it belongs to a problem of another form", remedy)]) from None
+    if not _is_same(_read(start), given):
         raise ProblemError(base.name, [("solution", "it belongs to a problem with other numbers", remedy)])
     changes = [_try(partial(_differentiate, x, count, base.name), is_strict=is_strict) for x in stated]
     known = [pair for pair in changes if pair is not None]
