@@ -168,7 +168,6 @@ class _Search:
         self.functions, self.start, self.scale = functions, start, scale
         self.limits = _tie(program, start)
         self.size = np.maximum(1.0, np.abs(start.x))
-        self.row_size = np.ones(start.g_lower.size)
 
     def find(self, x: Array, multipliers: Array) -> Optimum:
         """Run the search; where the answer itself shows the active set beyond doubt, from there."""
