@@ -1,0 +1,178 @@
+"""Motions that polynomials follow exactly meet every row of their programs, however the program is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbsgen.manifest import Coordinate, Frame, Wrench
+from mbsrun.ocp.evaluation.backends import condensation
+from mbsrun.ocp.ground import schemes
+from mbsrun.ocp.ground.integrators import SECOND_ORDER
+from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.problem.problem import (
+    Bounds,
+    Contact,
+    Drive,
+    End,
+    Force,
+    Form,
+    Problem,
+    Representation,
+    State,
+    WrenchComponent,
+)
+from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.plants import FREE_RANGE, push
+from tests.mbsrun.peer import FREE, Peer, double_integrator, pose_functions
+
+Array = NDArray[np.float64]
+T, MESH = 1.6, (0.5, 0.2, 0.3)
+PUSHES = np.array([0.7, -0.4, 1.1])  # the accelerations of the intervals
+
+
+def follow(t: Array, edges: Array) -> tuple[Array, Array, Array]:
+    """Return place, velocity and acceleration (..., 1) from 0.3 m at 0.5 m/s on; at an edge, of the interval before."""
+    k = np.clip(np.searchsorted(edges, t, side="left") - 1, 0, 2)
+    lengths = np.diff(edges)
+    speeds = np.concatenate(([0.5], 0.5 + np.cumsum(PUSHES * lengths)))
+    ways = np.concatenate(([0.3], 0.3 + np.cumsum((speeds[:-1] + speeds[1:]) / 2 * lengths)))
+    s = t - edges[k]
+    return (
+        (ways[k] + speeds[k] * s + PUSHES[k] * s**2 / 2)[..., None],
+        (speeds[k] + PUSHES[k] * s)[..., None],
+        PUSHES[k][..., None],
+    )
+
+
+def measure(problem: Problem, plant: Plant, motion: Trajectory) -> Trajectory:
+    """Check that a motion meets the rows of its program; return what the program reads off its variables."""
+    transcription = transcribe(problem, plant)
+    functions = condensation.build(transcription.program, plant)
+    x = transcription.pack(motion)
+    g = np.asarray(functions.constraint(x, transcription.parameters(problem)).full().ravel())
+    lower, upper = transcription.constraint_bounds(problem)
+    assert np.maximum(lower - g, g - upper).max() < 1e-12
+    assert (lower == upper).sum() > 6
+    return transcription.unpack(functions.complete(x) if isinstance(functions, condensation.Condensed) else x)
+
+
+FORMS: dict[str, dict[str, Any]] = {
+    "standard": {},
+    "standard of an ODE": {"representation": Representation.EXP1_O},
+    "algebraic": {"representation": Representation.EXP2_A, "family": Family.LEGENDRE},
+    "Lobatto": {"family": Family.LOBATTO, "degree": 3},
+    "second order": {"integrator": SECOND_ORDER},
+    "second order, Legendre": {"integrator": SECOND_ORDER, "family": Family.LEGENDRE, "degree": 3},
+    "integral": {"form": Form.INTEGRAL},
+    "integral, Legendre": {"form": Form.INTEGRAL, "family": Family.LEGENDRE},
+    "integral of an ODE": {"form": Form.INTEGRAL, "representation": Representation.EXP1_O},
+    "shooting": {"form": Form.SHOOTING, "mesh": None},
+    "shooting by steps": {
+        "form": Form.SHOOTING,
+        "representation": Representation.EXP1_O,
+        "integrator": "rk4",
+        "steps": 2,
+    },
+}
+
+
+@pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize("name", FORMS)
+def test_a_mass_that_is_pushed_meets_every_form(name: str, is_free: bool) -> None:
+    """A constant push in each interval: parabolas, in intervals of different lengths; start and end are known."""
+    changes = {"mesh": MESH, **FORMS[name]}
+    problem = replace(
+        push(3), horizon=T, horizon_range=(1.0, 2.0) if is_free else None, start_q=(0.3,), start_qd=(0.5,), **changes
+    )
+    scheme = schemes.build(problem.family, problem.degree)
+    t, point_t = problem.grid.times(T, scheme.points)
+    (q, qd, _), points = follow(t, t), follow(point_t, t)
+    if problem.family is Family.LOBATTO:  # its first points belong to their own interval
+        points[2][:, 0, 0] = PUSHES
+    end = End(coordinates=((0, float(q[-1, 0])),), velocities=((0, float(qd[-1, 0])),))
+    motion = Trajectory(t, q, qd, PUSHES[:, None], point_t, *points)
+    found = measure(replace(problem, end=end), double_integrator(), motion)
+    for part in ("t", "q", "qd", "u", "point_t", "point_q", "point_qd", "point_qdd"):
+        assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
+
+
+def sled() -> Peer:
+    """Three sliders of 1 kg: x and y have motors, z is driven; a force acts on them, and x has a damping of 0.3."""
+    q, qd, qdd, u, w, tau = (
+        ca.SX.sym(n, k) for n, k in (("q", 3), ("qd", 3), ("qdd", 3), ("u", 2), ("w", 3), ("tau", 1))
+    )
+    Phi = qdd - ca.vertcat(u, tau) - w
+    Phi[0] += 0.3 * qd[0]
+    inputs = [q, qd, qdd, u, w, tau]
+    p, R = ca.horzcat(q, q), ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))
+    return Peer(
+        "sled",
+        {
+            "impl": ca.Function("peer_impl", inputs, [Phi], ["q", "qd", "qdd", "u", "w", "tau"], ["Phi"]),
+            **pose_functions(q, q, p, R),
+        },
+        [Coordinate(name=n, motion="prismatic", actuated=n != "z", **FREE) for n in "xyz"],
+        [Frame(name="body", parent=-1, sensor=False), Frame(name="hand", parent=0, sensor=True)],
+        wrenches=(Wrench(name="hand", frame=0, in_base=True, force=True, moment=False),),
+        driven=(2,),
+    )
+
+
+@pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
+def test_given_forces_contacts_and_driven_joints_meet_their_rows(family: Family, is_free: bool) -> None:
+    """x is pushed, and a given force takes its damping away; y stands against a given input; z moves as given.
+
+    A state that the problem adds is the integral of 3 t.
+    """
+    problem = replace(
+        push(3, family, 3),
+        horizon=T,
+        horizon_range=(1.0, 2.0) if is_free else None,
+        mesh=MESH,
+        start_q=(0.3, 0.2, 0.0),
+        start_qd=(0.5, 0.0, 0.1),
+        bounds=Bounds((FREE_RANGE,) * 3, (FREE_RANGE,) * 3, (FREE_RANGE,) * 2, tau=(FREE_RANGE,)),
+        end=End(),
+        forces=(Force(1, "1 + 2*t"),),
+        wrenches=(
+            WrenchComponent("hand", 0, "0.3*qd_x + 0.2"),
+            WrenchComponent("hand", 1),
+            WrenchComponent("hand", 2),
+        ),
+        contacts=(Contact("hand", "hand", axes=(1,), normal=None),),
+        driven=(Drive(2, "0.4*t**2 + 0.1*t"),),
+        states=(State("s", "3*t", start=(0.25, 0.25)),),
+    )
+    scheme = schemes.build(family, 3)
+    t, point_t = problem.grid.times(T, scheme.points)
+
+    def move(t_: Array) -> tuple[Array, Array, Array]:
+        x = follow(t_, t)
+        one = np.ones((*t_.shape, 1))
+        return (
+            np.concatenate((x[0], 0.2 * one, (0.4 * t_**2 + 0.1 * t_)[..., None]), axis=-1),
+            np.concatenate((x[1], 0 * one, (0.8 * t_ + 0.1)[..., None]), axis=-1),
+            np.concatenate((x[2], 0 * one, 0.8 * one), axis=-1),
+        )
+
+    points = move(point_t)
+    given = 1 + 2 * point_t
+    w = np.stack((0.3 * points[1][..., 0] + 0.2, -given, 0.7 + 0 * given), axis=-1)
+    u = np.stack((np.repeat((PUSHES - 0.2)[:, None], 3, axis=1), given), axis=-1)
+    mean = np.einsum("j,kjm->km", scheme.weights, u)
+    motion = Trajectory(
+        t, *move(t)[:2], mean, point_t, *points, states=(0.25 + 1.5 * t**2)[:, None],
+        point_states=(0.25 + 1.5 * point_t**2)[..., None], point_u=u, point_w=w,
+    )  # fmt: skip
+    found = measure(problem, sled(), motion)
+    for part in ("q", "qd", "u", "point_q", "point_qdd", "states", "point_states", "point_u", "point_w"):
+        assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
