@@ -17,6 +17,7 @@ from mbsrun.ocp.ground.integrators import SECOND_ORDER
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.ground.trajectory import Trajectory
+from mbsrun.ocp.guessing.guess import balance
 from mbsrun.ocp.problem.problem import (
     Bounds,
     Contact,
@@ -124,6 +125,28 @@ def sled() -> Peer:
         wrenches=(Wrench(name="hand", frame=0, in_base=True, force=True, moment=False),),
         driven=(2,),
     )
+
+
+def test_contacts_share_forces_with_inputs_in_a_guess() -> None:
+    """By least squares: 2 m/s^2 of y by 1 N each; unknown components have their guess, and others none."""
+    problem = replace(
+        push(3),
+        start_q=(0.0,) * 3,
+        start_qd=(0.0,) * 3,
+        bounds=Bounds((FREE_RANGE,) * 3, (FREE_RANGE,) * 3, (FREE_RANGE,) * 2),
+        wrenches=(WrenchComponent("hand", 0, guess=0.25), WrenchComponent("hand", 1)),
+        contacts=(Contact("hand", "hand", axes=(1,), normal=None),),
+    )
+    t, point_t = problem.grid.times(1.0, schemes.build(Family.RADAU, 2).points)
+    point, rates = np.zeros((3, 2, 3)), np.tile([1.0, 0.0, 0.0], (3, 2, 1))
+    slopes = np.stack((point_t, 2 + 0 * point_t, 5 + 0 * point_t), axis=-1)
+    motion = Trajectory(t, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((3, 2)), point_t, point, rates, slopes)
+    found = balance(motion, problem, sled(), "dynamic")
+    assert found.u[:, 0] == pytest.approx(point_t.mean(axis=1) + 0.3 - 0.25)
+    assert found.u[:, 1] == pytest.approx([1.0] * 3)
+    assert found.point_w == pytest.approx(np.tile([0.25, 1.0, 0.0], (3, 2, 1)))
+    still = balance(motion, problem, sled(), "static")
+    assert still.u == pytest.approx(np.tile([-0.25, 0.0], (3, 1)))
 
 
 @pytest.mark.parametrize("is_free", [False, True])
