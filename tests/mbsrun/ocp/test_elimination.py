@@ -185,7 +185,7 @@ def test_slopes_are_kept_while_steps_shrink_quickly(
 
 
 def test_steps_are_taken_off() -> None:
-    """Both those with new slopes and those with kept ones."""
+    """With new slopes, and with kept ones."""
     v = np.zeros((1, 1))
     assert Steps([1e-2, 1e-4, 0.0])._iterate(v)
     assert v[0, 0] == pytest.approx(-0.0101, rel=1e-12)

@@ -63,7 +63,7 @@ class Arm:
 
 
 class Tilted(Arm):
-    """The axes of all frames point up, but for a number."""
+    """The axes of all frames point up, except for a number."""
 
     def __init__(self, off: float) -> None:
         super().__init__()

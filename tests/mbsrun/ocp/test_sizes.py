@@ -1,4 +1,4 @@
-"""Usual sizes of what is guessed as 0: each rule by hand."""
+"""Usual sizes of states and controls that are guessed as 0: each rule by hand."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_sizes_spread_from_known_ones() -> None:
     # a known term of the same rate: x' = v + 5 f, f is 2
     slopes[0, 2] = 5
     assert _spread_sizes(np.array([3.0, 0, 2]), np.zeros(2), slopes, none, 2.0).tolist() == [3, 10, 2]
-    # the least of what it moves: both states are 3, f moves one by 6 and the other one by 1/2
+    # the least of two: both states are 3, f moves one by 6 and the other one by 1/2
     slopes = np.array([[0.0, 0, 6], [0, 0, 0.5]])
     assert _spread_sizes(np.array([3.0, 3, 0]), np.zeros(2), slopes, none, 1.0).tolist() == [3, 3, 0.5]
     # a budget of squares: b' = f^2 has the curvature 2
