@@ -69,7 +69,7 @@ def follow(
     def evaluate_all(q: Array) -> list[_Sums]:
         return [evaluate(0, q[0])] * together
 
-    fitter.evaluate, fitter.evaluate_all = evaluate, evaluate_all  # type: ignore[method-assign]
+    fitter.evaluate, fitter.evaluate_all = evaluate, evaluate_all  # type: ignore[method-assign,assignment]
     monkeypatch.setattr(fitting, "solve_step", script)
     if together:
         q, is_done = fitter.solve_all(np.full((together, 1), start), 0.0)
@@ -80,10 +80,7 @@ def follow(
 
 def damp(programs: Sequence[tuple[Any, ...]]) -> list[float]:
     """Return the damping of each step, where J has length 0: it is relative to 1e-12 then."""
-    return [
-        float(program[0].toarray()[0, 0] if sparse.issparse(program[0]) else program[0][0, 0]) / 1e-12
-        for program in programs
-    ]
+    return [float(program[0][0, 0]) / 1e-12 for program in programs]
 
 
 FLAT = ((0.0,),)
@@ -217,7 +214,7 @@ def test_roughness_has_its_part_in_the_sum_of_all_frames(monkeypatch: pytest.Mon
     for cost, is_taken in ((8 * (1 - 1e-9), True), (8 * (1 + 1e-9), False)):
         fitter = make_fitter([(None, None)], 3)
         found = [[sums(0.0)] * 3, [sums(cost / 3)] * 3]
-        fitter.evaluate_all = lambda _, found=found: found.pop(0) if len(found) > 1 else found[0]  # type: ignore[method-assign]
+        fitter.evaluate_all = lambda _, found=found: found.pop(0) if len(found) > 1 else found[0]  # type: ignore[method-assign,misc]
         script = Script([np.array([0.0, 1.0, 0.0]), np.zeros(3)])
         monkeypatch.setattr(fitting, "solve_step", script)
         shown: list[tuple[str, int, int]] = []
@@ -247,7 +244,7 @@ def gather(
         cost, gap, _ = judge(int(q[0]))
         return sums(cost, gap)
 
-    fitter.solve, fitter.evaluate = solve, evaluate  # type: ignore[method-assign]
+    fitter.solve, fitter.evaluate = solve, evaluate  # type: ignore[method-assign,assignment]
     return *fitter.start(0), starts
 
 
@@ -348,8 +345,9 @@ def test_interior_points_take_newtons_steps(monkeypatch: pytest.MonkeyPatch, rou
     upper = np.array([0.25, 0.4, np.inf, np.inf, 0.0, 5.0])
     h = -H @ np.array([0.1, 0.1, 0.5, 0.2, -1.0, 0.5])
     monkeypatch.setattr(fitting, "ROUNDS", rounds)
-    given = (sparse.csc_array(A), g, sparse.csc_array(H)) if is_thin else (A, g, H)
-    step, y, low, high = _solve_inside(*given, h, lower, upper)
+    a: Any = sparse.csc_array(A) if is_thin else A
+    rows: Any = sparse.csc_array(H) if is_thin else H
+    step, y, low, high = _solve_inside(a, g, rows, h, lower, upper)
     d, expected, z, w = solve_newton(A, g, H, h, lower, upper, rounds)
     assert step == pytest.approx(d, rel=1e-8, abs=1e-10)
     assert y == pytest.approx(expected, rel=1e-7, abs=1e-9)
@@ -376,7 +374,7 @@ def test_entries_between_equal_limits_stay_there(monkeypatch: pytest.MonkeyPatch
 
 def count_rounds(
     monkeypatch: pytest.MonkeyPatch, A: Array, g: Array, H: Array, h: Array, lower: Array, upper: Array
-) -> tuple[int, Array, Array, Array]:
+) -> tuple[int, Array, Any, Any]:
     """Return how many linear systems an interior point takes, its step, and the limits that are active."""
     count = [0]
 

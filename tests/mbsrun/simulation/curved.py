@@ -113,7 +113,7 @@ class Kernels:
 class Curved:
     """What fields of derivatives need of a mechanism."""
 
-    kernels: Kernels
+    kernels: Any
     formulation: Any = Formulation.SEMI
     effort: Any = field(default_factory=SimpleNamespace)
     size: int = N
@@ -145,8 +145,8 @@ class Curved:
         """Differentiate residuals."""
         s, states = self.kernels.shape, list(zip(q, qd, qdd, v, strict=True))
         return (
-            np.array([slope(lambda x, y=y: s.residual(x, *y[1:]), y[0]) for y in states]),
-            np.array([slope(lambda x, y=y: s.residual(y[0], x, *y[2:]), y[1]) for y in states]),
+            np.array([slope(lambda x, y=y: s.residual(x, *y[1:]), y[0]) for y in states]),  # type: ignore[misc]
+            np.array([slope(lambda x, y=y: s.residual(y[0], x, *y[2:]), y[1]) for y in states]),  # type: ignore[misc]
             np.array([s.mass(y[0]) for y in states]),
         )
 
