@@ -111,7 +111,7 @@ class Kernels:
 
 @dataclass(frozen=True)
 class Curved:
-    """What fields of derivatives need of a mechanism."""
+    """The functions of a mechanism that fields of derivatives call."""
 
     kernels: Any
     formulation: Any = Formulation.SEMI
