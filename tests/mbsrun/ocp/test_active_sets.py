@@ -19,6 +19,7 @@ from mbsrun.ocp.optima.movement import Movement, Numbers
 from mbsrun.ocp.optima.neighbours import move_one_sided, predict
 from mbsrun.ocp.optima.point import Optimum, find_optimum
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, SMOOTH
+from mbsrun.ocp.optima.thinning import thin
 
 Array = NDArray[np.float64]
 SCALE = 0.5  # of the cost
@@ -282,6 +283,19 @@ def test_a_limit_that_others_imply_keeps_derivatives(share: float, rng: np.rando
         assert move_one_sided(movement, [0, 1.0, 0]).dx == pytest.approx(movement.move(0), abs=1e-9)
         assert move_one_sided(movement, [0, 0, 1.0]).status == DEPENDENT
         assert predict(movement, [0, h, 0]).dx == pytest.approx(h * movement.move(0), abs=1e-12)
+
+
+def test_an_implied_limit_is_found_beside_equations_that_nearly_depend(rng: np.random.Generator) -> None:
+    """Twenty equations are a millionth from depending on twenty others; the last row depends on them indeed."""
+    first, noise = rng.standard_normal((2, 20, 60))
+    A = np.concatenate((first, first + 1e-6 * noise))
+    A = np.concatenate((A, [rng.standard_normal(40) @ A]))
+    sides = np.array([2] * 40 + [1], dtype=np.int8)
+    lam = np.append(rng.standard_normal(40), 1.0)
+    left = thin(sparse.csr_array(A), np.zeros(60, np.int8), sides, lam, np.zeros(60))
+    assert left is not None
+    assert left.rows.tolist() == [2] * 40 + [0]
+    assert left.lam @ A == pytest.approx(lam @ A, abs=1e-6)
 
 
 def test_a_derivative_of_an_active_set_that_stays_too_short_is_none(rng: np.random.Generator) -> None:

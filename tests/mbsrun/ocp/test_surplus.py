@@ -37,6 +37,9 @@ def test_conditions_on_motions_that_depend_on_each_other_are_kept_once() -> None
     assert _choose(nearly, [0, 1]) == [1]
     nearly[1, 1] = 4e-8
     assert _choose(nearly, [0, 1]) == [0, 1]
+    assert _choose(free, [0, 1], {0}) == [0]  # the one that is liked
+    assert _choose(free, [0, 1, 3], {0}) == [1, 3]  # which are too few
+    assert _choose(free, [0, 1, 2], {0, 2}) == [1]  # or no motion
     assert _choose(free, []) == []
     assert _choose(np.zeros((4, 0)), [0, 1]) == []
 

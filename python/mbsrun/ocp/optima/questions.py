@@ -24,6 +24,7 @@ from mbsrun.ocp.problem.problem import Unknown
 from mbsrun.ocp.solution.phases import Guess, PhasedSolution
 from mbsrun.ocp.solving.phases import Make, PhasedSolver
 from mbsrun.ocp.statement.checks import Line, ProblemError
+from mbsrun.ocp.statement.surplus import leave_out_surplus
 
 T = TypeVar("T")
 
@@ -86,7 +87,7 @@ def ask(
     """
     base = _take_found(solution)
     plants = equip_phases(base, plants)
-    stating = _Stating(base, plants)
+    stating = _Stating(base, plants, solution.guess)
     found = [_try(partial(stating.find, x), is_strict=is_strict) for x in numbers]
     stated = [x for x in found if x is not None]
     held = sorted(set().union(*(x.held for x in stated)))
@@ -113,7 +114,7 @@ def ask(
     start = outcome.start
     remedy = "solve this problem, and differentiate its solution"
     try:
-        given = Numbers(*count(_adapt(own, base)))
+        given = Numbers(*count(stating.adapt(own)))
     except ProblemError:
         raise
     except ValueError:
@@ -129,7 +130,7 @@ def ask(
     asked = tuple(number for number, _ in known)
     spans = tuple(SPAN * number.step for number in asked)
     movement = Movement(program, optimum, tuple(change for _, change in known), spans)
-    return Answer(asked, solver, fixed, guess, movement, tuple(held), lambda x: Numbers(*count(_adapt(x, base))))
+    return Answer(asked, solver, fixed, guess, movement, tuple(held), lambda x: Numbers(*count(stating.adapt(x))))
 
 
 def _try(find: Callable[[], T], *, is_strict: bool) -> T | None:
@@ -157,6 +158,7 @@ class _Stating:
 
     base: PhasedProblem
     plants: Plants
+    guess: Guess  # the solution
 
     def find(self, number: Number) -> _Stated:
         """State the problem with values of a number. Raises ProblemError."""
@@ -177,12 +179,28 @@ class _Stating:
         found, errors = [], dict[int, ProblemError]()
         for k in STEPS:
             try:
-                found.append(_adapt(number.state(number.value + k * number.step), self.base))
+                found.append(self.adapt(number.state(number.value + k * number.step)))
             except ProblemError as error:
                 errors[k] = error
         if errors and len({k > 0 for k in errors}) == 2:
             raise errors[1]
         return () if errors else tuple(found)
+
+    def adapt(self, problem: PhasedProblem) -> PhasedProblem:
+        """Return a problem with the grid and the form of loops that the solution has, its unknowns and its conditions.
+
+        Raises ProblemError for an end that contradicts contacts.
+        """
+        parts = zip(problem.phases, self.base.phases, self.plants.phases, self.guess.trajectories, strict=True)
+        phases = []
+        for own, known, plant, motion in parts:
+            x, y = own.problem, known.problem
+            guesses = {unknown.name: unknown.guess for unknown in y.unknowns}
+            unknowns = tuple(replace(u, guess=guesses.get(u.name, u.guess)) for u in x.unknowns)
+            ways = {name: getattr(y, name) for name in WAYS}
+            stated = replace(x, unknowns=unknowns, **ways)
+            phases.append(Phase(known.name, leave_out_surplus(stated, plant, motion.q[-1], y.end)))
+        return replace(problem, phases=tuple(phases), solver=self.base.solver)
 
     def _refuse(self, name: str, own: str) -> Line:
         if own in {x.name for x in self.base.every_unknown}:
@@ -200,18 +218,6 @@ def _take_found(solution: PhasedSolution) -> PhasedProblem:
 
     problem = problem.change(lambda own: replace(own, unknowns=find(own.unknowns)))
     return replace(problem, unknowns=find(problem.unknowns))
-
-
-def _adapt(problem: PhasedProblem, base: PhasedProblem) -> PhasedProblem:
-    """Return a problem with the grid and the form of loops that the solution has, and its unknowns."""
-    phases = []
-    for own, known in zip(problem.phases, base.phases, strict=True):
-        x, y = own.problem, known.problem
-        guesses = {unknown.name: unknown.guess for unknown in y.unknowns}
-        unknowns = tuple(replace(u, guess=guesses.get(u.name, u.guess)) for u in x.unknowns)
-        ways = {name: getattr(y, name) for name in WAYS}
-        phases.append(Phase(known.name, replace(x, unknowns=unknowns, **ways)))
-    return replace(problem, phases=tuple(phases), solver=base.solver)
 
 
 def _read_parameters(problem: PhasedProblem, plants: Plants) -> Mapping[str, float]:

@@ -23,8 +23,8 @@ from mbsrun.ocp.optima.symmetric import Factors
 
 Sides = NDArray[np.int8]
 
-SOFT = 1e-11  # d, where rows of J have entries of about 1
-PROJECTIONS = 4
+SOFT = 1e-13  # d, where rows of J have entries of about 1
+PROJECTIONS = 8
 DEPENDENT = 1e-8  # of |J'n|, with n of length 1: it is 0
 FIRST, MOST = 8, 4096  # vectors that are projected at once
 ENTRY = 1e-7  # of an entry of n, over the largest one: it is none

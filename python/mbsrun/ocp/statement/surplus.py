@@ -3,8 +3,9 @@
 With contacts, J_c qd = 0 at the end, and J_h qd = 0 with closed loops. If N spans the velocities that remain, a
 condition on qd_i has the gradient N_i (row i of N). Of all conditions, as many as N has columns are kept, so that their
 rows are as independent as possible (QR with pivots); the others follow from them. The same holds for accelerations, and
-for coordinates, if the whole start is given: then contacts stay where they are at the start. A condition that follows
-would make the program's Jacobian lose rank, and an interior-point method then takes hundreds of iterations.
+for coordinates, where places are known: contacts stay where a given start has them, and modes keep points on planes.
+A condition that follows would make the program's Jacobian lose rank, and an interior-point method then takes hundreds
+of iterations.
 
 What contacts imply for values that are not 0 may depend on lengths: with unknown lengths such values are refused.
 
@@ -13,7 +14,7 @@ Where driven joints leave fewer freedoms than sensors have targets, some targets
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from mbsrun.closure import find_closure
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.contacts import Held, find_held, locate
-from mbsrun.ocp.problem.problem import Problem, Target
+from mbsrun.ocp.problem.problem import End, Problem, Target
 from mbsrun.ocp.statement.checks import ProblemError
 
 RANK = 1e-8  # of rows and columns, relative to the largest
@@ -33,9 +34,10 @@ CHANGE = 1e-3  # of a parameter, to find out whether it moves contacts
 Values = Mapping[int, float]
 
 
-def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
+def leave_out_surplus(problem: Problem, plant: Plant, q: Array, like: End | None = None) -> Problem:
     """Leave out the conditions on the end that contacts imply, for an end near the pose q.
 
+    Of conditions that are as good, the ones of `like` stay: what was kept of the same end with other values.
     Raises ProblemError for values that contradict the contacts, or that unknown parameters of the model decide.
     """
     held, end, manifest = find_held(problem, plant.manifest), problem.end, plant.manifest
@@ -47,26 +49,26 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array) -> Problem:
     speeds = dict(end.velocities) | (dict.fromkeys(independent, 0.0) if end.velocity_zero else {})
     changes = dict(end.accelerations) | (dict.fromkeys(independent, 0.0) if end.acceleration_zero else {})
     free = null_space(_constrain(plant, held, q), rcond=RANK)
-    kept = _choose(free, list(speeds))
+    kept = _choose(free, list(speeds), () if like is None else dict(like.velocities))
     if len(kept) < len(speeds):
         _check_unknowns(problem, plant, held, q, "end.velocities", any(speeds.values()))
         _check_velocities(problem, free, speeds, kept)
         values = tuple((i, speeds[i]) for i in kept)
         end = replace(end, velocity_zero=False, velocities=values)
-    kept = _choose(free, list(changes))
+    kept = _choose(free, list(changes), () if like is None else dict(like.accelerations))
     if len(kept) < len(changes):
         is_moving = any(changes.values()) or any(speeds.values())
         _check_unknowns(problem, plant, held, q, "end.accelerations", is_moving)
         _check_accelerations(problem, plant, held, q, free, speeds, changes, kept)
         values = tuple((i, changes[i]) for i in kept)
         end = replace(end, acceleration_zero=False, accelerations=values)
-    nq = len(manifest.positions)
-    if not manifest.quaternions and not any(i < nq for i in problem.free_start):
-        places = dict(end.coordinates)
-        kept = _choose(free, list(places))
+    places, known = dict(end.coordinates), _find_places(problem, plant, held)
+    if not manifest.quaternions and known is not None and places:
+        free = null_space(_join(plant, held, q, (), known[0]), rcond=RANK)
+        kept = _choose(free, list(places), () if like is None else dict(like.coordinates))
         if len(kept) < len(places):
             _check_unknowns(problem, plant, held, q, "end.coordinates", True)
-            _check_pose(problem, plant, held, q, places, kept)
+            _check_pose(problem, plant, held, q, places, kept, known)
             end = replace(end, coordinates=tuple((i, places[i]) for i in kept))
     return replace(problem, end=end)
 
@@ -103,6 +105,20 @@ def free_targets(problem: Problem, plant: Plant, q: Array) -> Problem:
     return replace(problem, end=replace(end, sensors=tuple(sensors)))
 
 
+def _find_places(problem: Problem, plant: Plant, held: Held) -> tuple[list[int], Array] | None:
+    """Return the places among `held` that a motion keeps, by index, and their values; None where they are open.
+
+    All are known where the whole start is given, and distances from planes where modes are.
+    """
+    manifest = plant.manifest
+    if not any(i < len(manifest.positions) for i in problem.free_start):
+        return [*range(len(held.entries))], locate(plant, np.array(problem.start_q), held.entries)
+    planes = {law.point: law.height for law in manifest.open_contacts} if problem.modes else {}
+    entries = [(contact, axis) for contact in problem.contacts for axis in contact.axes]
+    known = [k for k, (contact, axis) in enumerate(entries) if contact.sensor in planes and axis == contact.normal]
+    return (known, np.array([planes[entries[k][0].sensor] for k in known])) if known else None
+
+
 def _constrain(plant: Plant, held: Held, q: Array) -> Array:
     """Return J_c, and J_h below it, in one pose."""
     J = held.differentiate(plant, q[None], np.zeros((1, len(plant.manifest.coordinates))))[0][0]
@@ -110,10 +126,14 @@ def _constrain(plant: Plant, held: Held, q: Array) -> Array:
     return J if closure is None else np.concatenate((J, closure.jacobian(q)))
 
 
-def _choose(free: Array, given: Sequence[int]) -> list[int]:
-    """Choose entries that are independent of each other, in the order in which they are given."""
+def _choose(free: Array, given: Sequence[int], liked: Collection[int] = ()) -> list[int]:
+    """Choose entries that are independent of each other, in the order in which they are given; `liked` if they do."""
     if not given or not free.shape[1]:
         return []
+    if liked and set(liked) < set(given):
+        same = [i for i in given if i in liked]
+        if _choose(free, same) == same and len(same) == len(_choose(free, given)):
+            return same
     from scipy.linalg import qr  # here, and late: it takes long to load
 
     _, R, order = qr(free[list(given)].T, mode="economic", pivoting=True)
@@ -174,28 +194,35 @@ def _check_accelerations(
     _compare(problem, "end.accelerations", given, found, "1/s²")
 
 
-def _check_pose(problem: Problem, plant: Plant, held: Held, q: Array, given: Values, kept: Sequence[int]) -> None:
+def _check_pose(
+    problem: Problem,
+    plant: Plant,
+    held: Held,
+    q: Array,
+    given: Values,
+    kept: Sequence[int],
+    known: tuple[list[int], Array],
+) -> None:
     """Raise ProblemError for coordinates that differ from the ones that the others imply."""
-    closure, start = find_closure(plant), locate(plant, np.array(problem.start_q), held.entries)
-    values = np.array([given[i] for i in kept])
+    closure, (chosen, there) = find_closure(plant), known
+    entries, values = [held.entries[k] for k in chosen], np.array([given[i] for i in kept])
 
     def measure(pose: Array) -> Array:
-        parts = [locate(plant, pose, held.entries) - start, pose[kept] - values]
+        parts = [locate(plant, pose, entries) - there, pose[kept] - values]
         return np.concatenate(parts if closure is None else [*parts, closure.gaps(pose)])
 
-    found = _solve(measure, lambda pose: _join(plant, held, pose, kept), q)
+    found = _solve(measure, lambda pose: _join(plant, held, pose, kept, chosen), q)
     if np.abs(measure(found)).max(initial=0.0) > AGREES:
         named = ", ".join(plant.manifest.positions[i] for i in kept)
-        finding = f"no pose with these values of {named} keeps the contacts where they are at the start"
+        finding = f"no pose with these values of {named} keeps the contacts where they are"
         raise ProblemError(problem.name, [("end.coordinates", finding, "give values at which they stand, or fewer")])
     _compare(problem, "end.coordinates", given, found, "rad or m")
 
 
-def _join(plant: Plant, held: Held, pose: Array, kept: Sequence[int]) -> Array:
-    """Return the Jacobian of the equations in `_check_pose`."""
-    J = _constrain(plant, held, pose)
-    count = len(held.entries)
-    return np.concatenate((J[:count], np.eye(pose.size)[list(kept)], J[count:]))
+def _join(plant: Plant, held: Held, pose: Array, kept: Sequence[int], chosen: Sequence[int]) -> Array:
+    """Return the Jacobian of chosen places, of kept coordinates and of loops' gaps."""
+    J, count = _constrain(plant, held, pose), len(held.entries)
+    return np.concatenate((J[list(chosen)], np.eye(pose.size)[list(kept)], J[count:]))
 
 
 def _solve(measure: Callable[[Array], Array], slope: Callable[[Array], Array], q: Array) -> Array:

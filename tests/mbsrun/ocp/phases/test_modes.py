@@ -12,7 +12,8 @@ from mbsgen.errors import InputError
 from mbsrun.external import load_on_demand
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.phases import PhasedSolution
-from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
+from mbsrun.ocp.solving.phases import Ready, prepare_phases, resimulate_phases, solve_phases
+from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.ocp.statement.phases import read_phased_problem
 
 G = 9.81
@@ -141,6 +142,21 @@ phases:
 links:
   - {from: fly, to: stay}
 """
+
+
+def test_an_end_that_planes_imply_is_stated_once(tmp_path: Path) -> None:
+    """The trunk is as high as the leg is long: one of both is left out, and another length is refused."""
+    text = (MODELS / "hopper_jump.ocp.yaml").read_text(encoding="utf-8").replace("hopper.yaml", f"{MODELS}/hopper.yaml")
+    ends = []
+    for length in (0.4, 0.41):
+        file = tmp_path / f"{length}.ocp.yaml"
+        file.write_text(text.replace("leg: 0.4}, velocity: zero", f"leg: {length}}}"), encoding="utf-8")
+        ends.append(read_phased_problem(file, load_on_demand))
+    ready = prepare_phases(*ends[0])
+    assert isinstance(ready, Ready)
+    assert [len(own.phases[2].problem.end.coordinates) for own in (ends[0][0], ready.problem)] == [2, 1]
+    with pytest.raises(ProblemError, match=r"landing: end.coordinates: .* differ from the given ones by 0\.01 "):
+        prepare_phases(*ends[1])
 
 
 def test_two_bodies_become_one_at_a_stop(tmp_path: Path) -> None:
