@@ -172,8 +172,8 @@ def is_free_name(text: str) -> bool:
 
 
 def spell(words: Sequence[str]) -> list[str | None]:
-    """Write words as parts of names, with _ for all but letters and digits; None where two would be alike."""
-    spelled = [re.sub(r"\W", "_", word) for word in words]
+    """Write words as parts of names, with _ for all but letters a to z and digits; None where two would be alike."""
+    spelled = [re.sub(r"\W", "_", word, flags=re.ASCII) for word in words]
     return [new if new == old or spelled.count(new) == 1 else None for old, new in zip(words, spelled, strict=True)]
 
 

@@ -39,10 +39,18 @@ typedef const long long *mbs_sparsity(long long i);
 """
 _POINTERS, _STEPS = "double *[]", "long long[]"
 NULL: Any = _cffi_backend.FFI("mbs").NULL
+MASKED = "some entries are masked, so they have no numbers"
 
 
 class ArgumentError(MbsError):
     """A kernel that does not exist, or arguments that do not fit."""
+
+
+def check_masks(**values: ArrayLike) -> None:
+    """Raise ArgumentError for arrays with masked entries, whose values NumPy would take."""
+    masked = [name for name, value in values.items() if np.ma.is_masked(value)]
+    if masked:
+        raise ArgumentError(f"{', '.join(masked)}: {MASKED}")
 
 
 @dataclass(frozen=True)
@@ -207,6 +215,8 @@ class _Desk:
         for name, shape, slot in self.slots:
             array = inputs.get(name)
             if type(array) is not np.ndarray:
+                if np.ma.is_masked(array):
+                    return False
                 try:
                     array = np.asarray(array)
                 except (ValueError, RuntimeError):

@@ -21,7 +21,7 @@ from mbsgen.errors import MbsError
 from mbsgen.manifest import FIRST_LENGTH, Argument, Kernel, Manifest
 from mbsgen.roles import FAMILY, ON_REQUEST, Order, Role, name_kernel, split_kernel
 from mbsrun import many
-from mbsrun.binding import ArgumentError, Array, Entry, Port, Status, bind
+from mbsrun.binding import MASKED, ArgumentError, Array, Entry, Port, Status, bind
 from mbsrun.library import Compiler, compile_library, find_compiler
 from mbsrun.many import Loop, Several
 
@@ -402,7 +402,9 @@ def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, 
             faults += [] if is_optional else [f"{name}: missing, shape {_text(port.shape)}"]
             continue
         array = _read(inputs[name])
-        if array is None:
+        if np.ma.is_masked(inputs[name]):
+            faults.append(f"{name}: {MASKED}")
+        elif array is None:
             faults.append(f"{name}: not an array of real numbers, shape {_text(port.shape)} expected")
         elif array.shape[-len(port.shape) :] != port.shape or array.ndim > len(port.shape) + 1:
             batch = _text(("batch", *port.shape))

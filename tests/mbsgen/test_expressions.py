@@ -29,8 +29,10 @@ from mbsgen.expressions import (
     Program,
     evaluate,
     fold,
+    is_free_name,
     names,
     parse,
+    spell,
     write,
 )
 
@@ -320,3 +322,10 @@ def test_short_expressions_are_computed_as_they_are_written() -> None:
 )
 def test_parts_without_names_are_folded(text: str, folded: str) -> None:
     assert write(fold(parse(text))) == write(parse(folded))
+
+
+def test_words_are_spelled_in_letters_that_expressions_read() -> None:
+    """With _ in place of others; words that become alike have no name, unless one is its own."""
+    assert spell(["left hip", "Kurbel_ü", "q1", "x2²"]) == ["left_hip", "Kurbel__", "q1", "x2_"]
+    assert spell(["ü", "ö", "a-b", "a_b"]) == [None, None, None, "a_b"]
+    assert all(word is None or is_free_name(word) for word in spell(["é", "日本", "joint 1"]))

@@ -151,6 +151,16 @@ def test_only_real_numbers_are_taken(k: Kernels, value: object) -> None:
         k.impl(x=value, y=[1, 2], z=[0])
 
 
+def test_masked_entries_have_no_numbers(k: Kernels) -> None:
+    """NumPy would take what is below a mask; arrays whose masks hide nothing are arrays."""
+    whole, part = np.ma.array([1.0, 2.0, 3.0]), np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
+    results = [k.impl(x=x, y=[1, 2], z=[0]) for x in (whole, whole.data)]
+    assert [x.tobytes() for x in results[0].values()] == [x.tobytes() for x in results[1].values()]
+    for x in (part, np.ma.stack([part, part])):
+        with pytest.raises(ArgumentError, match="impl: x: some entries are masked"):
+            k.impl(x=x, y=[1, 2], z=[0])
+
+
 def test_words_of_batch_are_no_inputs(k: Kernels) -> None:
     with pytest.raises(ArgumentError, match="impl: threads: there is no such input; `batch` takes it"):
         k.impl(x=np.ones((2, 3)), y=[1, 2], z=[0], threads=2)

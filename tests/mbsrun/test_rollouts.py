@@ -143,6 +143,13 @@ def test_misuse_is_told(cart: Mechanism, changes: dict[str, Any], finding: str) 
         rollout(cart, np.zeros((2, 2)), np.zeros((2, 2)), **setting)
 
 
+def test_masked_states_are_refused(cart: Mechanism) -> None:
+    states, hidden = np.zeros((2, 2)), np.ma.masked_greater(np.eye(2), 0.5)
+    for q, qd in ((hidden, states), (states, hidden)):
+        with pytest.raises(ArgumentError, match=r"^qd?: some entries are masked"):
+            rollout(cart, q, qd, step=0.01, steps=5)
+
+
 def test_closed_loops_are_left_to_the_simulator(make: Any) -> None:
     with pytest.raises(ArgumentError, match="closed loops and driven joints move by `mbsrun simulate` alone"):
         rollout(make("four_bar"), np.zeros(3), np.zeros(3), step=0.01, steps=5)

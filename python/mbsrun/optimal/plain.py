@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbsgen.documents import Data, Place, write_path
+from mbsrun.binding import MASKED
 from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.reading import overlay
 
@@ -42,6 +43,9 @@ def _convert(value: Any, place: Place, findings: list[Line]) -> Data:
     match value:
         case Enum():
             return _convert(value.value, place, findings)
+        case np.ma.MaskedArray() if np.ma.is_masked(value):
+            findings.append((write_path(place), MASKED, "fill them, or leave them out"))
+            return None
         case np.generic() | np.ndarray():
             return _convert(value.tolist(), place, findings)
         case None | bool() | int() | float() | str():

@@ -76,6 +76,9 @@ def test_all_faults_of_a_problem_are_in_one_error(swing: OptimalControl) -> None
     with pytest.raises(ProblemError, match="found a value of type object; give numbers") as error:
         swing.with_changes(horizon=object(), end={"pose": {1: object()}})
     assert len(error.value.findings) == 3
+    hidden = np.ma.array([-5.0, 5.0], mask=[True, False])
+    with pytest.raises(ProblemError, match=r"bounds.inputs: some entries are masked, so they have no numbers; fill"):
+        swing.with_changes(bounds={"inputs": hidden})
 
 
 def test_changes_merge_mappings_and_replace_the_rest(swing: OptimalControl) -> None:
